@@ -7,6 +7,7 @@ and 0.10 s for 95 %, events 0.10 s and 0.25 s from optics; intervals of 95 % cov
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 import undrift
 from testkit import planted
@@ -17,6 +18,7 @@ from undrift.frames import rotate
 from undrift.io.mocap import read_trc
 from undrift.measures.rising import sit_to_stand
 from undrift.measures.tasks import measure_of
+from undrift.measures.up_and_go import turns
 from undrift.measures.worn import follow
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import draw_task
@@ -132,8 +134,6 @@ def test_a_back_side_that_is_stated_as_forward_is_named_on_a_worn_recording(forw
 
 def mobilised(test, trial):
     """A person who walks: measures of the device at the low back, and contacts by the optics (n,), s."""
-    from scipy.io import loadmat
-
     path = data_path("makers", "mobilised_mat", "data_lab_HA001.mat")
     result = undrift.measure(
         str(path), task="walk", forward="+z", up="+x", opening=Opening(sensor=f"TimeMeasure1.{test}.{trial}.LowerBack")
@@ -260,3 +260,29 @@ def test_intervals_of_step_measures_cover_the_truth_of_planted_people_and_of_a_c
     people = [planted.step_up(np.random.default_rng([35, 200 + k]), count=1)[0].motion for k in range(30)]
     assert 88.0 <= coverage("step", people) <= 100.0
     assert 88.0 <= coverage("step", [stair_motion()[0]] * 12) <= 100.0
+
+
+def test_intervals_of_timed_up_and_go_cover_the_truth_of_planted_people():
+    people = [planted.up_and_go(np.random.default_rng([36, 100 + k]))[0].motion for k in range(14)]
+    assert 88.0 <= coverage("tug", people) <= 100.0
+
+
+def test_each_turn_that_the_optics_have_in_a_morning_in_a_flat_is_seen():
+    """Beside turns of 90 deg or more by the optics, which begin and end at a stride: angles are compared, not judged."""
+    path = data_path("makers", "mobilised_mat", "data_lab_HA001.mat")
+    result, _ = mobilised("Test11", "Trial1")
+    bouts = loadmat(path, simplify_cells=True)["data"]["TimeMeasure1"]["Test11"]["Trial1"]["Standards"]["Stereophoto"]
+    optics = [
+        row
+        for one in bouts["MicroWB"]
+        for row in zip(*(np.atleast_1d(one[f"Turn_{name}"]) for name in ("Start", "End", "Angle")), strict=True)
+        if abs(row[2]) >= 90.0
+    ]
+    differ = []
+    for start, stop, angle in optics:
+        ours = [one for one in turns(result.course) if one.start < stop and one.stop > start]
+        assert ours
+        differ.append(np.degrees(max(one.angle for one in ours)) - abs(angle))
+    show("turns by optics, all seen", len(optics))
+    show("their angle, ours less the optics', median and largest, deg", f"{np.median(differ):.0f}, {max(differ):.0f}")
+    assert len(optics) == 5

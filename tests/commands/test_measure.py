@@ -162,6 +162,23 @@ def test_a_step_has_its_rise_its_pitch_and_its_events(undrift, tmp_path):
     assert "walk: wanted 8 steps" in undrift.refused("measure", path, "--task", "walk", "--up", "+z", "--forward", "+x")
 
 
+def test_timed_up_and_go_has_its_phases_and_turns(undrift, tmp_path):
+    motion = planted.up_and_go(np.random.default_rng([36, 4]))[0].motion
+    record = simulate_device(random_device(np.random.default_rng(3)), motion, rng=np.random.default_rng(1)).record
+    path, out, page = (tmp_path / f"tug{end}" for end in (".parquet", "_events.tsv", ".html"))
+    write_record(replace(record, **_in_si(record)), path)
+    text = undrift.good(
+        "measure", path, "--task", "tug", "--up", "+z", "--forward", "+x", "-o", out, "--report", page
+    ).out
+    assert text.startswith("tug: tug duration ")
+    assert "peak turn velocity" in text.splitlines()[0]
+    kinds = [row["trial_type"] for row in csv.DictReader(out.read_text().splitlines(), delimiter="\t")]
+    assert [kind for kind in kinds if kind in ("sit-to-stand", "walking", "turn", "stand-to-sit")] == [
+        "sit-to-stand", "walking", "turn", "walking", "turn", "stand-to-sit"
+    ]  # fmt: skip
+    assert "turning (deg/s)" in page.read_text()
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -171,6 +188,10 @@ def test_a_step_has_its_rise_its_pitch_and_its_events(undrift, tmp_path):
             "walk: wanted 8 steps or more in a row, alike, without turn or bow, got 1 in a row at most; record",
         ),
         (("--task", "step"), "step: wanted a rise of 0.08 to 0.27 m, got a rise of 0."),
+        (
+            ("--task", "tug"),
+            "tug: wanted a rise, steps, a turn of 90 deg or more, steps, a turn and sitting down, got a rise and",
+        ),
         (("--task", "5xSTS"), "5xSTS: wanted five rises from a seat, got 1; record all five"),
         (("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"), "points up on average, got one"),
         (("--task", "sit-to-stand", "--up", "+z", "--forward", "-z"), "wanted two axes of the device"),

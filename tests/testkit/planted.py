@@ -102,3 +102,30 @@ def step_up(rng, count=3, *, pause=3.0, height=None):
         ahead = ahead + 0.28 * _smooth_rise(t, before, 1.3 * duration)
     way = np.stack((ahead, 0.02 * np.sin(roll), up), axis=1)
     return Planted(motion_of(t, roll, pitch, yaw, way), starts, []), duration, height
+
+
+def up_and_go(rng, *, turned=np.pi):
+    """Return a person who gets up, walks out, turns, walks back, turns and sits down; each turn by an angle to the left."""
+    sits, rise, lean = rng.normal(0.0, 3.0) * DEGREE, rng.uniform(1.4, 2.2), rng.uniform(25.0, 40.0) * DEGREE
+    duration, turn = rng.uniform(0.48, 0.7), rng.uniform(1.6, 2.6)
+    begun = 5.0
+    walks = begun + rise + 0.3
+    out = contacts_of(rng, walks + duration, 20, duration)
+    turns = [(out[6], out[6] + turn, turned), (out[14], out[14] + turn, np.pi)]
+    stop = out[14] + turn + 0.2  # the person stands, turned, and sits down
+    contacts = out[out < stop]
+    down = contacts[-1] + duration
+    t = np.arange(round((down + rise + 4.0) * FINE)) / FINE
+    angles, way = walked(rng, t, contacts)
+    yaw = sum(angle * _smooth_rise(t, a, b - a) for a, b, angle in turns)
+    ahead = np.gradient(way[:, 0], t)
+    path = np.stack((np.cumsum(ahead * np.cos(yaw)), np.cumsum(ahead * np.sin(yaw)), FINE * way[:, 2]), axis=1) / FINE
+    path[:, 2] += 0.35 * (
+        _smooth_rise(t, begun + 0.4 * rise, 0.5 * rise) - _smooth_rise(t, down + 0.2 * rise, 0.6 * rise)
+    )
+    path[:, :2] += way[:, 1:2] * np.stack((-np.sin(yaw), np.cos(yaw)), axis=1)
+    bent = _smooth_rise(t, begun, 0.5 * rise) - _smooth_rise(t, begun + 0.5 * rise, 0.5 * rise)
+    bent += _smooth_rise(t, down, 0.5 * rise) - _smooth_rise(t, down + 0.5 * rise, 0.5 * rise)
+    pitch = angles[:, 1] + sits + lean * bent + _sway(rng, t, 0.1 * DEGREE)  # who sits sways little
+    roll, yaw = angles[:, 0] + _sway(rng, t, 0.1 * DEGREE), yaw + angles[:, 2] + _sway(rng, t, 0.1 * DEGREE)
+    return Planted(motion_of(t, roll, pitch, yaw, path), contacts, turns), (begun, begun + rise), (down, down + rise)

@@ -35,7 +35,7 @@ COMMANDS = {  # one line of 80 columns each
     "sync": "Recordings of several devices, and optics, on one clock.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "mount": "How a device is worn: device axes to body axes; angle of a joint.",
-    "measure": "Sit-to-stand, five times sit-to-stand, sway, walking, steps: each with its +-.",
+    "measure": "Sit-to-stand, up and go, walking, steps, sway: each with its +-.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",

@@ -38,6 +38,7 @@ FIRST = {  # measures that the answer names
     "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
     "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),
     "standing": ("rms_m_s2", "rms_pitch_deg"),
+    "tug": ("tug_duration_s", "peak_turn_velocity_dps"),
     "step": ("rise_duration_s", "peak_trunk_pitch_deg"),
     "walk": ("cadence_per_min", "stride_duration_s"),
 }
@@ -100,6 +101,7 @@ class Measured(Result):
         course, events = self.course, [(one.onset, one.duration, one.trial_type) for one in self.shown.events]
         second = {
             "standing": ("roll (deg)", course.roll / RADIAN_PER_DEGREE),
+            "tug": ("turning (deg/s)", course.turning / RADIAN_PER_DEGREE),
             "walk": ("upward acceleration\n(m/s2)", course.up),
         }.get(self.task, ("upward velocity\n(m/s)", course.velocity))
         courses = {"trunk pitch (deg)": course.pitch / RADIAN_PER_DEGREE, second[0]: second[1]}
@@ -126,7 +128,7 @@ def measure(
     record: Path,
     /,
     *,
-    task: Literal["sit-to-stand", "5xSTS", "standing", "walk", "step"],
+    task: Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"],
     eyes_closed: Path | None = None,
     mounting: Path | None = None,
     calibration: Path | None = None,
@@ -145,7 +147,7 @@ def measure(
         A corrected recording of the task, or a raw one with its calibration; or a folder of them, with one of output.
     task : str
         sit-to-stand, every rise from a seat; 5xSTS, five of them as fast as possible; standing, quiet stance; walk, steps
-        straight ahead; step, rising a step or stairs.
+        straight ahead; step, rising a step or stairs; tug, timed up and go.
     eyes_closed : Path or None
         With standing: the same person's stance with eyes closed, compared with the recording.
     mounting : Path or None

@@ -5,6 +5,7 @@
     rising        sit-to-stand, five times sit-to-stand
     standing      sway of quiet stance
     stepping      rising a step, or stairs
+    up_and_go     timed up and go: phases and turns
     walking       steps, strides and their spread
     uncertainty   from what is uncertain of the readings to what is uncertain of a measure, and the smallest change between visits
 

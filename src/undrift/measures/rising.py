@@ -127,7 +127,7 @@ def value_at(x: FloatArray, place: float) -> float:
     return float(np.interp(place, np.arange(len(x)), x))
 
 
-def _rises(course: Course, task: str) -> tuple[list[Transfer], list[Transfer]]:
+def rises_and_sittings(course: Course, task: str) -> tuple[list[Transfer], list[Transfer]]:
     """Return rises from a seat and times of sitting down; those that share one lean are squats."""
     rises, sittings = transfers(course, 1.0), transfers(course, -1.0)
     squats = [(up, down) for up in rises for down in sittings if up.start < down.fastest < up.fastest]
@@ -151,12 +151,12 @@ def _rises(course: Course, task: str) -> tuple[list[Transfer], list[Transfer]]:
 
 def sit_to_stand(course: Course) -> TaskResult:
     """Measure every rise from a seat, and every time that the person sits down."""
-    return _measured(course, *_rises(course, "sit-to-stand"))
+    return _measured(course, *rises_and_sittings(course, "sit-to-stand"))
 
 
 def five_times(course: Course) -> TaskResult:
     """Measure five times sit-to-stand."""
-    rises, sittings = _rises(course, "5xSTS")
+    rises, sittings = rises_and_sittings(course, "5xSTS")
     if len(rises) < 5:
         raise not_shown(
             "5xSTS", "five rises from a seat", f"{len(rises)}", "record all five, or measure them as sit-to-stand"

@@ -11,7 +11,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.measures.worn import Course
 
-TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk", "step"]
+TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
     "_m2_s4": "m2/s4",
@@ -53,7 +53,7 @@ TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
 
 def measure_of(task: TaskName) -> TaskMeasure:
     """Return the function that measures a task."""
-    from undrift.measures import rising, standing, stepping, walking
+    from undrift.measures import rising, standing, stepping, up_and_go, walking
 
     functions: dict[TaskName, TaskMeasure] = {
         "sit-to-stand": rising.sit_to_stand,
@@ -61,6 +61,7 @@ def measure_of(task: TaskName) -> TaskMeasure:
         "standing": standing.sway,
         "walk": walking.walk,
         "step": stepping.step,
+        "tug": up_and_go.up_and_go,
     }
     return functions[task]
 
@@ -89,6 +90,8 @@ TYPES = {  # of events, for people
     "extension": "Trunk extension: from the greatest forward pitch to the last motion",
     "stand-to-sit": "Sitting down: from first to last motion of the trunk",
     "standing": "Quiet stance",
+    "tug": "Timed up and go: from the first motion of the trunk out of the chair to the last into it",
+    "turn": "Turn about the vertical: from 5 to 95 % of the change of heading",
     "rise": "The body is lifted onto a step: upward velocity above a tenth of its peak",
     "walking": "Steps in a row: from the first contact to the last",
     "initial contact": "A foot comes down: greatest upward acceleration of the smoothed course, a little after the first touch",

@@ -476,7 +476,7 @@ def draw_measured(
 ) -> "Figure":
     """Draw courses (N,) of a task over time by their labels; events, by onset and duration (s), shaded."""
     figure, panels = new_figure(len(courses), height=1.6)
-    colours = {"sit-to-stand": DEVICE, "stand-to-sit": ERROR, "walking": DEVICE, "rise": DEVICE}
+    colours = {"sit-to-stand": DEVICE, "stand-to-sit": ERROR, "walking": DEVICE, "rise": DEVICE, "turn": LIMIT}
     shade: Any = {"alpha": 0.18, "linewidth": 0.0, "zorder": 0}
     for axes, (label, values) in zip(panels, courses.items(), strict=True):
         axes.plot(*envelope(time, values), color=DEVICE)
