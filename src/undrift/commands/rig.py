@@ -115,6 +115,7 @@ class Ran(Result):
             sections=(table_section("Dwells", result.pieces, cells, on="page"),),
             sources=tuple(path / "session.toml" for path in (self.output, *self.others)),
             after=registered_lines(self.registered),
+            next=("calibrate", self.output, "-o", "calibration.json"),
         )
 
 

@@ -123,6 +123,7 @@ class Synced(Result):
             verdict=verdict,
             written=tuple(file.output for file in self.files),
             failed=verdict.status == "bad",
+            next=("info", synced[-1].output) if synced[-1].output else (),
         )
 
 

@@ -65,6 +65,7 @@ class Twinned(Result):
             findings=findings,
             notes=() if held_out else (alone,),
             written=(self.output,),
+            next=("simulate", "sit_to_stand", "--device", self.output, "-o", "trial.parquet") if self.output else (),
         )
 
 
