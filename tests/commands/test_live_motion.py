@@ -48,9 +48,10 @@ class TurnedTalker(TalkingDevice):
 
 
 @pytest.fixture
-def turned() -> Iterator[TurnedTalker]:
+def turned(request: pytest.FixtureRequest) -> Iterator[TurnedTalker]:
     record, _ = guided_recording(0, 5)
-    with TurnedTalker(np.hstack((np.degrees(record.gyro), np.asarray(record.accel)))) as device:
+    readings = np.hstack((np.degrees(record.gyro), np.asarray(record.accel)))
+    with TurnedTalker(readings, speed=getattr(request, "param", SPEED)) as device:
         yield device
 
 
@@ -122,6 +123,7 @@ def test_ctrl_c_ends_collecting_and_the_readings_are_calibrated(undrift, tmp_pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c.json", "c.parquet"]
 
 
+@pytest.mark.parametrize("turned", [1.0], indirect=True)  # a busy computer hears of it seconds later
 def test_ctrl_c_too_early_keeps_the_readings_and_says_what_is_missing(tmp_path, turned):
     words = ("calibrate", "--live", turned.address, "-o", "c.json")
     call = [sys.executable, "-c", MAIN, *words, "--json"]
@@ -149,10 +151,13 @@ def test_the_time_ends_it_and_readings_are_never_written_over(undrift, tmp_path,
 def test_a_device_that_sends_codes_is_calibrated_with_gains_and_without(undrift, tmp_path):
     record, _ = guided_recording(0, 1)
     codes = np.round(np.hstack((np.degrees(record.gyro) / 0.061, np.asarray(record.accel) / 9.80665 * 4096.0)))
-    with TurnedTalker(codes, speed=4.0) as device:  # no gaps on a busy machine
-        bare = device.address.replace("gyro_unit=dps&accel_unit=m/s2", "gyro_unit=count&accel_unit=count")
-        stated = device.address.replace("accel_unit=m/s2", f"accel_unit=g&gyro_gain=0.061&accel_gain={1.0 / 4096.0}")
-        for address, unit, scale in ((bare, "count", np.radians(0.061)), (stated, "dps", np.radians(1.0))):
+    without, with_gains = "gyro_unit=count&accel_unit=count", f"accel_unit=g&gyro_gain=0.061&accel_gain={1.0 / 4096.0}"
+    for stated, instead, unit, scale in (
+        ("gyro_unit=dps&accel_unit=m/s2", without, "count", np.radians(0.061)),
+        ("accel_unit=m/s2", with_gains, "dps", np.radians(1.0)),
+    ):
+        with TurnedTalker(codes, speed=4.0) as device:  # no gaps on a busy machine
+            address = device.address.replace(stated, instead)
             words = ("calibrate", "--live", address, "-o", tmp_path / f"{unit}.json", "--live-s", "40", "--json")
             gyro = undrift(*words).json()["gyro"]
             assert gyro["unit_in"] == unit
