@@ -5,6 +5,10 @@ results were seen: peak pitch within 2.5 deg for 95 % (of that 2.0 for a mountin
 and 0.10 s for 95 %, events 0.10 s and 0.25 s from optics; intervals of 95 % cover 90 to 98 %.
 """
 
+import json
+import os
+import subprocess
+
 import numpy as np
 import pytest
 from scipy.io import loadmat
@@ -158,6 +162,7 @@ def test_steps_of_a_worn_recording_agree_with_the_optics():
         ours = onsets[np.abs(onsets[:, None] - optics).argmin(axis=0)]
         assert len(np.unique(ours)) == len(optics)  # each contact is found
         assert len(onsets) - len(optics) <= 1
+        assert ("measure.few_strides", "warn") in {(one.code, one.level) for one in result.findings}
         late += (ours - optics).tolist()
         steps += (np.diff(ours) - np.diff(optics)).tolist()
         cadence, seen = (60.0 / np.diff(one).mean() for one in (ours, optics))
@@ -286,3 +291,46 @@ def test_each_turn_that_the_optics_have_in_a_morning_in_a_flat_is_seen():
     show("turns by optics, all seen", len(optics))
     show("their angle, ours less the optics', median and largest, deg", f"{np.median(differ):.0f}, {max(differ):.0f}")
     assert len(optics) == 5
+
+
+SKDH = """
+import json, sys, numpy as np
+from skdh.gait import GaitLumbar
+time, accel, gyro = (np.array(one) for one in json.load(sys.stdin))
+shown = {}
+for method in ("Vertical CWT", "AP CWT"):
+    found = GaitLumbar(gait_event_method=method).predict(time=1.6e9 + time, accel=accel, gyro=gyro, fs=100.0)
+    shown[method] = (np.asarray(found["IC Timestamp"], dtype=float) - 1.6e9).tolist()
+print(json.dumps(shown))
+"""
+
+
+def test_contacts_are_those_of_another_program_by_the_same_wavelet():
+    """scikit-digital-health 0.17.18, its own python in UNDRIFT_SKDH: contacts by the vertical and by the forward acceleration."""
+    python = os.environ.get("UNDRIFT_SKDH", "")
+    if not python:
+        pytest.skip("scikit-digital-health is not here: set UNDRIFT_SKDH to a python that has it")
+    apart, steps = [], {"ours": [], "Vertical CWT": [], "AP CWT": []}
+    for trial in ("Trial1", "Trial2"):
+        result, (optics,) = mobilised("Test5", trial)
+        unit = loadmat(data_path("makers", "mobilised_mat", "data_lab_HA001.mat"), simplify_cells=True)
+        unit = unit["data"]["TimeMeasure1"]["Test5"][trial]["SU"]["LowerBack"]
+        readings = (np.arange(len(unit["Acc"])) / 100.0, unit["Acc"], np.radians(unit["Gyr"]))
+        given = json.dumps([one.tolist() for one in readings])
+        clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        call = [python, "-W", "ignore", "-c", SKDH]
+        ran = subprocess.run(call, input=given, capture_output=True, text=True, check=True, env=clean)
+        shown = {name: np.array(one) for name, one in json.loads(ran.stdout.splitlines()[-1]).items()}
+        shown["ours"] = np.array([one.onset for one in result.shown.events if one.trial_type == "initial contact"])
+        apart += np.abs(shown["ours"][:, None] - shown["Vertical CWT"]).min(axis=0).tolist()
+        for name, contacts in shown.items():
+            nearest = contacts[np.abs(contacts[:, None] - optics).argmin(axis=0)]
+            steps[name] += np.abs(np.diff(nearest) - np.diff(optics)).tolist()
+    show("contacts, ours and by the vertical wavelet: median distance, s", f"{np.median(apart):.3f}", 0.02)
+    for name, error in steps.items():
+        show(
+            f"step durations beside optics, {name}: median, 95 %, s",
+            f"{np.median(error):.3f}, {np.percentile(error, 95):.3f}",
+        )
+    assert np.median(apart) < 0.02
+    assert np.median(steps["ours"]) <= 1.5 * np.median(steps["AP CWT"])

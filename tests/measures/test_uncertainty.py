@@ -5,24 +5,38 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit import planted
 from testkit.data import show
 from testkit.worn_captures import G, true_course, worn_device
 from undrift.measures.rising import sit_to_stand
 from undrift.measures.standing import sway
+from undrift.measures.stepping import step
 from undrift.measures.uncertainty import SHARED, Measure, noisy, ratio, take
+from undrift.measures.up_and_go import up_and_go
+from undrift.measures.walking import walk
 from undrift.measures.worn import follow
 from undrift.sim.motion.tasks import draw_task
 
+PLANTED = {
+    "walk": lambda rng: planted.walk(rng).motion,
+    "step": lambda rng: planted.step_up(rng, count=1)[0].motion,
+    "tug": lambda rng: planted.up_and_go(rng)[0].motion,
+}
 DRAWN = 150  # the spread of so many is known to 6 %
 
 
 def performed(name, seed):
     """The motion of a simulated person."""
+    if name in PLANTED:
+        return PLANTED[name](np.random.default_rng([38, seed]))
     task = draw_task(name, rng=np.random.default_rng(seed))
     return task.at(np.arange(int(task.duration_s * 100.0)) / 100.0, G)
 
 
-@pytest.mark.parametrize(("task", "measured"), [("sit_to_stand", sit_to_stand), ("posturography", sway)])
+@pytest.mark.parametrize(
+    ("task", "measured"),
+    [("sit_to_stand", sit_to_stand), ("posturography", sway), ("walk", walk), ("step", step), ("tug", up_and_go)],
+)
 def test_linear_propagation_agrees_with_monte_carlo(task, measured):
     device, rng = worn_device(performed(task, 4), 7), np.random.default_rng(1)
     _, stated = take(device, measured)

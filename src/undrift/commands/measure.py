@@ -42,7 +42,7 @@ FIRST = {  # measures that the answer names
     "step": ("rise_duration_s", "peak_trunk_pitch_deg"),
     "walk": ("cadence_per_min", "stride_duration_s"),
 }
-ENOUGH_STRIDES = 50  # for a spread known to 10 %
+ENOUGH_STRIDES, FEW_STRIDES = 50, 20  # for a spread known to 10 and 16 %
 SPREAD = 0.1  # of the whole: parts below it are not named
 
 
@@ -249,7 +249,8 @@ def _findings(
         texts.append(limit)
     if 0 < (count := shown.strides) < ENOUGH_STRIDES:
         spread = 100.0 / math.sqrt(2.0 * (count - 1))
-        texts.append(finding("measure.few_strides", "info", count=count, percent=spread, enough=ENOUGH_STRIDES))
+        few: dict[str, float] = {"count": count, "percent": spread, "enough": ENOUGH_STRIDES}
+        texts.append(finding("measure.few_strides", "warn" if count < FEW_STRIDES else "info", **few))
     texts += [finding("measure.left_out", "info", measure=name, reason=reason) for name, reason in shown.missing]
     return tuple(texts)
 
