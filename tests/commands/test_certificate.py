@@ -7,6 +7,7 @@ from datetime import datetime
 
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
 
 from testkit.command_line import contents
 from undrift.base.summary import months_after
@@ -14,8 +15,9 @@ from undrift.calibration.calibrate import calibrate
 from undrift.commands.certificate import Statement, certificate_content, conformity, departures
 from undrift.commands.data_sheet import Specification
 from undrift.errors import InputError
+from undrift.io.session import write_session
 from undrift.io.store import content_hash, read_calibration, write_calibration
-from undrift.report.certificate import write_certificate
+from undrift.report.certificate import draw_calibration, write_certificate
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.sessions import simulate_session
 
@@ -237,3 +239,32 @@ def test_no_zero_of_a_certificate_has_a_sign(unit, tmp_path, monkeypatch):
     write_certificate(replace(unit[1], gyro=replace(unit[1].gyro, matrix=small)), tmp_path / "c.pdf")
     assert next(row for row in json.loads(given[0])["triads"][0]["results"] if row[0] == "m_xy")[1].startswith("0.0")
     assert not re.search(r'"-0(\.0+)?"', given[0])
+
+
+# ---- the picture beside the data sheet
+
+
+def test_a_calibration_that_names_its_part_is_drawn_with_the_limits_of_the_data_sheet(undrift, unit, tmp_path):
+    write_session(simulate_session("bench", unit[0], rng=np.random.default_rng(20)), tmp_path / "session")
+    words = ("calibrate", tmp_path / "session", "-o", tmp_path / "c.json", "--report", tmp_path / "c.html")
+    undrift.good(*words, "--kind", "mpu6050")
+    made = read_calibration(tmp_path / "c.json")
+    assert made.provenance.text("kind") == "mpu6050"
+    page = (tmp_path / "c.html").read_text()
+    assert "departures from the scale factor that the data sheet of mpu6050 states" in page
+    assert "limits of the data sheet of mpu6050" in page
+    matrix, offset = draw_calibration(made).axes[:2]
+    heights, (offsets,) = (
+        [
+            float(np.ptp(one.get_paths()[0].vertices[:, 1])) / 2.0
+            for one in panel.collections
+            if isinstance(one, PolyCollection)
+        ]
+        for panel in (matrix, offset)
+    )
+    assert heights == pytest.approx([3.0, 2.0, 2.0, 2.0, 3.0, 2.0, 2.0, 2.0, 3.0])  # %, of scale and across axes
+    assert offsets == pytest.approx(20.0 * 16.4)  # counts, of 20 deg/s
+    points = matrix.lines[0].get_ydata()[[0, 4, 8]]
+    assert points == pytest.approx(
+        -100.0 * unit[0].gyro.scale.error, abs=0.2
+    )  # the matrix undoes what the sensor errs by

@@ -1,11 +1,14 @@
 """undrift noise: coefficients with their intervals, and the Allan plot."""
 
+import re
+
 import numpy as np
 import pytest
 import yaml
 
 from testkit.command_line import at_rest, contents
 from testkit.data import data_path, show
+from undrift.commands.noise import noise
 from undrift.io.formats import write_record
 from undrift.record import Record
 from undrift.sim.host import stamp_on_host
@@ -198,3 +201,55 @@ def test_bias_instability_that_no_axis_shows_is_named_in_terminal_json_and_page(
         assert headline in answer.out
         assert headline in page.read_text()
         assert "h or more at rest" in item["action"]
+
+
+# ---- what it means, and the part's data sheet
+
+MEANING = (
+    r"After 60 s the angle is good to (\S+) deg \(95 %, offset from 60 s at rest before\): white noise (\S+) deg, "
+)
+
+
+def test_an_angle_after_a_minute_stays_within_the_sentence(tmp_path):
+    """Offset from 60 s, then 60 s: of the pairs of the second half at least nine in ten stay within what the first half states."""
+    rng = np.random.default_rng(9)
+    n = 360_000
+    rate = rng.normal(0.0, 1e-3, (n, 3)) + np.cumsum(rng.normal(0.0, 1e-6, (n, 3)), axis=0)
+    write_record(Record(time=np.arange(n) / 100.0, gyro=rate), tmp_path / "rest.parquet")
+    summary = noise(tmp_path / "rest.parquet", stop_s=1800.0).summary()
+    angle, white = map(float, re.match(MEANING, summary.answer).groups())
+    axes = summary.data["angle_after_60_s_deg"]
+    assert max(one["angle"] for one in axes) == pytest.approx(angle, rel=0.06)
+    assert white == pytest.approx(2.0 * np.degrees(1e-4) * np.sqrt(2.0 * 60.0), rel=0.06)  # k N sqrt(2 tau)
+    ends_deg = np.degrees(60.0 * np.diff(rate[n // 2 :].reshape(-1, 6000, 3).mean(axis=1), axis=0))
+    within = abs(ends_deg) <= [one["angle"] for one in axes]
+    show("angle after 60 s, within U, %", 100.0 * np.mean(within), ">= 90 %")
+    assert np.mean(within) >= 0.9
+    assert np.std(ends_deg) > angle / 5.0  # nor is it stated much too wide
+    assert summary.next == ()  # Kalibr wants accelerometers too
+
+
+def test_noise_stands_beside_the_data_sheet_of_the_part_that_is_named(undrift, tmp_path):
+    at_rest(tmp_path, "rest.csv")
+    page = tmp_path / "noise.html"
+    shown = undrift.good("noise", tmp_path / "rest.csv", "--kind", "mpu6050", "--report", page).out
+    for text in ("; data sheet of mpu6050 0.212 (density 0.005 deg/s/sqrt(Hz))", "(density 400 ug/sqrt(Hz))"):
+        assert text in shown
+        assert text in page.read_text()
+    sheet = undrift.good("noise", tmp_path / "rest.csv", "--kind", "mpu6050", "--json").json()["data_sheet"]
+    assert sheet["part"] == "mpu6050"
+    assert sheet["angle_random_walk_deg_per_sqrt_h"] == pytest.approx(60.0 * 0.005 / np.sqrt(2.0))  # one-sided density
+    assert sheet["velocity_random_walk_ug_per_sqrt_hz"] == pytest.approx(400.0 / np.sqrt(2.0))
+    unnamed = undrift.good("noise", tmp_path / "rest.csv")
+    assert "data sheet" not in unnamed.out
+    assert "wanted one of enc03j_3031, mpu6050" in undrift.refused("noise", tmp_path / "rest.csv", "--kind", "mpu9999")
+
+
+def test_counts_get_no_degrees_and_the_command_that_gives_them(undrift, bench):
+    shown = undrift.good("noise", bench / "trial.parquet", "--stop-s", "5").out
+    assert "a calibration gives degrees" in shown
+    assert "Next: undrift noise" in shown
+    assert "--calibration calibration.json" in shown
+    assert (
+        "angle_after_60_s_deg" not in undrift.good("noise", bench / "trial.parquet", "--stop-s", "5", "--json").json()
+    )

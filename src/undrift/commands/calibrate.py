@@ -21,6 +21,7 @@ from undrift.base.summary import Drawing, Result, Section, Summary, at, concise,
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, Screen, silent
 from undrift.commands.certificate import answer_sentence, departures_words, uncertainty_section
+from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.commands.register import Registration, registered_lines
@@ -190,13 +191,13 @@ def calibrate(
     if collected := collect(live, output, place, by_motion, screen):
         files, opening = (Path(collected["recording"]),), replace(opening, gaps="keep")
     progress("reading", 0.0)
-    session = session_of(files, place, opening)
-    session = session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
+    session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)
     if calibrate_from == "motion" or collected:
         (made, in_motion), seen = by_motion(session), None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
+    made = _kept_part(made, kind)
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
         figure=figure, live=collected, registered=registering.add(made, source=output))  # fmt: skip
@@ -204,6 +205,16 @@ def calibrate(
         write_calibration(made, output)
     _draw(calibrated, figure)
     return calibrated
+
+
+def _of_part(session: "Session", kind: str | None) -> "Session":
+    return session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
+
+
+def _kept_part(made: "Calibration", kind: str | None) -> "Calibration":
+    """Return a calibration that names the part of its device, where it is stated."""
+    of, origin = () if kind is None else ((PART, kind),), made.provenance
+    return replace(made, provenance=replace(origin, settings=(*origin.settings, *of)))
 
 
 def _draw(calibrated: Calibrated, figure: Path | None) -> None:
@@ -285,7 +296,7 @@ def _field_section(figures: list[dict[str, Any]]) -> Section:
 def calibration_summary(made: "Calibration") -> Summary:
     """Return what a calibration holds, however it was made: uncertainty, origin, matrices and offsets."""
     pictures = (figure_of("certificate:draw_calibration", made),)
-    ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
+    ideal = (*(departures_words(name, triad, made.provenance.text(PART)) for name, triad in _triads(made)), BARS)
     return Summary(
         title=f"Calibration of {made.device or 'a device'}",
         answer=answer_sentence(made),

@@ -428,11 +428,11 @@ def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -
 # ---- departures before correction, and limits
 
 
-def departures(name: str, triad: "TriadModel", part: str, gravity: float = 0.0) -> "dict[str, FloatArray]":
+def departures(name: str, triad: "TriadModel", kind: str, gravity: float = 0.0) -> "dict[str, FloatArray]":
     """Return how far the readings depart from nominal, and U, (2, P) by block, in the units of the budget; NaN where not known."""
     import numpy as np
 
-    table, (per, _), nominal = stated(triad, gravity), _units(name, triad), nominal_of(name, triad, part)
+    table, (per, _), nominal = stated(triad, gravity), _units(name, triad), nominal_of(name, triad, kind)
     values = {
         "scale": 100.0 * (triad.scale_factor / nominal - 1.0),
         "cross": (100.0 * triad.matrix / np.diag(triad.matrix).mean())[~np.eye(3, dtype=bool)],
@@ -447,9 +447,9 @@ def departures(name: str, triad: "TriadModel", part: str, gravity: float = 0.0) 
 
 def conformity(calibration: "Calibration", specification: Specification, rule: str | None) -> dict[str, Any]:
     """Return rows and text of the statement of conformity; no rows where no limit is given."""
-    part, rows = specification.kind or calibration.provenance.text(PART), list[dict[str, str]]()
+    kind, rows = specification.kind or calibration.provenance.text(PART), list[dict[str, str]]()
     for name, triad in ((one, getattr(calibration, one)) for one in NAMES):
-        blocks = {} if triad is None else departures(name, triad, part, gravity_uncertainty(calibration, name))
+        blocks = {} if triad is None else departures(name, triad, kind, gravity_uncertainty(calibration, name))
         for block, (value, expanded) in blocks.items():
             if (limit := specification.of(name, block)) is None:
                 continue
@@ -613,11 +613,16 @@ def _share_rows(made: ParameterTable, per: Mapping[str, float], units: Mapping[s
     return {"heads": heads, "rows": rows}
 
 
-def departures_words(name: str, triad: "TriadModel") -> str:
-    """Return what the departures of ``draw_calibration`` are from."""
+def departures_words(name: str, triad: "TriadModel", kind: str = "") -> str:
+    """Return what the departures of ``draw_calibration`` are from, and whose limits are shaded."""
+    limits = f" Shaded: limits of the {sheet_words(kind)}." if kind else ""
     if is_physical(triad.unit_in):
-        return f"{NAMES[name]}: departures from the unit of the readings, {triad.unit_in}: what is wrong without calibration."
-    return f"{NAMES[name]}: departures from the mean scale factor of the three axes; readings in {triad.unit_in} state no other."
+        ideal = f"departures from the unit of the readings, {triad.unit_in}: what is wrong without calibration."
+    elif math.isfinite(nominal_of(name, triad, kind)):
+        ideal = f"departures from the scale factor that the data sheet of {kind} states."
+    else:
+        ideal = f"departures from the mean scale factor of the three axes; readings in {triad.unit_in} state no other."
+    return f"{NAMES[name]}: {ideal}{limits}"
 
 
 # ---- words: nothing that the calibration does not state

@@ -24,30 +24,30 @@ SHOWN = {
 PART = "kind"  # setting of a calibration's origin
 
 
-def sheet_of(part: str) -> "Grade":
+def sheet_of(kind: str) -> "Grade":
     """Return what the data sheet of a part states, by the name of its preset."""
-    grade: Grade = at("undrift.sim.device.presets:preset_grade")(part)
+    grade: Grade = at("undrift.sim.device.presets:preset_grade")(kind)
     return grade
 
 
-def sheet_words(part: str) -> str:
+def sheet_words(kind: str) -> str:
     """Return the name of a data sheet, and how far its figures are to be trusted."""
-    return f"data sheet of {part} as its preset states it ({sheet_of(part).source_tag.partition(':')[0]})"
+    return f"data sheet of {kind} as its preset states it ({sheet_of(kind).source_tag.partition(':')[0]})"
 
 
-def nominal_of(name: str, triad: "TriadModel", part: str) -> float:
+def nominal_of(name: str, triad: "TriadModel", kind: str) -> float:
     """Return the nominal scale factor, unit of the readings per SI; NaN where neither unit nor data sheet states one."""
     if is_physical(triad.unit_in):
         return 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel")
-    stated = getattr(sheet_of(part), name) if part else None
+    stated = getattr(sheet_of(kind), name) if kind else None
     if stated is None or stated.amplifier is not None or triad.unit_in != stated.unit:
         return math.nan
     return float(stated.sensitivity * 2.0 ** round(math.log2(triad.scale_factor.mean() / stated.sensitivity)))
 
 
-def sheet_limit(part: str, name: str, block: str) -> float:
+def sheet_limit(kind: str, name: str, block: str) -> float:
     """Return a limit of a data sheet: per cent of a scale factor or across axes, deg/s or mg of an offset."""
-    grade = sheet_of(part)
+    grade = sheet_of(kind)
     triad = getattr(grade, name)
     size = {"scale": triad.sensitivity_sd, "cross": triad.misalignment_sd, "offset": triad.offset_sd}[block]
     return float(grade.limit_sd * size * (SHOWN[name][1] if block == "offset" else 100.0))

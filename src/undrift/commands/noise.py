@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 from undrift.base.options import OptionalOutput, Picture, verb
 from undrift.base.summary import PICTURES, Drawing, Result, Section, Summary, figure_of
 from undrift.commands import Progress, silent
+from undrift.commands.certificate import ANSWERED_S, COVERAGE
+from undrift.commands.data_sheet import PART, sheet_of, sheet_words
 from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 if TYPE_CHECKING:
     from undrift.calibration.noise import AxisNoise, NoiseFit
@@ -21,21 +23,19 @@ if TYPE_CHECKING:
 YAML = (".yaml", ".yml")
 _DEG_PER_H, _UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
 # As data sheets have them, by term and SI unit: key in JSON, unit, factor; 60 sqrt(s) make a sqrt(h)
+_WALK, _FLOOR, _RISE = "angle_random_walk", "bias_instability", "rate_random_walk"
 DATA_SHEET = {
-    ("angle_random_walk", "rad/s/sqrt(Hz)"): (
-        "angle_random_walk_deg_per_sqrt_h",
-        "deg/sqrt(h)",
-        60.0 / RADIAN_PER_DEGREE,
-    ),
-    ("bias_instability", "rad/s"): ("bias_instability_deg_per_h", "deg/h", _DEG_PER_H),
-    ("rate_random_walk", "rad/s/sqrt(s)"): (
-        "rate_random_walk_deg_per_h_per_sqrt_h",
-        "deg/h/sqrt(h)",
-        60.0 * _DEG_PER_H,
-    ),
-    ("angle_random_walk", "m/s2/sqrt(Hz)"): ("velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)", _UG),
-    ("bias_instability", "m/s2"): ("bias_instability_ug", "ug", _UG),
-    ("rate_random_walk", "m/s2/sqrt(s)"): ("acceleration_random_walk_ug_per_sqrt_h", "ug/sqrt(h)", 60.0 * _UG),
+    (_WALK, "rad/s/sqrt(Hz)"): ("angle_random_walk_deg_per_sqrt_h", "deg/sqrt(h)", 60.0 / RADIAN_PER_DEGREE),
+    (_FLOOR, "rad/s"): ("bias_instability_deg_per_h", "deg/h", _DEG_PER_H),
+    (_RISE, "rad/s/sqrt(s)"): ("rate_random_walk_deg_per_h_per_sqrt_h", "deg/h/sqrt(h)", 60.0 * _DEG_PER_H),
+    (_WALK, "m/s2/sqrt(Hz)"): ("velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)", _UG),
+    (_FLOOR, "m/s2"): ("bias_instability_ug", "ug", _UG),
+    (_RISE, "m/s2/sqrt(s)"): ("acceleration_random_walk_ug_per_sqrt_h", "ug/sqrt(h)", 60.0 * _UG),
+}
+SHEET = {_WALK: "random_walk", _FLOOR: "instability"}  # what a preset keeps of a data sheet
+DENSITY = {
+    "gyro": ("deg/s/sqrt(Hz)", math.sqrt(2.0) / RADIAN_PER_DEGREE),
+    "accel": ("ug/sqrt(Hz)", math.sqrt(2.0) * _UG),
 }
 
 
@@ -46,15 +46,20 @@ class Noise(Result):
     record: Path
     fit: "NoiseFit"
     verdict: "Verdict"
+    kind: str  # Whose data sheet stands beside, "" for none
     notes: tuple[str, ...]
     written: tuple[Path | None, ...]
 
     def summary(self) -> Summary:
-        """Return the coefficients of each axis, with their intervals."""
+        """Return what the noise means for an angle, and the coefficients of each axis with their intervals."""
         from undrift.calibration.noise import TERMS
         from undrift.io.store import verdict_json
 
-        fit, seen, sections = self.fit, [], []
+        fit, seen, sections, kind = self.fit, [], [], self.kind
+        physical = all(is_physical(getattr(fit, f"{one}_unit")) for one in TERMS if getattr(fit, one))
+        after = {"angle_after_60_s_deg": [{"axis": axis.axis} | angle_after(axis) for axis in fit.gyro]}
+        follows = ("-o", "imu.yaml") if physical else ("--calibration", "calibration.json")
+        idle = physical and (any(self.written) or not (fit.gyro and fit.accel))
         for name, triad, axes in (("gyroscopes", "gyro", fit.gyro), ("accelerometers", "accel", fit.accel)):
             if not axes:
                 continue
@@ -69,19 +74,24 @@ class Noise(Result):
                     title=f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals",
                     columns=("axis", *heads),
                     rows=tuple((axis.axis, *(_cell(axis, key) for key in TERMS[triad])) for axis in axes),
-                    text=tuple(_data_sheet(axes, TERMS[triad])),
+                    text=tuple(_data_sheet(axes, TERMS[triad], triad, kind)),
                     pictures=(drawing,),
                 )
             )
         return Summary(
             title=f"Noise of {self.record.name}",
-            answer=f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}.",
-            data=_data(fit) | {"verdict": verdict_json(self.verdict), "notes": self.notes},
+            answer=_meaning(fit)
+            or f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}; a calibration gives degrees.",
+            data=_data(fit)
+            | (after if physical else {})
+            | _sheet_json(kind)
+            | {"verdict": verdict_json(self.verdict), "notes": self.notes},
             pictures=(figure_of("figures:draw_allan", fit),),
             sections=tuple(sections),
             verdict=self.verdict,
-            notes=self.notes,
+            notes=(*self.notes, *([f"{sheet_words(kind)}: typical figures"] if kind else ())),
             written=self.written,
+            next=() if idle else ("noise", self.record, *follows),
         )
 
 
@@ -97,6 +107,7 @@ def noise(
     figure: Picture = None,
     output: OptionalOutput = None,
     rostopic: str = "/imu0",
+    kind: str | None = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Noise:
@@ -120,6 +131,8 @@ def noise(
         imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
     rostopic : str
         Topic of the sensor, for Kalibr.
+    kind : str or None
+        Preset of the device's part, as mpu6050, whose data sheet stands beside; by default the part that the calibration names.
     """
     from undrift.calibration.noise import fit_noise
     from undrift.correction.consistency import check_force
@@ -130,6 +143,8 @@ def noise(
     check_output(output, endings=(*PICTURES, *YAML), reads=reads)
     progress("reading", 0.0)
     model = None if calibration is None else read_calibration(calibration)
+    kind = kind or (model.provenance.text(PART) if model else "")
+    _ = kind and sheet_of(kind)  # refused before the work
     readings = opening.like(model, calibration).read(record)
     since = None if power_on_s is None else float(power_on_s - readings.time[0])
     if start_s is not None or stop_s is not None:
@@ -145,7 +160,46 @@ def noise(
             verdict = verdict.also(_write_kalibr(fit, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
             Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options={"title": title}).save(path)
-    return Noise(record=record, fit=fit, verdict=verdict, notes=notes, written=(figure, output))
+    return Noise(record=record, fit=fit, verdict=verdict, kind=kind, notes=notes, written=(figure, output))
+
+
+def angle_after(axis: "AxisNoise") -> dict[str, float]:
+    """Return U of an angle after 60 s, deg, by term; its offset is the mean of 60 s at rest just before.
+
+    The two means differ by sqrt(2) sigma(tau), which is what the Allan deviation is: U = k tau sqrt(2) sigma(tau). A term that the
+    recording does not show counts by its upper limit.
+    """
+    from undrift.calibration.noise import FLICKER
+
+    tau, each = ANSWERED_S, dict[str, float]()
+    for term, shape in ((_WALK, 1.0 / tau), (_FLOOR, FLICKER), (_RISE, tau / 3.0)):
+        one = getattr(axis, term)
+        size = one.interval[1] if math.isnan(one.value) else one.value
+        each[term] = COVERAGE * tau * math.sqrt(2.0 * shape) * size / RADIAN_PER_DEGREE
+    return each | {"angle": math.hypot(*each.values())}
+
+
+def _meaning(fit: "NoiseFit") -> str:
+    """Return what white noise and instability mean for an angle, at 95 % on the worst axis; "" for counts or volts."""
+    parts = []
+    if fit.gyro and is_physical(fit.gyro_unit):
+        axis = max(fit.gyro, key=lambda one: angle_after(one)["angle"])
+        each = angle_after(axis)
+        words = ((_WALK, "white noise"), (_FLOOR, "bias instability"), (_RISE, "rate random walk"))
+        terms = (
+            f"{name} {'under ' * math.isnan(getattr(axis, term).value)}{each[term]:.2g} deg" for term, name in words
+        )
+        if not math.isfinite(each["angle"]):
+            return ""
+        parts.append(
+            f"After {ANSWERED_S:g} s the angle is good to {each['angle']:.2g} deg (95 %, offset from {ANSWERED_S:g} s at rest "
+            f"before): {', '.join(terms)}."
+        )
+    if fit.accel and is_physical(fit.accel_unit):
+        walk = max(one.angle_random_walk.value for one in fit.accel)
+        tilt_deg = COVERAGE * walk / STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        parts.append(f"White noise leaves an inclination from 1 s at rest good to {tilt_deg:.2g} deg.")
+    return " ".join(parts)
 
 
 def _corrected(readings: "Record", model: "Calibration", since: float | None) -> "tuple[Record, tuple[str, ...]]":
@@ -211,8 +265,8 @@ def _cell(axis: "AxisNoise", term: str) -> str:
     return f"{one.value:.3g} [{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
 
 
-def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":
-    """Yield the coefficients as data sheets have them, one line a term."""
+def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str], triad: str, kind: str) -> "Iterator[str]":
+    """Yield the coefficients as data sheets have them, one line a term, beside those of the part."""
     for term, name in names.items():
         _, unit, factor = DATA_SHEET.get((term, getattr(axes[0], term).unit), ("", "", 1.0))
         if unit:
@@ -221,4 +275,18 @@ def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterat
                 f"{axis} {factor * c.value:.3g}" if not math.isnan(c.value) else f"{axis} not seen"
                 for axis, c in values
             )
-            yield f"{name} in {unit}: {', '.join(shown)}"
+            beside = ""
+            if kind and (typical := getattr(getattr(sheet_of(kind), triad), SHEET.get(term, ""), 0.0)):
+                density = f" (density {DENSITY[triad][1] * typical:.3g} {DENSITY[triad][0]})" if term == _WALK else ""
+                beside = f"; data sheet of {kind} {factor * typical:.3g}{density}"
+            yield f"{name} in {unit}: {', '.join(shown)}{beside}"
+
+
+def _sheet_json(kind: str) -> dict[str, object]:
+    """Return what the data sheet of the part states, in its units; nothing without a part."""
+    typical = {
+        key: factor * getattr(getattr(sheet_of(kind), "gyro" if unit.startswith("rad") else "accel"), SHEET[term])
+        for (term, unit), (key, _, factor) in (DATA_SHEET.items() if kind else ())
+        if term in SHEET
+    }
+    return {"data_sheet": {"part": kind, "source": sheet_words(kind)} | typical} if kind else {}

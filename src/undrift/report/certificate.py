@@ -12,11 +12,12 @@ from undrift.arrays import FloatArray
 from undrift.base.summary import Drawing, without_signed_zeros
 from undrift.commands.calibrate import rests_of
 from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
+from undrift.commands.data_sheet import PART, SHOWN, nominal_of, sheet_limit
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.model import AXES, Calibration, DriftTables
 from undrift.report import figures
-from undrift.units import is_physical, si_factor
+from undrift.units import is_physical
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,19 +82,29 @@ def draw_tables(drift: DriftTables) -> "Figure":
 
 def draw_calibration(calibration: Calibration) -> "Figure":
     """Draw each matrix as departures from the ideal, and the offsets; bars are expanded uncertainties.
-    Ideal: no cross-axis terms, and the gain of the unit; the mean gain where readings are in counts or volts."""
+    Ideal: no cross-axis terms, and the gain of the unit or of the data sheet of the part, whose limits are shaded; the mean gain
+    where readings are in counts or volts of no part that is named."""
     triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
     if not triads:
         raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
     figure, panels = figures.new_figure(2 * len(triads), height=1.6, share_x=False)
-    elements = [row + column for row in AXES for column in AXES]
+    elements, kind = [row + column for row in AXES for column in AXES], calibration.provenance.text(PART)
     style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
     for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
         made = stated(triad)
         expanded = dict(zip(made.names, made.expanded, strict=True))
-        gain, ideal = float(triad.scale_factor.mean()), "mean scale"
-        if is_physical(triad.unit_in):
-            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
+        gain, ideal = nominal_of(name, triad, kind), "unit" if is_physical(triad.unit_in) else "data sheet"
+        nominal = gain / SHOWN[name][1]  # readings per deg/s or mg
+        if np.isnan(gain):
+            gain, ideal = float(triad.scale_factor.mean()), "mean scale"
+        if kind:
+            shade: Any = {"color": figures.SHADE, "linewidth": 0.0, "zorder": 0, "label": f"limits of {kind}"}
+            for k, one in enumerate(elements):
+                limit = sheet_limit(kind, name, "scale" if one[0] == one[1] else "cross")
+                matrix.fill_between((k - 0.4, k + 0.4), -limit, limit, **(shade if not k else shade | {"label": None}))
+            if np.isfinite(nominal):
+                limit = nominal * sheet_limit(kind, name, "offset")
+                offset.fill_between((-0.4, 2.4), -limit, limit, **shade)
         bars = [100.0 * gain * expanded.get(f"m_{one}", 0.0) for one in elements]
         matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
         matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
