@@ -284,7 +284,7 @@ class Operator(Screen):
 @pytest.fixture
 def held() -> Iterator[tuple[PrintingBoard, Operator]]:
     hands = start_hand_held(seed=3, stream=StreamSettings(seed=3), speed=SPEED)
-    with PrintingBoard() as board:
+    with PrintingBoard(patience_s=1.0) as board:
         hands.stream._send = lambda counts, rows: board.write(
             b"".join(
                 sketch_line(int(k), round(k * 1e4), row[:3], row[3:6], row[6])
@@ -300,7 +300,8 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
     began = time.monotonic()
     address, path = f"{board.port}?clock_speed={SPEED:g}", tmp_path / "bench.parquet"
-    made = recording(address, output=path, guide="turns", gravity_m_s2=9.80665, screen=operator)
+    made = recording(address, output=path, guide="turns", gravity_m_s2=9.80665, screen=operator, duration_s=900.0)
+    assert "recording" in made.data, (made.answer, operator.said[-20:])
     took_s = time.monotonic() - began
     seconds = made.data["recording"]["seconds"]
     listened_s = took_s - seconds / SPEED

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import select
 import termios
 import threading
 import time
@@ -31,14 +32,17 @@ def resting_line(k: int, rate: float = 100.0) -> bytes:
 
 
 class PrintingBoard:
-    """A board; a context manager. ``write`` is what its firmware prints; ``print_lines`` prints at a rate until closed."""
+    """A board; a context manager. ``write`` is what its firmware prints; ``print_lines`` prints at a rate until closed.
 
-    def __init__(self, baud: int | None = None) -> None:
+    With patience it waits for a computer that is too busy to read; real ones lose what a line cannot hold.
+    """
+
+    def __init__(self, baud: int | None = None, patience_s: float = 0.0) -> None:
         self._near, self._far = os.openpty()
         tty.setraw(self._far)
         os.set_blocking(self._near, False)
         self.port, self._baud, self.silent = os.ttyname(self._far), baud, False
-        self._end, self._lock = threading.Event(), threading.Lock()
+        self._end, self._lock, self._patience_s = threading.Event(), threading.Lock(), patience_s
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> "PrintingBoard":
@@ -51,13 +55,14 @@ class PrintingBoard:
         self.unplug()
 
     def write(self, data: bytes) -> None:
-        """Print; garbage where the other side reads at another baud rate, nothing where nobody reads."""
+        """Print; garbage where the other side reads at another baud rate, nothing where nobody reads within its patience."""
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._near < 0 or self.silent:
                 return
             if self._baud is not None and BAUDS.get(termios.tcgetattr(self._near)[5]) != self._baud:
                 data = bytes((byte * 37 + 128) & 0xFF | 0x80 for byte in data)
-            os.write(self._near, data)
+            while data and select.select([], [self._near], [], self._patience_s)[1]:
+                data = data[os.write(self._near, data) :]
 
     def print_lines(self, line: Callable[[int], bytes] = resting_line, rate: float = 100.0) -> "PrintingBoard":
         """Print reading after reading from now on."""

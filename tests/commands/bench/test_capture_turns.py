@@ -184,6 +184,17 @@ def test_in_counts_a_turn_is_compared_with_the_others(guide, feed):
     assert guide.outcome == "That was shorter or longer than the other turns. Turn once, back to the mark."
 
 
+def test_in_counts_two_turns_that_agree_stand_against_the_only_other_one(guide, feed):
+    turn(feed, guide, "z", 2.0 * TURN)
+    turn(feed, guide, "z", -TURN)
+    assert list(guide.done) == ["+z"]
+    turn(feed, guide, "z")
+    assert list(guide.done) == ["+z"]
+    turn(feed, guide, "z", -TURN)
+    once, back = guide.done["+z"], guide.done["-z"]
+    assert abs(once.reading) == pytest.approx(abs(back.reading), rel=0.02)
+
+
 def test_a_turn_with_a_gap_does_not_count(guide, feed):
     at = feed.clock.now() + 6.0
     lights = turn(feed, guide, "z", drop=(at + 2.0, at + 2.3))

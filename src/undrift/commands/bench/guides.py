@@ -200,7 +200,7 @@ class Turns(Guide):
         super().__init__(capture)
         self.outcome = ""  # about the last turn
         self._before: _Before | None = None
-        self._moved = False
+        self._moved, self._unlike = False, 0.0  # the reading of the last turn that was not like the only one captured
 
     @property
     def done(self) -> Mapping[str, CapturedTurn]:
@@ -296,9 +296,17 @@ class Turns(Guide):
                 return 0, f"That was {abs(turns) * 360.0:.0f} deg. Turn by 360 deg, back to the mark."
             return whole, ""
         others = [abs(held.reading) for held in self.capture.turns]
-        if others and not 1.0 - LIKE < abs(along) / float(np.median(others)) < 1.0 + LIKE:
+        if len(others) == 1 and _like(along, self._unlike) and not _like(along, others[0]):
+            self.capture.turns.clear()  # two that agree against one: that one was no whole turn
+        elif others and not _like(along, float(np.median(others))):
+            self._unlike = abs(along)
             return 0, "That was shorter or longer than the other turns. Turn once, back to the mark."
         return (1 if along > 0.0 else -1), ""
+
+
+def _like(along: float, reading: float) -> bool:
+    """Return whether a turn reads like another, in counts."""
+    return abs(abs(along) - reading) < LIKE * reading
 
 
 def _nearest(record: Record, first: Still, last: Still) -> tuple[Still, Still]:
