@@ -73,7 +73,7 @@ ADDED: tuple[tuple[str, str], ...] = (
     ("study_.*", r"(.*\.)?(rival_triads|claims\[).*"),
     ("study_.*", r"(.*\.)?figure3(_drawn|\.(compared|actual_max_deg|rest_max_deg|full_and_rest_max_deg).*)"),
     (".*", r"drift\.static\.(gyro|accel)_visit"),  # what a visit adds, beside the uncertainty of the curve
-    ("noise_static", r"(gyro|accel)\[\d\]\.\w+_(deg_per_\w+|ug|ug_per_\w+)"),
+    ("noise_static", r"(gyro|accel)\[\d\]\.\w+_(deg_per_\w+|ug|ug_per_\w+)|angle_after_60_s_deg.*"),
 )
 RENAMED: tuple[tuple[str, str], ...] = ()  # (recorded, now), for re.sub on recorded paths
 
