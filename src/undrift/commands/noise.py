@@ -49,6 +49,7 @@ class Noise(Result):
     kind: str  # Whose data sheet stands beside, "" for none
     notes: tuple[str, ...]
     written: tuple[Path | None, ...]
+    stretch: tuple[object, ...] = ()  # Words that cut it out of the recording
 
     def summary(self) -> Summary:
         """Return what the noise means for an angle, and the coefficients of each axis with their intervals."""
@@ -91,7 +92,7 @@ class Noise(Result):
             verdict=self.verdict,
             notes=(*self.notes, *([f"{sheet_words(kind)}: typical figures"] if kind else ())),
             written=self.written,
-            next=() if idle else ("noise", self.record, *follows),
+            next=() if idle else ("noise", self.record, *self.stretch, *follows),
         )
 
 
@@ -160,7 +161,10 @@ def noise(
             verdict = verdict.also(_write_kalibr(fit, path, readings.sample_rate_hz, rostopic))
         elif path is not None:
             Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options={"title": title}).save(path)
-    return Noise(record=record, fit=fit, verdict=verdict, kind=kind, notes=notes, written=(figure, output))
+    ends = {"--start-s": start_s, "--stop-s": stop_s}
+    stretch = tuple(word for name, end in ends.items() if end is not None for word in (name, f"{end:g}"))
+    written = figure, output
+    return Noise(record=record, fit=fit, verdict=verdict, kind=kind, notes=notes, written=written, stretch=stretch)
 
 
 def angle_after(axis: "AxisNoise") -> dict[str, float]:
