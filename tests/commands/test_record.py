@@ -36,6 +36,7 @@ from undrift.sim.rig.stream import StreamSettings
 
 pytestmark = pytest.mark.waits
 SPEED = 10.0
+HELD_SPEED = 4.0  # with the device, the person and the program in one process; a pseudo-terminal holds 45 lines
 MAIN = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests ignores
@@ -283,7 +284,7 @@ class Operator(Screen):
 
 @pytest.fixture
 def held() -> Iterator[tuple[PrintingBoard, Operator]]:
-    hands = start_hand_held(seed=3, stream=StreamSettings(seed=3), speed=SPEED)
+    hands = start_hand_held(seed=3, stream=StreamSettings(seed=3), speed=HELD_SPEED)
     with PrintingBoard(patience_s=1.0) as board:
         hands.stream._send = lambda counts, rows: board.write(
             b"".join(
@@ -299,12 +300,12 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
     board, operator = held
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
     began = time.monotonic()
-    address, path = f"{board.port}?clock_speed={SPEED:g}", tmp_path / "bench.parquet"
+    address, path = f"{board.port}?clock_speed={HELD_SPEED:g}", tmp_path / "bench.parquet"
     made = recording(address, output=path, guide="turns", gravity_m_s2=9.80665, screen=operator, duration_s=900.0)
     assert "recording" in made.data, (made.answer, operator.said[-20:])
     took_s = time.monotonic() - began
     seconds = made.data["recording"]["seconds"]
-    listened_s = took_s - seconds / SPEED
+    listened_s = took_s - seconds / HELD_SPEED
     command = "undrift record --port PORT -o bench.parquet --guide turns"
     show(
         "from a port to a verdict",
@@ -362,7 +363,7 @@ def test_a_guide_that_is_left_keeps_the_recording_and_says_so(tmp_path, held, mo
     clock = type("Clock", (), {"sleep": sleep, "monotonic": time.monotonic})
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "time", clock)
     made = recording(
-        f"{board.port}?clock_speed={SPEED:g}", output=tmp_path / "b.csv", guide="six-faces", screen=operator
+        f"{board.port}?clock_speed={HELD_SPEED:g}", output=tmp_path / "b.csv", guide="six-faces", screen=operator
     )
     assert made.data["ended"] == "stopped"
     assert re.fullmatch(r"the guide was left at \d of 6 faces: nothing was calibrated", made.notes[-1])

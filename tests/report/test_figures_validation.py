@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from undrift.base.summary import without_signed_zeros
 from undrift.commands.validate import (
     COLUMNS,
     Validated,
@@ -97,7 +98,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
         "c",
     ]
     agreement = sections[1]
-    assert f"bias {result.agreement.limits.bias:+.2f} deg" in agreement.text[0]
+    assert without_signed_zeros(f"bias {result.agreement.limits.bias:+.2f} deg") in agreement.text[0]
     assert "an ICC depends on how much the trials differ" in agreement.text[0]
 
 
