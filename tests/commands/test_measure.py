@@ -193,7 +193,10 @@ def test_timed_up_and_go_has_its_phases_and_turns(undrift, tmp_path):
             "tug: wanted a rise, steps, a turn of 90 deg or more, steps, a turn and sitting down, got a rise and",
         ),
         (("--task", "5xSTS"), "5xSTS: wanted five rises from a seat, got 1; record all five"),
-        (("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"), "points up on average, got one"),
+        (
+            ("--task", "sit-to-stand", "--up", "+x", "--forward", "-z"),
+            "deg off, whose +z is nearest to up; state its sides",
+        ),
         (("--task", "sit-to-stand", "--up", "+z", "--forward", "-z"), "wanted two axes of the device"),
         (("--task", "sit-to-stand", "--eyes-closed", "a.csv"), "wanted eyes_closed with the task standing alone"),
         (("--task", "sit-to-stand", "--mounting", "{calibration}"), "wanted a calibration that keeps a mounting"),

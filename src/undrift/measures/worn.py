@@ -91,9 +91,11 @@ def wear(record: Record, mounting: BodyMounting) -> WornReadings:
     mean = mounting.matrix @ accel.mean(axis=0)
     off = float(np.arccos(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0)))
     if off > FAR_FROM_UP:
+        axis = int(np.argmax(np.abs(felt := accel.mean(axis=0))))
+        side = f"{'-' if felt[axis] < 0.0 else '+'}{'xyz'[axis]}"
         raise InputError(
-            f"measure: wanted a device whose axis for up points up on average, got one {off / RADIAN_PER_DEGREE:.0f} deg off; "
-            "state its sides (`forward`, `up`), or find its mounting",
+            f"measure: wanted a device whose axis for up points up on average, got one {off / RADIAN_PER_DEGREE:.0f} deg off, "
+            f"whose {side} is nearest to up; state its sides (`forward`, `up`), or find its mounting",
             off_deg=off / RADIAN_PER_DEGREE,
         )
     return worn
