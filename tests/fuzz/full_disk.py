@@ -120,7 +120,7 @@ CALLS = {
     ),
     "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
     "record .parquet": Call("record {device} -o {o}/x.parquet --duration-s 5", fresh=True, live=True),
-    "demo": Call("demo --quick -o {o}/demo", fresh=True, slow=True),
+    "demo": Call("demo --quick --out {o}/demo", fresh=True, slow=True),
 }
 FEW = ("info --write-map", "correct .csv", "export c", "registry add")
 
