@@ -187,7 +187,8 @@ def test_a_unit_that_its_data_sheet_allows_lies_within_its_limits(undrift, unit,
     page = (tmp_path / "c.html").read_text()
     assert "Statement of conformity" in page
     assert "guard band of U, ILAC-G8:09/2019" in page
-    assert "data sheet of mpu6050 as its preset states it" in page
+    assert "data sheet of mpu6050 as its preset states it (gyro read in the sheet; offset drift assumed" in page
+    assert "compare with the sheet before judging by it" in page
 
 
 @pytest.mark.parametrize(

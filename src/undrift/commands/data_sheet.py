@@ -5,6 +5,7 @@ its ranges differ by factors of two, so that the nominal counts are those of the
 """
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ SHOWN = {
     "accel": ("mg", 1e3 / STANDARD_GRAVITY),
 }  # unit, and how many are one SI
 PART = "kind"  # setting of a calibration's origin
+TRUST = {"found": "read in the sheet", "known": "recalled", "known-low": "recalled, uncertain", "calc": "computed"}
 
 
 def sheet_of(kind: str) -> "Grade":
@@ -32,7 +34,8 @@ def sheet_of(kind: str) -> "Grade":
 
 def sheet_words(kind: str) -> str:
     """Return the name of a data sheet, and how far its figures are to be trusted."""
-    return f"data sheet of {kind} as its preset states it ({sheet_of(kind).source_tag.partition(':')[0]})"
+    trust = re.sub("known-low|known|found|calc", lambda tag: TRUST[tag[0]], sheet_of(kind).source_tag.partition(":")[0])
+    return f"data sheet of {kind} as its preset states it ({trust}; compare with the sheet before judging by it)"
 
 
 def nominal_of(name: str, triad: "TriadModel", kind: str) -> float:
