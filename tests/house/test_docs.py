@@ -49,7 +49,7 @@ def test_the_readme_opens_with_the_two_commands_of_the_makefile(target: str) -> 
 
 
 def test_make_test_says_what_it_does_and_how_long_before_it_does_anything(tmp_path: Path) -> None:
-    words = ["make", "-n", "test", f"VENV={tmp_path / 'none'}"]
+    words = ["make", "--no-print-directory", "-n", "test", f"VENV={tmp_path / 'none'}"]
     plan = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
     assert re.match(r'echo "make test: about [\d,]+ tests, \d+ minutes', plan[0])
     assert not any("pip install" in line or "pytest" in line for line in plan[:2])
