@@ -440,3 +440,25 @@ def test_intervals_hold_whether_the_walk_shows_or_not(walk, runs):
     # 900 intervals: standard error 0.7 %; a walk too small to rule out makes them too wide, not too narrow
     assert 0.93 <= np.mean(share) <= 0.985
     assert (share >= 0.925).all()  # 300 each: 1.3 %, 1,000 each: 0.7 %
+
+
+@pytest.mark.parametrize("runs", LARGER_COHORTS)
+@pytest.mark.parametrize(
+    "times", [(1.0, 1.0, 1.0), (10.0, 1.0, 1.0), (0.1, 1.0, 1.0)], ids=["alike", "one tenfold", "one a tenth"]
+)
+def test_sensors_of_one_part_hold_by_what_they_say_together(times, runs):
+    rng, walk, truth = np.random.default_rng(7), 0.005, WALK_THETA
+    inside, error, stated = [], [], []
+    for _ in range(runs):
+        readings = np.column_stack([walking(rng, walk * factor) for factor in times])
+        for fit in fit_with_walks(WALK_DESIGN, readings, np.column_stack([SIGMA] * 3), TIME, np.zeros(3)):
+            variance = np.diag(fit.covariance)
+            inside.append(np.abs(fit.theta - truth) <= 1.959964 * np.sqrt(variance))
+            error.append((fit.theta - truth) ** 2)
+            stated.append(variance)
+    ratio = np.sqrt(np.mean(error, axis=0) / np.mean(stated, axis=0))
+    show(f"walks {times}: coverage, and error over stated", np.array([np.mean(inside, axis=0), ratio]))
+    assert (np.abs(np.mean(inside, axis=0) - 0.95) < 0.03).all()
+    assert ((ratio > 0.85) & (ratio < 1.15)).all()
+    each = np.mean(np.reshape(inside, (runs, 3, 3)), axis=(0, 2))
+    assert (each > 0.92).all()  # of each sensor, that which is unlike too

@@ -117,9 +117,14 @@ def carried_own(gains: FloatArray, own: FloatArray) -> FloatArray:
     return joined(gains @ own @ gains.transpose(0, 2, 1))
 
 
+def moved_by(gains: FloatArray, columns: FloatArray) -> FloatArray:
+    """Return how errors c (3, E, c) of the rows move the unknowns, (3 P, c), in the order of a model."""
+    return np.asarray((gains @ columns).reshape(-1, columns.shape[2])[parameter_order(gains.shape[1])])
+
+
 def carried_shared(gains: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return the same of errors that the sensors share: c (3, E, c)."""
-    moved = (gains @ columns).reshape(-1, columns.shape[2])[parameter_order(gains.shape[1])]
+    """Return the same covariance of errors that the sensors share: c (3, E, c)."""
+    moved = moved_by(gains, columns)
     return np.asarray(moved @ moved.T)
 
 
@@ -294,6 +299,9 @@ def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float
 # 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the offset is then 1.1 times
 # the least possible, where E0 makes it 1.3 times.
 #
+# Sensors of one part walk alike: theirs are q_s = q exp(0.4 z), z ~ N(0, 1) [assumed], but for one in ten, which is a part of its
+# own. So each is weighed by what the others say of q too; by itself it was stated 1.15 to 1.5 times as wide as it erred.
+#
 # A warm-up may be beside the walk, of an amplitude ~ N(0, a^2) at the first reading, fading with a time constant from 10 s to the
 # length of the session: V(q) + a^2 f f', f = exp(-(t - t_0) / time constant). None is as likely beforehand as all these together.
 
@@ -305,6 +313,7 @@ _SPREAD = np.concatenate(([0.0], np.geomspace(0.02, 1e6, 180)))
 _SMALL_WALK = 0.1  # q0, in the same unit
 _WEIGHT = np.log(np.gradient(_SPREAD) / (_SPREAD + _SMALL_WALK))
 _EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
+_APART, _UNLIKE = 0.4, 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -338,7 +347,26 @@ def fit_with_walks(
     fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in sensors]
     evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
     of_times, units = shares(evidence, settling), [_unit(noise, time) for noise in sigma.T]
-    return [_over_warm_ups(one, of_times, unit) for one, unit in zip(fits, units, strict=True)]
+    by_likelihood = np.array([[each.likelihood for each in one] for one in fits])
+    over = [_of_one_part(by_likelihood, prior) for prior in (1.0, 1.0 / (_SPREAD + _SMALL_WALK))]
+    return [_over_warm_ups(*one, of_times) for one in zip(fits, units, *over, strict=True)]
+
+
+def _of_one_part(likelihood: FloatArray, prior: FloatArray | float) -> FloatArray:
+    """Return the share of each walk (S, C, T) by log likelihoods of the sensors of one part, which walk alike; prior (T,) of q."""
+    step, own = np.gradient(_SPREAD), np.exp(likelihood - likelihood.max(axis=-1, keepdims=True))
+    step[[0, -1]] *= 0.5  # trapezoids
+    share = own * step * prior
+    if len(share) > 1:
+        size, alike = np.log(_SPREAD[1:]), np.zeros((len(step), len(step)))
+        alike[0, 0], alike[1:, 1:] = 1.0, np.exp(-0.5 * ((size - size[:, None]) / _APART) ** 2)
+        alike /= alike.sum(axis=1, keepdims=True)
+        of_part = np.log(np.maximum(own @ alike.T, 1e-300))
+        others = of_part.sum(axis=0) - of_part
+        of_part = step * prior * np.exp(others - others.max(axis=-1, keepdims=True))
+        of_part /= of_part.sum(axis=-1, keepdims=True)
+        share = own * (of_part @ alike * (1.0 - _UNLIKE) + _UNLIKE / len(step))
+    return np.asarray(share / share.sum(axis=-1, keepdims=True))
 
 
 def _unit(sigma: FloatArray, time: FloatArray) -> float:
@@ -382,15 +410,20 @@ def _over_walks(
     return replace(each, likelihood=each.likelihood - 0.5 * np.log(spread).sum())
 
 
-def _over_warm_ups(fits: list[Solutions], of_times: tuple[FloatArray, float, float], unit: float) -> WalkFit:
-    """Average one sensor over walks, then over none and all time constants of a warm-up, by their ``shares``."""
+def _over_warm_ups(
+    fits: list[Solutions],
+    unit: float,
+    by_e0: FloatArray,
+    by_e1: FloatArray,
+    of_times: tuple[FloatArray, float, float],
+) -> WalkFit:
+    """Average one sensor over walks by shares (C, T), then over none and all time constants of a warm-up, by their ``shares``."""
     share, settles, settles_s = of_times
     each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
     shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
     likely = float(_SPREAD[best]) if best < 2 else geometric_peak(_SPREAD, each.likelihood, best)
-    over = (1.0, _SPREAD + _SMALL_WALK)
-    averages = (averaged(_SPREAD, one.likelihood, one.theta, one.covariance, over) for one in fits)
+    averages = (mixed(one.theta, one.covariance, *by) for one, *by in zip(fits, by_e0, by_e1, strict=True))
     thetas, covariances = zip(*averages, strict=True)
     theta, covariance = mixed(np.array(thetas), np.array(covariances), share)
     return WalkFit(
