@@ -63,6 +63,7 @@ from undrift.fit.equations import (
     diagonal,
     fading,
     mixed,
+    moved_by,
     parameter_order,
     shares,
     solutions,
@@ -403,6 +404,17 @@ def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep
     return _Average(theta, covariance, mean_square_size(solved[0][0]) * size**2 * flicker, settles, settles_s)
 
 
+def _by_creep(equations: Equations, average: _Average, inverse: Inverse, creep: Creep | None) -> FloatArray:
+    """Return what one deviation of each sensor's creep of scale adds to the matrix row by row, (9, 3)."""
+    columns = np.zeros((3, len(equations.reading), 3))
+    if creep is not None:
+        forward = inverse.forward[:, :3]
+        for k, gain in enumerate(np.linalg.norm(forward, axis=1)):
+            columns[k, :, k] = creep.columns(equations.unknowns["matrix"] @ forward[k] / gain, float(gain))[:, 1]
+    moved = moved_by(equations.gains(equations.covariance + average.flicker), columns)
+    return np.asarray(inverse.jacobian[:9] @ moved)
+
+
 def _over_sizes(
     equations: Equations, family: FloatArray, more: FloatArray | float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -424,11 +436,12 @@ def fit_known_rotation(
     axis_uncertainty: float = 0.0,
     scale_tolerance: float = 0.25,
     creep: Creep | None = None,
-    moves: Callable[[Inverse, FloatArray], TriadModel | None] = lambda inverse, covariance: None,
+    moves: Callable[[Inverse, FloatArray, FloatArray], TriadModel | None] = lambda inverse, covariance, by_creep: None,
 ) -> TriadFit:
     """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad.
 
-    ``moves`` returns what moves between the rests make of the matrix that the turns show, with its covariance.
+    ``moves`` returns what moves between the rests make of the matrix that the turns show, with its covariance and (9, 3) by how
+    much it follows creep of each scale.
     """
     _check_complete(data)
     up = face_vectors(data.rest.faces)
@@ -454,7 +467,7 @@ def fit_known_rotation(
     else:
         inverse = Inverse.of(average.theta[np.argsort(parameter_order(7))].reshape(3, 7))
         covariance = inverse.carried(average.covariance)
-        moved = moves(inverse, covariance)
+        moved = moves(inverse, covariance, _by_creep(equations, average, inverse, creep))
     inverse, covariance, checked = _with_moves(inverse, covariance, moved)
     theta = inverse.forward
     rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
@@ -614,9 +627,10 @@ def _under_flicker(moves: multi_position.Moves, blocks: Blocks | None) -> Offset
 
 
 def _by_moves(
-    seen: Observed, data: RotationData, accel: TriadModel, inverse: Inverse, covariance: FloatArray
+    seen: Observed, data: RotationData, accel: TriadModel, shown: tuple[Inverse, FloatArray, FloatArray]
 ) -> TriadModel | None:
     """Fit the matrix to turns and moves, readings freed of the g-sensitivity; None where moves show nothing."""
+    inverse, covariance, by_creep = shown
     slope = inverse.forward[:, 4:]
     records = [
         replace(r, gyro=r.gyro - (r.accel - accel.offset) @ accel.matrix.T @ slope.T)
@@ -627,7 +641,7 @@ def _by_moves(
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     with suppress(NotObservable, PoorFit):
         by_turns = multi_position.ByTurns(
-            inverse.matrix, covariance[:9, :9], partial(_under_flicker, blocks=data.blocks)
+            inverse.matrix, covariance[:9, :9], by_creep, partial(_under_flicker, blocks=data.blocks)
         )
         return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     return None
@@ -664,7 +678,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         axis_uncertainty=seen.settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         creep=creep_of(seen, data.pieces, "gyro"),
         scale_tolerance=seen.settings.scale_tolerance,
-        moves=lambda inverse, covariance: _by_moves(seen, data, accel.model, inverse, covariance),
+        moves=lambda *shown: _by_moves(seen, data, accel.model, shown),
     )
     check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
     return Outcome(fit=fit, method="known-rotation", findings=findings)

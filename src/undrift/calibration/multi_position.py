@@ -124,12 +124,14 @@ class ByTurns(NamedTuple):
 
     matrix: FloatArray  # (3, 3), of the gyroscopes
     covariance: FloatArray  # (9, 9), of the matrix row by row
+    by_creep: FloatArray  # (9, 3), what one deviation of each sensor's creep of scale adds to it
     prior: Callable[["Moves"], OffsetPrior]  # What rests show of the offset in each move
 
     def rows(self, unit: float) -> Rows:
-        """Return the rows (9,), (9, 12) of the matrix at p = 0."""
-        root = np.linalg.inv(np.linalg.cholesky(self.covariance)) / unit
-        return Rows(-root @ self.matrix.reshape(-1) * unit, np.hstack((root, np.zeros((9, 3)))))
+        """Return the rows (9,), (9, 12) of the matrix at p = 0, and what creep adds to them, (9, 3)."""
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance))
+        design = np.hstack((root / unit, np.zeros((9, 3))))
+        return Rows(-root @ self.matrix.reshape(-1), design, root @ self.by_creep)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -396,7 +398,15 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
             break
     if stated.turned is not None:
         p, rows = _descend(stated, p, rows.state, whitener, 1e-8)
-    return p, covariance_of(rows.design), rows.state
+    covariance = covariance_of(rows.design)
+    if (
+        stated.turned is not None and problem.creep is not None
+    ):  # a scale creeps in turns and in moves, which may cancel
+        gain = covariance @ rows.design.T
+        in_moves = -gain[:, :count] @ whitener @ _by_gyro_creep(problem, problem.creep[1], rows.state, p)
+        in_turns = gain[:, count : count + 9] @ stated.turned.state
+        covariance = covariance + in_moves @ in_turns.T + in_turns @ in_moves.T
+    return p, covariance, rows.state
 
 
 def _descend(
