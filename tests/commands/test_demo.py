@@ -1,7 +1,9 @@
 """undrift demo: emulate, run, calibrate, drift, correct and study over sockets, in a process of its own."""
 
+import errno
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -27,6 +29,7 @@ from undrift.io.store import read_calibration
 from undrift.model import Verdict
 from undrift.report import page as page_module
 from undrift.report.figures import draw_levels
+from undrift.rig.folder import room
 from undrift.rig.programme import read_protocol
 from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
@@ -171,6 +174,17 @@ def short_plan():
     plan = bench_plan(quick=True)
     thermal = replace(plan.thermal, axes=("z",), temperatures_c=plan.thermal.temperatures_c[:1])
     return replace(plan, bench=replace(plan.bench, faces=("+z",), axes=("z",)), thermal=thermal)
+
+
+def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monkeypatch):
+    def full(*args, **words):
+        with room(tmp_path / "demo" / "bench"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("undrift.study.virtual_bench.record_on_bench", full)
+    said = undrift.refused("demo", "--out", tmp_path / "demo", "--quick")
+    assert "got 'No space left on device'; make room and run it again: it begins anew" in said
+    assert "resume" not in said
 
 
 def test_a_bench_that_is_interrupted_leaves_no_thread_and_no_socket(tmp_path):

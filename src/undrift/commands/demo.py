@@ -60,7 +60,15 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
         whole_s = max(whole_s, left_s)
         progress(what, 1.0 - left_s / whole_s)
 
-    run = record_on_bench(plan, device, out, tell=lambda what, left_s: tell(what, left_s + after_s))
+    try:
+        run = record_on_bench(plan, device, out, tell=lambda what, left_s: tell(what, left_s + after_s))
+    except InputError as error:
+        if not isinstance(disk := error.__cause__, OSError):
+            raise
+        raise InputError(
+            f"{out}: wanted to write what its table measures, got '{disk.strerror or disk}'; make room and run it again: "
+            "it begins anew"
+        ) from disk
     tell("fitting calibration and tables, judging a worn trial", after_s)
     fit, trials = _judged(device, out)
     study = _studied(quick, out, tell)
