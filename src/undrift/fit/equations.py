@@ -260,11 +260,15 @@ def averaged(
     over: tuple[FloatArray | float, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
     """Return theta and covariance averaged over a grid (T,): E0 weighs by the likelihood over the first of two, E1 the second."""
-    step = np.gradient(grid)
-    step[[0, -1]] *= 0.5  # trapezoids
-    by_likelihood = np.exp(likelihood - likelihood.max()) * step
+    by_likelihood = np.exp(likelihood - likelihood.max()) * _steps(grid)
     share, likely = (part / part.sum() for part in (by_likelihood / over[0], by_likelihood / over[1]))
     return mixed(thetas, covariances, share, likely)
+
+
+def _steps(grid: FloatArray) -> FloatArray:
+    step = np.gradient(grid)
+    step[[0, -1]] *= 0.5  # trapezoids
+    return np.asarray(step)
 
 
 def mixed(
@@ -348,24 +352,23 @@ def fit_with_walks(
     evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
     of_times, units = shares(evidence, settling), [_unit(noise, time) for noise in sigma.T]
     by_likelihood = np.array([[each.likelihood for each in one] for one in fits])
-    over = [_of_one_part(by_likelihood, prior) for prior in (1.0, 1.0 / (_SPREAD + _SMALL_WALK))]
-    return [_over_warm_ups(*one, of_times) for one in zip(fits, units, *over, strict=True)]
+    over = zip(*(_of_one_part(by_likelihood, prior) for prior in (1.0, 1.0 / (_SPREAD + _SMALL_WALK))), strict=True)
+    return [_over_warm_ups(one, unit, by, of_times) for one, unit, by in zip(fits, units, over, strict=True)]
 
 
 def _of_one_part(likelihood: FloatArray, prior: FloatArray | float) -> FloatArray:
     """Return the share of each walk (S, C, T) by log likelihoods of the sensors of one part, which walk alike; prior (T,) of q."""
-    step, own = np.gradient(_SPREAD), np.exp(likelihood - likelihood.max(axis=-1, keepdims=True))
-    step[[0, -1]] *= 0.5  # trapezoids
-    share = own * step * prior
+    likely, before = np.exp(likelihood - likelihood.max(axis=-1, keepdims=True)), _steps(_SPREAD) * prior
+    share = likely * before
     if len(share) > 1:
-        size, alike = np.log(_SPREAD[1:]), np.zeros((len(step), len(step)))
+        size, alike = np.log(_SPREAD[1:]), np.zeros((len(_SPREAD), len(_SPREAD)))
         alike[0, 0], alike[1:, 1:] = 1.0, np.exp(-0.5 * ((size - size[:, None]) / _APART) ** 2)
         alike /= alike.sum(axis=1, keepdims=True)
-        of_part = np.log(np.maximum(own @ alike.T, 1e-300))
+        of_part = np.log(np.maximum(likely @ alike.T, 1e-300))
         others = of_part.sum(axis=0) - of_part
-        of_part = step * prior * np.exp(others - others.max(axis=-1, keepdims=True))
+        of_part = before * np.exp(others - others.max(axis=-1, keepdims=True))
         of_part /= of_part.sum(axis=-1, keepdims=True)
-        share = own * (of_part @ alike * (1.0 - _UNLIKE) + _UNLIKE / len(step))
+        share = likely * (of_part @ alike * (1.0 - _UNLIKE) + _UNLIKE / len(_SPREAD))
     return np.asarray(share / share.sum(axis=-1, keepdims=True))
 
 
@@ -413,17 +416,16 @@ def _over_walks(
 def _over_warm_ups(
     fits: list[Solutions],
     unit: float,
-    by_e0: FloatArray,
-    by_e1: FloatArray,
+    over: tuple[FloatArray, FloatArray],
     of_times: tuple[FloatArray, float, float],
 ) -> WalkFit:
-    """Average one sensor over walks by shares (C, T), then over none and all time constants of a warm-up, by their ``shares``."""
+    """Average one sensor over walks by E0 and E1 (C, T), then over none and all time constants of a warm-up, by their ``shares``."""
     share, settles, settles_s = of_times
     each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
     shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
     likely = float(_SPREAD[best]) if best < 2 else geometric_peak(_SPREAD, each.likelihood, best)
-    averages = (mixed(one.theta, one.covariance, *by) for one, *by in zip(fits, by_e0, by_e1, strict=True))
+    averages = (mixed(one.theta, one.covariance, *by) for one, *by in zip(fits, *over, strict=True))
     thetas, covariances = zip(*averages, strict=True)
     theta, covariance = mixed(np.array(thetas), np.array(covariances), share)
     return WalkFit(
