@@ -419,7 +419,7 @@ def _over_warm_ups(
     over: tuple[FloatArray, FloatArray],
     of_times: tuple[FloatArray, float, float],
 ) -> WalkFit:
-    """Average one sensor over walks by E0 and E1 (C, T), then over none and all time constants of a warm-up, by their ``shares``."""
+    """Average one sensor over walks by E0 and E1 (C, T), then over none and all times of a warm-up, by their ``shares``."""
     share, settles, settles_s = of_times
     each = fits[int(np.argmax(share))]
     best = int(np.argmax(each.likelihood))
