@@ -22,7 +22,8 @@ from undrift.study.case import (
     trial_errors,
     units_of,
 )
-from undrift.study.plan import Study, note_study
+from undrift.study.figure3 import drawn_errors
+from undrift.study.plan import DEVICE, Study, note_study
 from undrift.study.search import count_runs
 
 STUDY = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
@@ -40,8 +41,24 @@ def run() -> list[Figure]:
     figures = [
         Figure("undrift study --preset note --quick, whole command on all processors", seconds, "s"),
         Figure("  its processes together, peak memory", peak / 1e6, "MB", "<= 1000"),
+        Figure("a drawn unit of Figure 3, both devices, one processor", drawn_unit(), "s"),
     ]
     return figures + shares(note_study(subjects=4))
+
+
+def drawn_unit() -> float:
+    """Measure what a drawn unit of Figure 3 costs, once everything is compiled.
+
+    Returns
+    -------
+    float
+        Seconds of the processor, mean of two units.
+    """
+    drawn_errors(DEVICE, 0, 12.5, 0)
+    start = time.process_time()
+    for number in (1, 2):
+        drawn_errors(DEVICE, 0, 12.5, number)
+    return (time.process_time() - start) / 2.0
 
 
 STAGES = ("device, motion, trial, delay", "lay out", "faces", "rests and rates", "fit", "correct, orient, compare")

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from undrift.record import FACES
 from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
+from undrift.sim.motion.motion import unit_vector
 from undrift.sim.table_sessions import (
     FACE,
     RATE,
@@ -18,6 +20,8 @@ from undrift.sim.table_sessions import (
     impose_faces,
     joined,
     lay_out,
+    turned,
+    turned_about,
 )
 
 DPS, G = np.pi / 180.0, 9.80665
@@ -47,8 +51,11 @@ def draws(seed: int = 0, **change: Any) -> BenchDraws:
 DRAWN = {"mount": (3, 3), "level": 2, "face": (6, 3), "soak": (3, 2), "wobble": (N, 3), "servo": N}
 
 
-def imposed(errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS) -> tuple[ImposedDwells, np.ndarray]:
-    return impose(sessions, errors, draws(seed), ROWS, soak_c_per_min=0.1)
+def imposed(
+    errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS, rows: np.ndarray = ROWS
+) -> tuple[ImposedDwells, np.ndarray]:
+    about = turned_about(sessions, errors, draws(seed), rows)
+    return impose(sessions, errors, draws(seed), about, soak_c_per_min=0.1), about[2]
 
 
 def test_an_ideal_bench_imposes_what_is_commanded() -> None:
@@ -123,10 +130,9 @@ def test_a_soak_ends_off_its_set_point_and_goes_on_while_it_is_read() -> None:
 
 def test_faces_lie_off_level_each_by_itself() -> None:
     faces = LAID.chosen(FACE)
-    up = impose_faces(faces, BenchErrors(face_tilt=0.01), draws()).force_b / G
+    level = np.array([unit_vector(FACES[face]) for face in faces.face])
+    up = impose_faces(faces, turned(level, 0.01 * draws().face[faces.face])).force_b / G
     np.testing.assert_allclose(np.linalg.norm(up, axis=1), 1.0)
-    level = impose_faces(faces, BenchErrors(), draws()).force_b / G
-    np.testing.assert_allclose(np.abs(level).max(axis=1), 1.0)
     off = np.linalg.norm(up - level, axis=1)
     assert len(np.unique(off.round(9))) == 6
     assert 1e-3 < off.mean() < 0.04
@@ -138,10 +144,10 @@ def test_sessions_one_after_the_other_are_those_alone() -> None:
     assert both.first.tolist() == [0, N, N + len(other.kind)]
     rows = np.concatenate((ROWS, np.arange(len(other.kind))))
     errors = BenchErrors(board_lag_s=600.0, mount_tilt=0.01, wobble=0.01, servo=0.001, encoder_lines=100, level=0.01)
-    together, read = impose(both, errors, draws(), rows, soak_c_per_min=0.1)
+    together, read = imposed(errors, 0, both, rows)
     alone, own = imposed(errors)
     for name in ("rate_b", "force_b", "temp_c"):
         np.testing.assert_array_equal(getattr(together, name)[:N], getattr(alone, name))
     np.testing.assert_array_equal(read[:N], own)
-    last, _ = impose(other, errors, draws(), rows[N:], soak_c_per_min=0.1)
+    last, _ = imposed(errors, 0, other, rows[N:])
     np.testing.assert_array_equal(together.temp_c[N:], last.temp_c)

@@ -11,8 +11,9 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.reference import write_reference
 from undrift.record import Reference
 from undrift.sim.motion.tasks import CATEGORIES, Category, Performance, cohort, draw_task
+from undrift.sim.table_sessions import QUICKEST_HZ
 from undrift.study import judge
-from undrift.study.case import Unit, errors_with, make_case, run_unit, subject_of
+from undrift.study.case import Unit, alike, errors_with, make_case, run_unit, subject_of
 from undrift.study.plan import ERRORS, read_study, with_categories
 from undrift.study.run import InProcess, run_study
 from undrift.study.space import Setting
@@ -75,7 +76,8 @@ def test_trials_of_one_person_in_a_table_are_one_subject_with_their_mean_error(t
     assert names == [["a1", "a2", "a3"], ["b1"], ["c1"], ["d1"]]
     unit = Unit(study=study, task=task, subject=0, setting=Setting(11.1))
     cases = [make_case(study, task, 0, Setting(11.1), trial=trial) for trial in range(3)]
-    each = [errors_with(unit, [case], task.space.points(), {})[1] for case in cases]
+    (group,) = alike(task, Setting(QUICKEST_HZ))
+    each = [errors_with(unit, [case], group, {})[1] for case in cases]
     whole = run_unit(unit)
     show(
         "rms of a person's trials, and of the person, deg",

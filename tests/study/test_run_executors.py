@@ -34,22 +34,22 @@ turn_rate_max_dps = [50.0, 60.0, 70.0, 80.0, 90.0]
 dwell_s = 1.0
 bracket_s = 3.0
 """
-# the command, which stands still in the fourth unit until it is killed
+# the command, which stands still at the third subject until it is killed
 CLIENT = """
 import sys, time
 from pathlib import Path
 from undrift.cli.app import main
 from undrift.study import run
 
-folder, work = Path(sys.argv[4]), run.run_unit
+folder, work = Path(sys.argv[4]), run.run_units
 
-def stands(unit):
-    if len(list(folder.glob("runs/*.parquet"))) == 3:
+def stands(units):
+    if len(list(folder.glob("runs/*.parquet"))) == 4:
         (folder / "stands").touch()
         time.sleep(3600.0)
-    return work(unit)
+    return work(units)
 
-run.run_unit = stands
+run.run_units = stands
 main(sys.argv[1:])
 """
 LONG_S = 300.0  # a machine that is busy takes its time; nothing takes so long
@@ -234,7 +234,7 @@ def test_a_client_that_is_killed_loses_nothing_that_was_finished(
         client.send_signal(signal.SIGKILL)
         client.wait()
     before = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*.parquet")}
-    assert len(before) == 3
+    assert len(before) == 4
     told: list[tuple[int, int]] = []
     found = run_study(study, InProcess(), folder, advance=lambda done, total: told.append((done, total)))
     assert told[0] == (len(before), len(units_of(study)))

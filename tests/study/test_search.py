@@ -23,7 +23,7 @@ from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.model import device_json
 from undrift.sim.device.presets import preset
-from undrift.study.case import columns_of, make_case, run_unit, units_of
+from undrift.study.case import Unit, columns_of, make_case, run_unit, units_of
 from undrift.study.judge import find_optimum
 from undrift.study.outcome import judge_study
 from undrift.study.plan import BESIDE, TABLE_1, Aim, SpaceEntry, Study, StudyTask, ends_of, note_study, read_study
@@ -308,14 +308,17 @@ class Planted(InProcess):
         self.runs = 0
 
     def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        for place, unit in enumerate(units):
-            points = unit.task.space.points_at(unit.setting)
-            self.runs += len(points)
-            draws = [np.random.default_rng([unit.subject, *(1e6 * p).astype(np.int64)]).normal() for p in points]
-            person = abs(np.random.default_rng(unit.subject).normal(0.0, 0.2))
-            error = 0.2 + person + true_cost(points) + 0.05 * np.array(draws)
-            runs = columns_of(unit.task, points) | errors(error)
-            yield place, runs | {"rig_minutes": 60.0 * runs["set_points"] + 10.0 * runs["dwell_s"]}
+        for place, of_subject in enumerate(units):
+            yield place, [self.planted(unit) for unit in of_subject]
+
+    def planted(self, unit: Unit) -> dict[str, np.ndarray]:
+        points = unit.task.space.points_at(unit.setting)
+        self.runs += len(points)
+        draws = [np.random.default_rng([unit.subject, *(1e6 * p).astype(np.int64)]).normal() for p in points]
+        person = abs(np.random.default_rng(unit.subject).normal(0.0, 0.2))
+        error = 0.2 + person + true_cost(points) + 0.05 * np.array(draws)
+        runs = columns_of(unit.task, points) | errors(error)
+        return runs | {"rig_minutes": 60.0 * runs["set_points"] + 10.0 * runs["dwell_s"]}
 
 
 def true_least() -> float:

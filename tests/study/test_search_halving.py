@@ -63,18 +63,19 @@ class Planted(InProcess):
     done = 0
 
     def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        for place, unit in enumerate(units):
-            Planted.done += 1
-            yield place, planted(unit)
+        for place, of_subject in enumerate(units):
+            Planted.done += len(of_subject)
+            yield place, [planted(unit) for unit in of_subject]
 
 
 class Fails(InProcess):
     """Every device is left uncalibrated."""
 
     def run(self, work: Any, units: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        for place, unit in enumerate(units):
-            runs = planted(unit)
-            runs["error_rms_deg"][:] = np.nan
+        for place, of_subject in enumerate(units):
+            runs = [planted(unit) for unit in of_subject]
+            for each in runs:
+                each["error_rms_deg"][:] = np.nan
             yield place, runs
 
 

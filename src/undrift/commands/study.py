@@ -1,6 +1,7 @@
 """``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -150,18 +151,22 @@ def study(
     real : Path or None
         real.toml: real recordings to judge too. See docs/study-results.md.
     """
-    from undrift.commands.study_rig import write_protocols
-    from undrift.study.outcome import StudyProgress, forecast, judge_study
-    from undrift.study.real import read_real
-    from undrift.study.run import HEAD, RunStore, choose_executor
+    from undrift.study.case import run_unit, units_of
+    from undrift.study.run import HEAD, Pool, RunStore, choose_executor
 
     if (plan is None) == (preset is None):
         raise InputError(f"study: wanted a study.toml or `preset` note, got {'both' if plan else 'neither'}; name one")
     planned = choices.applied(plan)
+    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
+    if isinstance(executor, Pool):  # while this process imports what it alone needs
+        executor.start(partial(run_unit, units_of(planned)[0]))
+    from undrift.commands.study_rig import write_protocols
+    from undrift.study.outcome import StudyProgress, forecast, judge_study
+    from undrift.study.real import read_real
+
     if real is not None:
         progress("reading real recordings", 0.0)
     recordings = None if real is None else read_real(real)
-    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
         raise InputError(

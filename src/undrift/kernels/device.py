@@ -26,7 +26,7 @@ def add_drift(
     # given the dwell before, then the mean given the start, take a normal number each: exact for any gap and length.
     count = constants.size
     ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # the end of the dwell before: mean, variance about it
-    phi, root, pull, left = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    phi, root, pull, left, fade = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     known = -1.0
     for s in range(first.size - 1):
         ahead[:], spread[:] = 0.0, 1.0
@@ -42,16 +42,16 @@ def add_drift(
                     phi[p] = lost / a
                     v = 2.0 / a * (1.0 - phi[p]) - phi[p] * phi[p]
                     root[p], pull[p] = math.sqrt(v), phi[p] * lost / v
+                    fade[p] = math.exp(-a)
                     left[p] = max(lost * (2.0 - lost) - pull[p] * phi[p] * lost, 0.0)
             for p in range(count):
                 keep = math.exp(-gap / constants[p])
                 fresh = math.sqrt(keep * keep * (spread[p] - 1.0) + 1.0)
-                fade = math.exp(-length / constants[p])
                 for i in range(3):
                     x = keep * ahead[p, i] + fresh * u[i, 2 * p]
                     mean = phi[p] * x + root[p] * u[i, 2 * p + 1]
                     out[j, i] += sd[p, i] * mean
-                    ahead[p, i] = fade * x + pull[p] * root[p] * u[i, 2 * p + 1]
+                    ahead[p, i] = fade[p] * x + pull[p] * root[p] * u[i, 2 * p + 1]
                 spread[p] = left[p]
             p = count
             fresh = math.sqrt(spread[p] + gap) if j > first[s] else 0.0
@@ -61,6 +61,23 @@ def add_drift(
                     out[j, i] += walk[i] * (x + math.sqrt(length / 3.0) * u[i, 2 * p + 1])
                     ahead[p, i] = x + math.sqrt(0.75 * length) * u[i, 2 * p + 1]
             spread[p] = 0.25 * length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine
+def mean_codes(
+    level: FloatArray, normals: FloatArray, row: IntArray, kind: IntArray, bias: FloatArray, sd: FloatArray, out: FloatArray
+) -> None:  # fmt: skip
+    # out (N, 3): means of rounded noisy readings about a level (N, 3), codes; bias and sd (U, 3, M) of U kinds of dwells,
+    # kind (N,), over the fraction of a code, straight between; the last of the normal numbers is that of the mean
+    cells = bias.shape[2] - 1
+    for j in range(level.shape[0]):
+        for i in range(3):
+            x, b, s = level[j, i], bias[kind[j], i], sd[kind[j], i]
+            place = (x - np.floor(x)) * cells
+            cell = min(int(place), cells - 1)
+            part = place - cell
+            spread = s[cell] + part * (s[cell + 1] - s[cell])
+            out[j, i] = x + b[cell] + part * (b[cell + 1] - b[cell]) + spread * normals[row[j], i, -1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine

@@ -293,3 +293,28 @@ def pitch_errors(
                 out[session, 3 * v], out[session, 3 * v + 1] = math.sqrt(square[v] / count[v]), largest[v]
             if ending[v] > 0:
                 out[session, 3 * v + 2] = abs(np.median(end[v, : ending[v]]))
+
+
+# ---- optimal designs
+
+
+@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+def climb(f: FloatArray, wanted: FloatArray, weighed: bool, rounds: int, converged: float, share: FloatArray) -> None:
+    # share (n,) of the time at candidates f (n, p): multiplied by the root of the gain over its mean, which is f^T A f with
+    # A = M^-1, or M^-1 wanted M^-1, M = sum of share f f^T
+    gain = np.empty(share.size)
+    for _ in range(rounds):
+        inverse = np.linalg.inv((f * share.reshape(-1, 1)).T @ f)
+        if weighed:
+            inverse = inverse @ wanted @ inverse
+        mean = 0.0
+        for k in range(share.size):
+            gain[k] = 0.0
+            for i in range(f.shape[1]):
+                for j in range(f.shape[1]):
+                    gain[k] += f[k, i] * inverse[i, j] * f[k, j]
+            mean += share[k] * gain[k]
+        if gain.max() < mean * (1.0 + converged):
+            break
+        share *= np.sqrt(gain / mean)
+        share /= share.sum()

@@ -102,8 +102,16 @@ def new_figure(
 def _notebook_figure() -> type["Figure"]:
     """Return matplotlib's Figure, as one that a notebook shows without pyplot."""
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     class NotebookFigure(Figure):
+        def draw(self, renderer: Any) -> None:
+            # what is saved is laid out, then drawn without a layout of its own: the first drawing would be thrown away
+            if isinstance(layout := self.get_layout_engine(), ConstrainedLayoutEngine) and self.canvas.is_saving():
+                layout.execute(self)
+            else:
+                super().draw(renderer)
+
         def _repr_png_(self) -> bytes:
             return _saved(self, format="png", dpi=80)
 

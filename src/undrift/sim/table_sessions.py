@@ -42,9 +42,8 @@ from undrift.errors import InputError
 from undrift.record import FACES
 from undrift.rig.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
-from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of
+from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of, play
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
 # ---- sessions and what is imposed
@@ -73,13 +72,14 @@ class Sessions:
     set_c: FloatArray  # (N,), of the chamber, or the room's, degC
     start_s: FloatArray  # (N,), of the readings, s since power-on
     duration_s: FloatArray  # (N,), of the readings, s
+    place: IntArray  # (N,), in its session, from 1
     first: IntArray  # (S + 1,), first dwell of each session, and N
     length_s: FloatArray  # (S,), of each session on the rig, s
 
     def settling(self, cutoff_hz: float, damping: float = DAMPING) -> "Sessions":
-        """Return one session that was laid out for the shortest settling, as it is with a low-pass."""
-        more = (settle_time(cutoff_hz, damping) - LEAST_SETTLE_S) * np.arange(1, len(self.kind) + 1)
-        return replace(self, start_s=self.start_s + more, length_s=self.length_s + more[-1])
+        """Return sessions that were laid out for the shortest settling, with their last dwells, as they are with a low-pass."""
+        more = (settle_time(cutoff_hz, damping) - LEAST_SETTLE_S) * self.place
+        return replace(self, start_s=self.start_s + more, length_s=self.length_s + more[self.first[1:] - 1])
 
     def chosen(self, *kinds: int) -> "Sessions":
         """Return the dwells of some kinds."""
@@ -113,6 +113,7 @@ def lay_out(protocol: Protocol) -> Sessions:
         set_c=set_c,
         start_s=np.array(starts),
         duration_s=np.array([dwell.dwell_s for dwell in dwells]),
+        place=np.arange(1, len(dwells) + 1),
         first=np.array([0, len(dwells)]),
         length_s=np.array([clock - WARMED_UP_S]),
     )
@@ -153,13 +154,13 @@ class ImposedDwells:
         return len(self.temp_c)
 
 
-def impose(
-    sessions: Sessions, errors: BenchErrors, draws: BenchDraws, row: IntArray, *, soak_c_per_min: float
-) -> tuple[ImposedDwells, FloatArray]:
-    """Return what is truly imposed by rests and rates, and the rates that the encoder reads, (N,) rad/s; row (N,) of the draws."""
+def turned_about(
+    sessions: Sessions, errors: BenchErrors, draws: BenchDraws, row: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what rests and rates impose whenever they begin: rates (N, 3), forces (N, 3), and what the encoder reads (N,)."""
     axis, length = sessions.axis, sessions.duration_s
-    seat = _turned(AXES_B[: len(draws.mount)], errors.mount_tilt * draws.mount)
-    about = _turned(seat[axis], errors.wobble * draws.wobble[row])
+    seat = turned(AXES_B[: len(draws.mount)], errors.mount_tilt * draws.mount)
+    about = turned(seat[axis], errors.wobble * draws.wobble[row])
     rate = sessions.rate + np.where(sessions.kind == RATE, errors.servo * draws.servo[row] / length, 0.0)
     angle, phase, azimuth = rate * length, draws.start[row, 0], 2.0 * np.pi * draws.start[row, 1]
     if errors.encoder_lines:
@@ -168,30 +169,38 @@ def impose(
     middle, mean = azimuth + 0.5 * rate * length, np.sinc(rate * length / (2.0 * np.pi))
     tilt = errors.level * float(np.hypot(*draws.level))
     across = np.cos(middle)[:, None] * ACROSS_B[0, axis] + np.sin(middle)[:, None] * ACROSS_B[1, axis]
-    since, lag = _since(sessions), errors.board_lag_s
+    force_b = STANDARD_GRAVITY * (seat[axis] + tilt * mean[:, None] * across)
+    return rate[:, None] * about, force_b, angle / length * (1.0 - errors.table_rate * draws.clock)
+
+
+def impose(
+    sessions: Sessions,
+    errors: BenchErrors,
+    draws: BenchDraws,
+    about: tuple[FloatArray, FloatArray, FloatArray],
+    *,
+    soak_c_per_min: float,
+) -> ImposedDwells:
+    """Return what is truly imposed by rests and rates, by what they impose whenever they begin."""
+    axis, since, lag = sessions.axis, _since(sessions), errors.board_lag_s
     visited = axis, sessions.soak
-    heated = (axis == SKEW) & (sessions.set_c != ROOM_TEMP_C) if len(seat) > SKEW else np.ones(len(axis))
+    heated = (axis == SKEW) & (sessions.set_c != ROOM_TEMP_C) if len(draws.mount) > SKEW else np.ones(len(axis))
     temp_c = sessions.set_c + heated * errors.soak_k * draws.soak[visited]
     if lag > 0.0:  # rising but from the last set-point of one mounting to the first of the next
         falls = np.where((sessions.soak == 0) & (axis > 0), -1.0, 1.0)
         temp_c = temp_c - heated * falls * draws.left[visited] * (soak_c_per_min / 60.0 * lag) * np.exp(-since / lag)
-    dwells = ImposedDwells(
+    return ImposedDwells(
         start_s=sessions.start_s,
-        duration_s=length,
-        rate_b=rate[:, None] * about,
-        force_b=STANDARD_GRAVITY * (seat[axis] + tilt * mean[:, None] * across),
+        duration_s=sessions.duration_s,
+        rate_b=about[0],
+        force_b=about[1],
         temp_c=temp_c,
         first=sessions.first,
     )
-    return dwells, angle / length * (1.0 - errors.table_rate * draws.clock)
 
 
-def impose_faces(
-    sessions: Sessions, errors: BenchErrors, draws: BenchDraws, up: FloatArray | None = None
-) -> ImposedDwells:
-    """Return what is truly imposed by rests on faces, or by other poses whose directions are stated, (N, 3)."""
-    level = np.array([unit_vector(FACES[face]) for face in sessions.face]) if up is None else up
-    up = _turned(level, errors.face_tilt * draws.face[sessions.face])
+def impose_faces(sessions: Sessions, up: FloatArray) -> ImposedDwells:
+    """Return what is truly imposed by rests on faces, or on other poses, in which a direction (N, 3) truly points up."""
     return ImposedDwells(
         start_s=sessions.start_s,
         duration_s=sessions.duration_s,
@@ -202,7 +211,7 @@ def impose_faces(
     )
 
 
-def _turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
+def turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return unit vectors turned by small rotations, (N, 3)."""
     off = axis_b + np.cross(tilt, axis_b)
     return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
@@ -219,6 +228,7 @@ def _since(sessions: Sessions) -> FloatArray:
 # ---- mean readings of a device
 
 SAMPLE_RATE_HZ = 100.0
+BLOCK = 8192  # dwells whose effects a processor keeps at hand
 
 
 def numbers_of_dwell(chain: SensorChain) -> int:
@@ -244,7 +254,7 @@ def mean_readings(
     walk = np.array(chain.random_walk.bias_walk) if chain.random_walk else np.zeros(3)
     add_drift(normals, row, dwells.start_s, dwells.duration_s, dwells.first, constants, sd, walk, level)
     reading = chain.null + chain.gain * np.clip(level, *chain.rails)
-    return _converted(chain, reading, dwells.duration_s, normals[row, :, -1])
+    return _converted(chain, reading, dwells.duration_s, normals, row)
 
 
 def board_readings(device: DeviceModel, temp_c: FloatArray, normals: FloatArray) -> FloatArray:
@@ -255,28 +265,29 @@ def board_readings(device: DeviceModel, temp_c: FloatArray, normals: FloatArray)
 
 def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, reference_temp_c: float) -> FloatArray:
     """Return what every effect that is steady makes of dwells, nominal input units, (N, 3)."""
-    age_s = dwells.start_s + 0.5 * dwells.duration_s
-    scene = Scene(
-        time=age_s,
-        step_s=1.0,
-        temp_c=dwells.temp_c,
-        warmth=dwells.temp_c - reference_temp_c,
-        age_s=age_s,
-        rate_b=dwells.rate_b,
-        angular_acceleration_b=np.zeros_like(dwells.rate_b),
-        force_b=dwells.force_b,
-    )
     off: dict[str, Any] = dict.fromkeys(
         ("hysteresis", "white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc")
     )
     steady: SensorChain = replace(chain, **off)
-    pasts = {effect: Past(np.random.default_rng(0)) for effect in effects_of(steady)}
-    *_, (_, settled) = steady.stages(imposed, scene, pasts)
-    level = np.array(settled)
-    if chain.hysteresis:  # the last of them, and the only one that remembers
-        for start, stop in pairwise(dwells.first.tolist()):
-            own = replace(scene, temp_c=dwells.temp_c[start:stop])
-            level[start:stop] = chain.hysteresis.apply(level[start:stop], own, Past(np.random.default_rng(0)))
+    level, pasts = np.empty_like(imposed), dict.fromkeys(effects_of(steady), Past(np.random.default_rng(0)))
+    for start in range(0, len(dwells), BLOCK):
+        block = slice(start, start + BLOCK)
+        age_s, temp_c = dwells.start_s[block] + 0.5 * dwells.duration_s[block], dwells.temp_c[block]
+        scene = Scene(
+            time=age_s,
+            step_s=1.0,
+            temp_c=temp_c,
+            warmth=temp_c - reference_temp_c,
+            age_s=age_s,
+            rate_b=dwells.rate_b[block],
+            angular_acceleration_b=np.zeros_like(dwells.rate_b[block]),
+            force_b=dwells.force_b[block],
+        )
+        *_, (_, level[block]) = steady.stages(imposed[block], scene, pasts)
+    if loop := chain.hysteresis:  # the last of them, and the only one that remembers
+        sessions = pairwise(dwells.first.tolist())
+        follower = np.concatenate([play(dwells.temp_c[start:stop], loop.play_k) for start, stop in sessions])
+        level += np.outer((follower - dwells.temp_c) / loop.play_k, loop.amplitude)
     return level
 
 
@@ -286,8 +297,12 @@ NODES = 256  # of the tables over the fraction of a code
 MOST_TERMS = 64  # of the sawtooth: enough from noise of 0.04 codes on
 
 
-def _converted(chain: SensorChain, reading: FloatArray, duration_s: FloatArray, white: FloatArray) -> FloatArray:
-    """Return the mean of noisy, rounded readings about a level, (N, 3), with a normal number each."""
+def _converted(
+    chain: SensorChain, reading: FloatArray, duration_s: FloatArray, normals: FloatArray, row: IntArray
+) -> FloatArray:
+    """Return the mean of noisy, rounded readings about a level, (N, 3), with the last of the normal numbers each."""
+    from undrift.kernels.device import mean_codes
+
     adc, n = chain.adc, np.maximum(np.round(duration_s * SAMPLE_RATE_HZ), 1.0)
     step, shift = (adc.step if adc and not adc.codes else 1.0), 0.0
     if adc:
@@ -297,25 +312,25 @@ def _converted(chain: SensorChain, reading: FloatArray, duration_s: FloatArray, 
             )
         shift = 0.0 if adc.rounding == "nearest" else 0.5
         reading = np.clip(reading / step, *adc.code_limits) - shift
-    out = np.empty_like(reading)
+    samples, which = np.unique(n, return_inverse=True)
+    bias, sd, silent = np.zeros((len(samples), 3, NODES + 1)), np.zeros((len(samples), 3, NODES + 1)), []
     for axis in range(3):
         covariance = (chain.gain / step if adc else chain.gain) ** 2 * _autocovariance(chain, axis)
-        for samples in np.unique(n):
-            rows = np.flatnonzero(n == samples)
-            level = reading[rows, axis]
-            if adc and covariance[0] == 0.0:
-                out[rows, axis] = np.rint(level)
-                continue
-            plain = np.zeros(2), np.full(2, math.sqrt(_weights(covariance, samples) @ covariance))
-            bias, sd = code_means(covariance, samples) if adc else plain
-            place = (level - np.floor(level)) * (len(bias) - 1)
-            cell = np.minimum(place.astype(np.int64), len(bias) - 2)
-            part = place - cell
-            spread = sd[cell] + part * (sd[cell + 1] - sd[cell])
-            out[rows, axis] = level + bias[cell] + part * (bias[cell + 1] - bias[cell]) + spread * white[rows, axis]
+        if adc and covariance[0] == 0.0:
+            silent.append(axis)
+            continue
+        for k, count in enumerate(samples):
+            if adc:
+                bias[k, axis], sd[k, axis] = code_means(covariance, count)
+            else:
+                sd[k, axis] = math.sqrt(_weights(covariance, count) @ covariance)
+    out = np.empty_like(reading)
+    mean_codes(reading, normals, row, which, bias, sd, out)
+    out[:, silent] = np.rint(reading[:, silent])
     return np.clip(out, *adc.code_limits) * step if adc else out
 
 
+@lru_cache(maxsize=64)  # a chain meets several sets of sessions
 def _autocovariance(chain: SensorChain, axis: int) -> FloatArray:
     """Return the covariance of readings l samples apart by filtered white noise, (L,), nominal input units squared."""
     from scipy.signal import lfilter

@@ -44,7 +44,7 @@ from undrift.correction.rest import LEAST_IN_MOTION_S, rest_offset
 from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
-from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch
+from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch, shortest_rotation_up
 from undrift.record import FACES, Record, Reference, Still
 from undrift.rig.programme import DAMPING, Protocol
 from undrift.sim.bench_errors import BenchDraws, BenchErrors, draw_bench
@@ -69,6 +69,8 @@ from undrift.sim.table_sessions import (
     lay_out,
     mean_readings,
     numbers_of_dwell,
+    turned,
+    turned_about,
 )
 from undrift.study.plan import (
     ERRORS,
@@ -386,23 +388,31 @@ def faces_of(
     """Return the accelerometers as the faces of a session, or stated poses, calibrate them; None without any."""
     if not len(sessions.kind):
         return None
-    poses, bench = poses or [FACES[face] for face in sessions.face], bench_of(study, number, 1, (0,))
-    normals = seeded(study, "faces", number).standard_normal((6, 3, numbers_of_dwell(device.accel)))
-    row, tilt, up = sessions.face.copy(), bench.face, np.array([unit_vector(pose) for pose in poses])
-    for k, pose in enumerate(poses):
-        if pose not in FACES:  # draws of its own, the same in every set that has it
-            rng = seeded(study, f"pose {pose}", number)
-            row[k], up[k] = len(tilt), unit_vector(pose, study.bench.inclination * rng.standard_normal())
-            tilt = np.concatenate((tilt, rng.standard_normal((1, 3))))
-            normals = np.concatenate((normals, rng.standard_normal((1, *normals.shape[1:]))))
-    dwells = impose_faces(replace(sessions, face=row), study.bench, replace(bench, face=tilt), up)
-    reading, unit = mean_readings(device, "accel", dwells, normals, row), device.accel.unit
+    poses = tuple(poses or [FACES[face] for face in sessions.face])
+    row, up, normals = _laid(study, number, numbers_of_dwell(device.accel), tuple(sessions.face.tolist()), poses)
+    reading, unit = mean_readings(device, "accel", impose_faces(sessions, up), normals, row), device.accel.unit
     if set(poses) <= set(FACES):
         means = FaceMeans(reading=reading, faces=tuple(FACES[face] for face in row), unit=unit)
         return fit_six_face(means, gravity=STANDARD_GRAVITY, mode="affine").model
     forward = fit_forward(STANDARD_GRAVITY * np.array([unit_vector(pose) for pose in poses]), reading, None)
     limits, names = (-STANDARD_GRAVITY, STANDARD_GRAVITY), {"method": "poses", "unit_in": unit, "unit_out": "m/s2"}
     return triad_from_forward(forward, valid_range=limits, **names).model
+
+
+@lru_cache(maxsize=64)  # the settings of a subject follow each other
+def _laid(
+    study: Study, number: int, width: int, faces: tuple[int, ...], poses: tuple[str, ...]
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return the poses of a session as they are laid: the rows of their draws (N,), what truly points up (N, 3), and the draws."""
+    tilt, normals = bench_of(study, number, 1, (0,)).face, seeded(study, "faces", number).standard_normal((6, 3, width))
+    row, up = np.array(faces), np.array([unit_vector(pose) for pose in poses])
+    for k, pose in enumerate(poses):
+        if pose not in FACES:  # draws of its own, the same in every set that has it
+            rng = seeded(study, f"pose {pose}", number)
+            row[k], up[k] = len(tilt), unit_vector(pose, study.bench.inclination * rng.standard_normal())
+            tilt = np.concatenate((tilt, rng.standard_normal((1, 3))))
+            normals = np.concatenate((normals, rng.standard_normal((1, *normals.shape[1:]))))
+    return row, turned(up, study.bench.face_tilt * tilt[row]), normals
 
 
 def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int], axes: int = 3) -> BenchDraws:
@@ -420,34 +430,40 @@ class BenchReadings:
     temp_c: FloatArray  # (N,), of the board's thermometer, degC
 
 
-def simulate_turns(study: Study, base: Protocol, device: DeviceModel, number: int, sessions: Sessions) -> BenchReadings:
-    """Simulate the rests and rates of sessions, variants of one protocol, on the bench that calibrates a subject's device."""
+def simulate_turns(
+    study: Study, base: Protocol, device: DeviceModel, number: int, laid: Sessions, sessions: Sessions | None = None
+) -> BenchReadings:
+    """Simulate the rests and rates of sessions, variants of one protocol, on the bench that calibrates a subject's device.
+
+    ``sessions`` are those that are laid, as they are with a low-pass.
+    """
+    sessions, width = sessions or laid, numbers_of_dwell(device.gyro)
     bench = study.bench if base.temperatures_c else replace(study.bench, soak_k=0.0, board_lag_s=0.0)  # no chamber
-    soaks, axes = int(sessions.soak.max()) + 1, max(int(sessions.axis.max()) + 1, 3)
-    size = np.round(np.abs(sessions.rate) / KEY_STEP)
-    keys = np.unique(size[size > 0.0])
-    second = sessions.rate < 0.0
-    second[1:] |= (sessions.kind[1:] == REST) & (sessions.kind[:-1] == RATE)  # the rest after the rates
-    block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
-    row = 2 * axes * soaks * block + 2 * (soaks * sessions.axis + sessions.soak) + second
-    width = numbers_of_dwell(device.gyro)
-    draws, normals = _drawn(study, number, soaks, (0, *keys.astype(int).tolist()), width, axes)
-    dwells, rate = impose(sessions, bench, draws, row, soak_c_per_min=base.soak_c_per_min)
+    row, normals, draws, about = _drawn(study, bench, number, width, laid)
+    dwells = impose(sessions, bench, draws, about, soak_c_per_min=base.soak_c_per_min)
     return BenchReadings(
         gyro=mean_readings(device, "gyro", dwells, normals[:, :, :width], row),
-        rate=rate,
+        rate=about[2],
         temp_c=board_readings(device, dwells.temp_c, normals[row, 0, width]),
     )
 
 
-@lru_cache(maxsize=16)  # the cut-off frequencies of a subject follow each other
+@lru_cache(maxsize=16)  # the settings of a subject follow each other
 def _drawn(
-    study: Study, number: int, soaks: int, keys: tuple[int, ...], width: int, axes: int
-) -> tuple[BenchDraws, FloatArray]:
-    """Return the draws of bench and dwells, for rests (key 0) and for rates of given keys."""
-    shape = (2 * axes * soaks, 3, width + 1)
-    blocks = [seeded(study, "dwells", number, key).standard_normal(shape) for key in keys]
-    return bench_of(study, number, soaks, keys, axes), np.concatenate(blocks)
+    study: Study, bench: BenchErrors, number: int, width: int, laid: Sessions
+) -> tuple[IntArray, FloatArray, BenchDraws, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return the row of each dwell among its normal numbers, those, the draws of the bench, and what it turns about."""
+    soaks, axes = int(laid.soak.max()) + 1, max(int(laid.axis.max()) + 1, 3)
+    size = np.round(np.abs(laid.rate) / KEY_STEP)
+    keys = np.unique(size[size > 0.0])
+    second = laid.rate < 0.0
+    second[1:] |= (laid.kind[1:] == REST) & (laid.kind[:-1] == RATE)  # the rest after the rates
+    block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
+    row = 2 * axes * soaks * block + 2 * (soaks * laid.axis + laid.soak) + second
+    every, shape = (0, *keys.astype(int).tolist()), (2 * axes * soaks, 3, width + 1)  # rests have key 0
+    normals = np.concatenate([seeded(study, "dwells", number, key).standard_normal(shape) for key in every])
+    draws = bench_of(study, number, soaks, every, axes)
+    return row, normals, draws, turned_about(laid, bench, draws, row)
 
 
 # ---- the note's calibration of many sessions, and the trial with each
@@ -513,13 +529,21 @@ END_S = 0.5  # before the motion's end, whose median error is that of the end
 
 
 @lru_cache(maxsize=32)  # sessions with the same faces follow each other
-def _levelled(case: Case, accel: TriadModel | None, stop: int) -> tuple[Record, FloatArray]:
-    """Return what calibrated accelerometers make of a trial up to a sample, and the tilt at its rest."""
+def _levelled(case: Case, accel: TriadModel | None) -> Record:
+    """Return what calibrated accelerometers make of a trial."""
     constant = Calibration(
         device="", reference_temp_c=ROOM_TEMP_C, gravity_m_s2=STANDARD_GRAVITY, gyro=None, accel=accel
     )
-    level = correct_whole(replace(case.record.part(0, stop), gyro=None), constant, policy="hold", threads=1).record
-    return level, initial_tilt(level, Still(start=case.still[0], stop=case.still[1])).q_nb
+    return correct_whole(replace(case.record, gyro=None), constant, policy="hold", threads=1).record
+
+
+@lru_cache(maxsize=32)  # as above
+def _tilt_at_rest(case: Case, accel: TriadModel | None) -> FloatArray:
+    """Return the tilt (4,) that calibrated accelerometers show at the rest of a trial."""
+    if accel is None or case.record.accel is None:
+        return initial_tilt(case.record, Still(start=case.still[0], stop=case.still[1])).q_nb
+    mean = case.record.accel[slice(*case.still)].mean(axis=0)
+    return shortest_rotation_up(accel.matrix @ (mean - accel.offset))
 
 
 def trial_errors(case: Case, accels: Sequence[TriadModel | None], fits: NoteFits, offset: OffsetRule) -> FloatArray:
@@ -545,20 +569,19 @@ def trial_errors(case: Case, accels: Sequence[TriadModel | None], fits: NoteFits
     still = Still(start=case.still[0], stop=case.still[1])
     rest, moving = slice(*case.still), slice(case.still[1] - 1, case.moving[1])
     shown = offset == "motion" and case.record.duration_s >= LEAST_IN_MOTION_S
-    levels = [_levelled(case, accel, len(gyro) if shown else case.still[1]) for accel in accels]
     rates = rates_of(gyro[moving], temp_c[moving])
     if shown:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
-        for (level, _), each, whole in zip(levels, rates, rates_of(gyro, temp_c), strict=True):
+        for accel, each, whole in zip(accels, rates, rates_of(gyro, temp_c), strict=True):
             if np.isfinite(whole).all():
-                record = replace(level, gyro=whole, gyro_unit="rad/s")
+                record = replace(_levelled(case, accel), gyro=whole, gyro_unit="rad/s")
                 each -= find_motion_offset(record, rest_offset(record, still)).at(record.time[moving])
     elif offset != "none":
         rates -= rates_of(gyro[rest].mean(axis=0), temp_c[rest].mean(keepdims=True))
     pitch, last = np.stack((case.pitch_now[moving], case.pitch[moving])), round(END_S * case.sample_rate_hz)
     pitch_errors(
-        rates.reshape(len(rates), -1), case.record.time[moving], np.array([q0 for _, q0 in levels]), pitch,
+        rates.reshape(len(rates), -1), case.record.time[moving], np.array([_tilt_at_rest(case, accel) for accel in accels]), pitch,
         case.moving[0] - moving.start, last, IN_PLANE, fits.good, out,
     )  # fmt: skip
     return out
@@ -595,6 +618,11 @@ def units_of(study: Study) -> tuple[Unit, ...]:
     )
 
 
+def run_units(units: Sequence[Unit]) -> list[dict[str, FloatArray]]:
+    """Run units that follow each other: what those of one subject share is made once."""
+    return [run_unit(unit) for unit in units]
+
+
 def run_unit(unit: Unit) -> dict[str, FloatArray]:
     """Run all candidates of a unit: an array (P,) for each column, errors NaN where the device was left uncalibrated."""
     task, setting = unit.task, unit.setting
@@ -602,59 +630,87 @@ def run_unit(unit: Unit) -> dict[str, FloatArray]:
     cases = [make_case(unit.study, task, unit.subject, setting, unit.without, trial) for trial in range(trials)]
     runs = columns_of(task, points) | {name: np.full(len(points), np.nan) for name in COLUMNS[4:]}
     models = dict[object, TriadModel | None]()
-    for own in alike(task, points):
-        runs["rig_minutes"][own], errors = errors_with(unit, cases, points[own], models)
+    for group in alike(task, setting._replace(cutoff_hz=QUICKEST_HZ)):
+        runs["rig_minutes"][group.places], errors = errors_with(unit, cases, group, models)
         for name, column in zip(ERRORS, errors.T / RADIAN_PER_DEGREE, strict=True):
-            runs[name][own] = column
+            runs[name][group.places] = column
     return runs
 
 
-def tables_of(task: StudyTask, point: FloatArray) -> tuple[float, float]:
-    """Return the steps of the static and the dynamic table of a candidate (n,), K."""
-    held = dict(zip(task.space.names, map(float, point), strict=True))
-    return held.get("static_step_c", STATIC_STEP_C), held.get("dynamic_step_c", DYNAMIC_STEP_C)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Alike:
+    """Candidates that are simulated and fitted at once: alike in set-points, mounting and tables."""
+
+    places: IntArray  # (P,), of the task's
+    base: Protocol  # One of them
+    laid: Sessions  # Their rests and rates, with the shortest settling
+    faces: dict[object, tuple[Sessions, tuple[str, ...]]]  # Their sets of faces, and the poses of each, by a key
+    keys: list[object]  # (P,), which set each has
+    grids: FloatArray  # (P, 2), omega_M and step of each, rad/s
+    table_steps_c: tuple[float, float]  # Of the static and the dynamic table, K
+
+
+@lru_cache(maxsize=64)  # of the tasks of a study, and of what is run again of each: the same for every subject
+def alike(task: StudyTask, setting: Setting) -> tuple[Alike, ...]:
+    """Return the candidates with a setting of the device, by what is simulated and fitted at once."""
+    points, groups = task.space.points_at(setting), list[Alike]()
+    names = ("places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c", "dynamic_step_c")
+    columns = [k for k, name in enumerate(task.space.names) if name in names]
+    group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
+    for each in np.unique(group):
+        places = np.flatnonzero(group == each)
+        protocols = [task.protocol_of(point) for point in points[places]]
+        sessions = [lay_out(protocol) for protocol in protocols]
+        # faces come first in every session, but among the rates of those that have a skew mounting
+        keys: list[object] = [(each.faces, each.face_s, each.heated_axis and each) for each in protocols]
+        sets = zip(keys, sessions, protocols, strict=True)
+        stated = dict(zip(task.space.names, map(float, points[places[0]]), strict=True))
+        one = Alike(
+            places=places,
+            base=protocols[0],
+            laid=joined(sessions).chosen(REST, RATE),
+            faces={key: (session.chosen(FACE), protocol.faces) for key, session, protocol in sets},
+            keys=keys,
+            grids=np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols]),
+            table_steps_c=(stated.get("static_step_c", STATIC_STEP_C), stated.get("dynamic_step_c", DYNAMIC_STEP_C)),
+        )
+        groups.append(one)
+    return tuple(groups)
 
 
 def errors_with(
-    unit: Unit, cases: Sequence[Case], points: FloatArray, models: dict[object, TriadModel | None]
+    unit: Unit, cases: Sequence[Case], group: Alike, models: dict[object, TriadModel | None]
 ) -> tuple[FloatArray, FloatArray]:
     """Calibrate a device by candidates that are alike; return minutes (P,) and pitch errors, means over its trials, (P, 6) rad.
 
     The accelerometers of the unit, by their faces, are kept in ``models``.
     """
-    study, device, protocols = unit.study, cases[0].device, tuple(map(unit.task.protocol_of, points))
-    every = joined([session_of(protocol, unit.setting.quality) for protocol in protocols])
+    study, device, keys, settled = unit.study, cases[0].device, group.keys, settling_of(unit.setting)
     if unit.without is not None:
         study = replace(study, bench=bench_without(study.bench, unit.without))
-    # faces come first in every session, but among the rates of those that have a skew mounting
-    keys = [(each.faces, each.face_s, each.heated_axis and each) for each in protocols]
-    for key, protocol in zip(keys, protocols, strict=True):
+    for key, (faces, poses) in group.faces.items():
         if key not in models:
             with suppress(CalibrationError):  # it cannot calibrate this device: no error to report, and not a zero
-                faces = session_of(protocol, unit.setting.quality).chosen(FACE)
-                models[key] = faces_of(study, device, unit.subject, faces, protocol.faces)
+                models[key] = faces_of(study, device, unit.subject, faces.settling(*settled), poses)
+    sessions = group.laid.settling(*settled)
     if not models:
-        return every.length_s / 60.0, np.full((len(keys), len(ERRORS)), np.nan)
-    sessions, accels = every.chosen(REST, RATE), [models.get(key, next(iter(models.values()))) for key in keys]
-    readings = simulate_turns(study, protocols[0], device, unit.subject, sessions)
-    grids = np.array([(p.turn_rate_max, p.turn_rate_step) for p in protocols])
-    fits = fit_as_the_note(sessions, readings, grids, tables_of(unit.task, points[0]))
+        return sessions.length_s / 60.0, np.full((len(keys), len(ERRORS)), np.nan)
+    accels = [models.get(key, next(iter(models.values()))) for key in keys]
+    readings = simulate_turns(study, group.base, device, unit.subject, group.laid, sessions)
+    fits = fit_as_the_note(sessions, readings, group.grids, group.table_steps_c)
     fits.good[[key not in models for key in keys]] = False
-    return every.length_s / 60.0, np.mean([trial_errors(case, accels, fits, study.offset) for case in cases], axis=0)
+    return sessions.length_s / 60.0, np.mean([trial_errors(case, accels, fits, study.offset) for case in cases], axis=0)
 
 
-def alike(task: StudyTask, points: FloatArray) -> list[IntArray]:
-    """Return the places of the candidates that are simulated and fitted at once: alike in set-points, mounting and tables."""
-    names = ("places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c", "dynamic_step_c")
-    columns = [k for k, name in enumerate(task.space.names) if name in names]
-    group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
-    return [np.flatnonzero(group == each) for each in np.unique(group)]
+def settling_of(setting: Setting) -> tuple[float, float]:
+    """Return the cut-off frequency that a session settles with, Hz, and its damping."""
+    return setting.cutoff_hz, DAMPING if setting.quality is None else 0.5 / setting.quality
 
 
 def session_of(protocol: Protocol, quality: float | None = None) -> Sessions:
     """Return the session of a protocol, laid out once whatever its filter."""
-    damping = DAMPING if quality is None else 0.5 / quality
-    return lay_out(replace(protocol, cutoff_hz=QUICKEST_HZ)).settling(protocol.cutoff_hz, damping)
+    laid = lay_out(replace(protocol, cutoff_hz=QUICKEST_HZ))
+    return laid.settling(*settling_of(Setting(protocol.cutoff_hz, quality=quality)))
 
 
 def columns_of(task: StudyTask, points: FloatArray) -> dict[str, FloatArray]:

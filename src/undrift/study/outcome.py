@@ -16,7 +16,7 @@ measured by a unit of each task; the rest costs about the same whatever the stud
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, groupby
 from operator import call
 from pathlib import Path
 from time import perf_counter
@@ -30,7 +30,7 @@ from undrift.findings import Finding, finding
 from undrift.sim.motion.tasks import TaskName
 from undrift.study import judge, run, search
 from undrift.study import target as targets
-from undrift.study.case import EffectName, Unit, effects_of_study, run_unit, seeded, typical_unit, units_of
+from undrift.study.case import EffectName, Unit, effects_of_study, run_unit, run_units, seeded, typical_unit, units_of
 from undrift.study.figure3 import DRAWN_UNITS, DrawnRow, EffectRow, Figure3, drawn_cohort, effect_table, figure3
 from undrift.study.plan import AIM, DEVICE, MARGIN_DEG, TABLE_1, Aim, Study, StudyTask, column_of
 from undrift.study.real import RealData, RealOutcome, judge_real, tried
@@ -215,7 +215,8 @@ def split_study(
         {tuple(point): place for place, point in enumerate(points_of(task, surface).tolist())}
         for task, surface, _ in held
     ]
-    jobs: list[Callable[[], Any]] = [*beside, *(partial(run_unit, unit) for _, unit in units)]
+    groups = [tuple(of) for _, of in groupby(units, lambda each: (each[0], each[1].subject))]
+    jobs = [*beside, *(partial(run_units, tuple(unit for _, unit in of)) for of in groups)]
     others: list[Any] = [None] * len(beside)
     advance(0, len(jobs))
     for done, (number, runs) in enumerate(executor.run(cast("Callable[[Any], Any]", call), jobs), 1):
@@ -223,10 +224,10 @@ def split_study(
         if number < len(beside):
             others[number] = runs
             continue
-        k, unit = units[number - len(beside)]
-        if unit.without is not None:
-            own = [places[k][tuple(point)] for point in unit.task.space.points().tolist()]
-            tables[k][unit.without][rows[k][unit.subject], own] = runs[column_of(study.objective, study.timing)]
+        for (k, unit), errors in zip(groups[number - len(beside)], runs, strict=True):
+            if unit.without is not None:
+                own = [places[k][tuple(point)] for point in unit.task.space.points().tolist()]
+                tables[k][unit.without][rows[k][unit.subject], own] = errors[column_of(study.objective, study.timing)]
     rows_of = zip(held, tables, strict=True)
     return tuple(_split(study, surface, optimum, found) for (_, surface, optimum), found in rows_of), others
 

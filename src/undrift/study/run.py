@@ -9,10 +9,13 @@ import hashlib
 import json
 import math
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -21,7 +24,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError, UndriftError
 from undrift.files import no_folder, write_whole
 from undrift.sim.bench_errors import OF_TABLE
-from undrift.study.case import COLUMNS, Unit, run_unit, units_of
+from undrift.study.case import COLUMNS, Unit, run_units, units_of
 from undrift.study.plan import ERRORS, SAMPLE_RATE_HZ, Aim, Objective, Study, StudyTask, Timing, column_of
 from undrift.study.space import FURTHER
 
@@ -57,26 +60,42 @@ class InProcess:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Processes of this machine, the same in all stages; fresh ones in place of those that are killed."""
+    """This process and others of this machine, the same in all stages; fresh ones in place of those that are killed."""
 
-    workers: int  # How many
+    workers: int  # How many; this one is one of several
     _running: list[Any] = field(default_factory=list, init=False, compare=False, repr=False)  # one at most
 
-    def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
-        """Do units of work."""
-        from concurrent.futures import ProcessPoolExecutor, as_completed
-        from concurrent.futures.process import BrokenProcessPool
+    def start(self, work: Callable[[], Any]) -> None:
+        """Start the others, each with work that loads what they need, while this process does something else."""
+        from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
+
+        others = max(self.workers - 1, 1)
+        self._running.append(ProcessPoolExecutor(others, mp_context=get_context("spawn")))
+        for _ in range(others):
+            self._running[0].submit(work)
+
+    def run(self, work: Callable[[U], R], units: Sequence[U]) -> Iterator[tuple[int, R]]:
+        """Do units of work: the others from the first on, this process from the last, if it is one of several."""
+        from concurrent.futures.process import BrokenProcessPool
 
         left, losses = dict(enumerate(units)), 0
         while left:
             if not self._running:
-                self._running.append(ProcessPoolExecutor(self.workers, mp_context=get_context("spawn")))
-            places = dict[Any, int]()
+                self.start(int)
+            places, ended, coming = dict[Any, int](), SimpleQueue[Any](), deque(left)
             try:
-                places |= {self._running[0].submit(work, unit): place for place, unit in left.items()}
-                for done in as_completed(list(places)):
-                    result, place = done.result(), places.pop(done)
+                while coming or places:
+                    while coming and len(places) < self.workers:
+                        future = self._running[0].submit(work, left[coming[0]])
+                        places[future] = coming.popleft()
+                        future.add_done_callback(ended.put)
+                    if coming and self.workers > 1 and ended.empty():
+                        place = coming.pop()
+                        result = work(left[place])
+                    else:
+                        future = ended.get()
+                        place, result = places.pop(future), future.result()
                     del left[place]
                     yield place, result
             except BrokenProcessPool:
@@ -205,9 +224,11 @@ class RunStore:
     def finish(self, units: Sequence[Unit], executor: Executor) -> Iterator[Unit]:
         """Do the units that have no piece yet; yield each as it is finished."""
         left = [unit for unit in units if not self.holds(unit)]
-        for place, runs in executor.run(run_unit, left):
-            self.write(left[place], runs)
-            yield left[place]
+        groups = [tuple(of) for _, of in groupby(left, lambda unit: (unit.task.key, unit.subject))]
+        for place, done in executor.run(run_units, groups):
+            for unit, runs in zip(groups[place], done, strict=True):
+                self.write(unit, runs)
+                yield unit
 
     def write(self, unit: Unit, runs: dict[str, FloatArray]) -> None:
         """Keep the runs of a unit."""

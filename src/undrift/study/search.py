@@ -475,15 +475,10 @@ def prediction_sd(
 
 
 def _climb(f: FloatArray, wanted: FloatArray | None) -> FloatArray:
+    from undrift.kernels.note import climb
+
     share = np.full(len(f), 1.0 / len(f))
-    for _ in range(ROUNDS):
-        inverse = np.linalg.inv((f * share[:, None]).T @ f)
-        gain = np.einsum("ni,ij,nj->n", f, inverse if wanted is None else inverse @ wanted @ inverse, f)
-        mean = float(share @ gain)
-        if gain.max() < mean * (1.0 + CONVERGED):
-            break
-        share = share * np.sqrt(gain / mean)
-        share = share / share.sum()
+    climb(f, np.eye(f.shape[1]) if wanted is None else wanted, wanted is not None, ROUNDS, CONVERGED, share)
     return share
 
 
