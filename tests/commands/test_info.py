@@ -14,8 +14,15 @@ import pytest
 from testkit.command_line import beyond_the_table, contents
 from testkit.data import DATA, data_path, needs_data
 from undrift.base.summary import plain
+from undrift.calibration.calibrate import calibrate
+from undrift.correction.correct import correct
+from undrift.frames import rotate
 from undrift.io.formats import write_record
 from undrift.record import Record
+from undrift.sim.device.presets import random_device
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.sessions import simulate_session
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 pytestmark = pytest.mark.usefixtures("described_once")
 KEYS = {
@@ -324,3 +331,56 @@ def test_a_pendulum_with_orientations_beside_its_readings_is_read_by_commands_al
     beside.write_text(beside.read_text() + 'up = "-x"\n')
     (trial,) = undrift(*words, "--json").json()["trials"]
     assert trial["rmse_inclination_deg"] < 60.0
+
+
+def test_a_trace_holds_readings_and_orientation_and_json_the_rests_and_turns_that_were_found(undrift, tmp_path):
+    rng = np.random.default_rng(7)
+    device = random_device(rng)
+    made = calibrate(simulate_session("bench", device, rng=rng))
+    (raw,) = simulate_session("ferraris", device, rng=rng, labelled=False).records
+    record = correct(raw, made)
+    for name, one in (("counts", raw), ("si", record)):
+        write_record(one, tmp_path / f"{name}.parquet")
+    told = {
+        name: undrift.good("info", tmp_path / f"{name}.parquet", "--trace", tmp_path / f"{name}.npy", "--json").json()
+        for name in ("counts", "si")
+    }
+    trace, counted = np.load(tmp_path / "si.npy"), np.load(tmp_path / "counts.npy")
+    np.testing.assert_array_equal(trace["time"], record.time)
+    np.testing.assert_allclose(trace["gyro"], record.gyro / RADIAN_PER_DEGREE, rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(trace["accel"], record.accel / STANDARD_GRAVITY, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(counted["accel"], raw.accel)
+    assert np.isnan(counted["q_nb"]).all()  # counts show no orientation
+    shown = told["si"]["trace"]
+    assert (shown["units"], told["counts"]["trace"]["units"]) == (
+        {"gyro": "deg/s", "accel": "g"}, {"gyro": "count", "accel": "count"}
+    )  # fmt: skip
+    assert shown["span_s"] == [record.time[0], record.time[-1]]
+    rests = [(start, stop) for kind, _, why, start, stop in shown["stretches"] if kind == "still" and not why]
+    assert rests == [tuple(span) for span in told["si"]["stills"]]  # searched for once
+    assert shown["at_rest"]["accel"] == pytest.approx(1.0, abs=0.01)
+    assert shown["at_rest"]["gyro"] < 0.1
+    for kind, label, _, start, stop in shown["stretches"]:
+        if kind == "still":  # the orientation has that face up
+            up = rotate(trace["q_nb"][int(50.0 * (start + stop))].astype(float), unit_vector(label))
+            assert up == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
+
+
+def test_a_stretch_that_is_left_out_is_left_out_of_what_is_found_and_of_the_next_command(undrift, tmp_path):
+    rng = np.random.default_rng(7)
+    (raw,) = simulate_session("ferraris", random_device(rng), rng=rng, labelled=False).records
+    write_record(raw, tmp_path / "r.parquet")
+    whole = undrift.good("info", tmp_path / "r.parquet", "--json").json()
+    part = undrift.good("info", tmp_path / "r.parquet", "--leave-out", "54:63", "--json").json()
+    assert (whole["gaps"], part["gaps"]) == (0, 900)
+    outside = [span for span in whole["stills"] if span[1] < 53.0 or span[0] > 64.0]
+    assert len(part["stills"]) < len(whole["stills"])
+    assert not [span for span in part["stills"] if 54.0 < sum(span) / 2.0 < 63.0]
+    assert len([span for span in part["stills"] if span in outside]) >= len(outside) - 2
+    assert "--leave-out 54:63" in undrift.good("info", tmp_path / "r.parquet", "--leave-out", "54:63").out
+    undrift("calibrate", tmp_path / "r.parquet", "--leave-out", "54:63", "-o", tmp_path / "c.json")
+    made = json.loads((tmp_path / "c.json").read_text())
+    assert made["provenance"]["settings"]["stills"] == f"{len(part['stills'])} found"
+    assert made.get("file_map") is None  # it is of this recording, not of the device
+    for words in ("30", "50:30", "x:y"):
+        assert "--leave-out: wanted LOW" in undrift("info", tmp_path / "r.parquet", "--leave-out", words).err

@@ -1,6 +1,7 @@
 """One door: each file takes the reader its content calls for, whatever its name."""
 
 import json
+import re
 import shutil
 from dataclasses import fields, replace
 
@@ -14,7 +15,7 @@ from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout, native_columns
 from undrift.io.formats import detect, iter_record, read_counted, read_record, write_record
-from undrift.record import ForceUncertainty, Record
+from undrift.record import ForceUncertainty, Record, joined
 
 
 def ramp(n=30):
@@ -166,3 +167,38 @@ def test_what_is_no_uncertainty_of_the_accelerometers_is_refused_in_one_line(tmp
     with pytest.raises(FileFormatError, match="wanted frame, state and device of a recording, got others") as raised:
         read_record(tmp_path / "r.csv")
     assert one_line(raised)
+
+
+# ---- Stretches that are left out
+
+
+@pytest.mark.parametrize("ending", ["parquet", "csv"])
+def test_a_stretch_is_cut_off_at_an_end_and_a_gap_between(tmp_path, ending):
+    write_record(ramp(), tmp_path / f"r.{ending}")  # 0 to 0.29 s
+    settings = ReadSettings(leave_out=((-1.0, 0.05), (0.1, 0.15), (0.25, 9.0)))
+    whole, record = ramp(), read_record(tmp_path / f"r.{ending}", settings=settings)
+    np.testing.assert_array_equal(record.time, whole.time[5:25])
+    out = (record.time >= 0.1) & (record.time < 0.15)
+    assert out.sum() == 5
+    for name in ("gyro", "accel"):
+        assert np.isnan(getattr(record, name)[out]).all()
+        np.testing.assert_array_equal(getattr(record, name)[~out], getattr(whole, name)[5:25][~out])
+    chunks = list(iter_record(tmp_path / f"r.{ending}", rows=4, settings=settings))
+    assert_same(joined(chunks), record)
+    assert (
+        "left out as stated: -1 to 0.05 s, 0.1 to 0.15 s, 0.25 to 9 s"
+        in read_counted(tmp_path / f"r.{ending}", settings=settings).notes
+    )
+
+
+@pytest.mark.parametrize(
+    ("stretch", "words"),
+    [
+        ((5.0, 6.0), "wanted a stretch of the recording, which goes from 0 to 0.29 s, got 5 to 6 s; name another"),
+        ((0.0, 0.285), "wanted two samples or more that stay, got 1; leave out less"),
+    ],
+)
+def test_a_stretch_that_is_not_there_or_leaves_nothing_is_refused(tmp_path, stretch, words):
+    write_record(ramp(), tmp_path / "r.parquet")
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_record(tmp_path / "r.parquet", settings=ReadSettings(leave_out=(stretch,)))

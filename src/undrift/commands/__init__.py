@@ -27,11 +27,8 @@ VERBS = (
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
-    "registry": {
-        **{name: name for name in ("add", "show", "find", "due", "trend", "prior")},
-        "list": "list_held",
-        "import": "import_folder",
-    },
+    "registry": {name: name for name in ("add", "show", "find", "due", "trend", "prior")}
+    | {"list": "list_held", "import": "import_folder"},
     "rig": {name: name for name in ("run", "emulate", "stop", "status", "check")},
     "session": {"new": "new"},
 }

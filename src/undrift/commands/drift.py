@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
 from undrift.commands import Progress, part_of, silent
-from undrift.commands.files import Opening, check_figure, check_output, recording_of, temperatures, thermal_session
+from undrift.commands.files import Opening, check_figure, check_output, ends_of, recording_of, thermal_session
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -80,7 +80,7 @@ def drift(
     if not 0.0 < step_c < math.inf:
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
     settings = DriftSettings(
-        range_c=None if span is None else temperatures("`range_c`", span),
+        range_c=None if span is None else ends_of("`range_c`", span),
         step_c=step_c,
         lag_s=lag_s,
         tables="scale + dynamic" if tables == "scale+dynamic" else tables,

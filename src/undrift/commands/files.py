@@ -63,6 +63,8 @@ class Opening:
         overrules the map.
     drop_bad_rows : bool
         Leave out rows of text with other than numbers, or damaged blocks of a logger's file, and count them.
+    leave_out : str
+        Stretches to leave out, START:STOP in s on the recording's clock, commas between: cut off at its ends, gaps elsewhere.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
@@ -71,6 +73,7 @@ class Opening:
     gaps: Literal["raise", "keep"] | None = None
     clock: Literal["file", "regular"] | None = None
     drop_bad_rows: Flag = False
+    leave_out: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
     def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
@@ -88,11 +91,15 @@ class Opening:
     def words(self) -> list[object]:
         """Return the options as they were given."""
         flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
-        return [*flags, *stated(map=self.column_map, **self._options() | {"drop_bad_rows": None})]
+        return [
+            *flags,
+            *stated(map=self.column_map, **self._options() | {"drop_bad_rows": None, "leave_out": self.leave_out}),
+        ]
 
     def _options(self) -> dict[str, Any]:
         stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
-        return stated | {"drop_bad_rows": self.drop_bad_rows or None}
+        spans = tuple(ends_of("`leave_out`", one, "s") for one in self.leave_out.split(",") if one.strip())
+        return stated | {"drop_bad_rows": self.drop_bad_rows or None, "leave_out": spans or None}
 
     def how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
@@ -268,6 +275,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         )
     session = _recorded(read_session(stated[0], clock=opening.clock), stated[0])
     given: dict[str, object] = {"--map": opening.column_map, "--drop-bad-rows": opening.drop_bad_rows or None}
+    given["--leave-out"] = opening.leave_out or None
     if session.gravity_source != "standard":
         given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
@@ -312,7 +320,7 @@ def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -
     """Read a session; a recording by itself, or a table of set-points, is a session of one."""
     from undrift.files import sha256_of
     from undrift.io.formats import detect
-    from undrift.io.session import entry_of, read_session, session_from_files
+    from undrift.io.session import entry_of, file_map_of, read_session, session_from_files
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
@@ -323,6 +331,9 @@ def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -
         return replace(session_from_files([path], file_map), gravity_m_s2=gravity_m_s2)
     record = opening.record(path)
     inputs = ((path.name, sha256_of(path)),) if path.is_file() else ()
+    file_map = file_map and file_map_of(
+        entry_of(file_map), without=("leave_out",)
+    )  # a stretch belongs to one recording
     about: Any = {"serial": record.device, "gravity_m_s2": gravity_m_s2, "inputs": inputs, "file_map": file_map}
     return Session(kind="thermal", records=(record,), **about)
 
@@ -537,15 +548,15 @@ def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceMo
     return read_device(Path(name))
 
 
-def temperatures(option: str, text: str) -> tuple[float, float]:
-    """Return the two ends of LOW:HIGH, degC."""
+def ends_of(option: str, text: str, unit: str = "degC") -> tuple[float, float]:
+    """Return the two ends of LOW:HIGH, the lower first."""
     low, _, high = text.partition(":")
     try:
         ends = float(low), float(high)
     except ValueError:
-        raise InputError(f"{option}: wanted LOW:HIGH in degC, got '{text}'; for example 15:35") from None
-    if not -273.15 < ends[0] < ends[1] < 1000.0:
-        raise InputError(f"{option}: wanted LOW below HIGH in degC, got '{text}'; for example 15:35")
+        raise InputError(f"{option}: wanted LOW:HIGH in {unit}, got '{text}'; for example 15:35") from None
+    if not ends[0] < ends[1] or (unit == "degC" and not -273.15 < ends[0] < ends[1] < 1000.0):
+        raise InputError(f"{option}: wanted LOW below HIGH in {unit}, got '{text}'; for example 15:35")
     return ends
 
 

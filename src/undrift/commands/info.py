@@ -1,6 +1,7 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,14 +13,15 @@ from undrift.commands.batch import of_folder
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.commands.mount import sides_of
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.calibration.observe import Observed
+    from undrift.calibration.pieces import Piece
     from undrift.io.inspect import Description
     from undrift.model import Calibration, DriftTables
-    from undrift.record import Session
-    from undrift.segments import StillSettings
+    from undrift.record import Record, Session, Still
 
 _KEYS = (
     *("kind", "format", "rows", "sample_rate_hz", "usual_rate_hz", "duration_s"),
@@ -68,11 +70,15 @@ class Proposal:
             )
 
 
+_SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
+    ("gyro", "rate", "deg/s", RADIAN_PER_DEGREE),
+    ("accel", "accel", "g", STANDARD_GRAVITY),
+)
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
 @verb
-@of_folder(None, alone=("figure", "write_map"))
+@of_folder(None, alone=("figure", "write_map", "trace"))
 def info(
     file: Path,
     /,
@@ -82,6 +88,7 @@ def info(
     proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
     figure: Picture = None,
+    trace: Picture = None,
     output: OptionalOutput = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -95,6 +102,8 @@ def info(
         The map to write for a table with foreign columns.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
+    trace : Path or None
+        Readings and orientation of a recording for a page that draws them, .npy; stills, faces and turns stand in --json then.
     output : Path or None
         Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """
@@ -102,6 +111,7 @@ def info(
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
+    check_output(trace, endings=(".npy",), reads=(file, opening.column_map))
     if output is not None:
         raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
     progress(f"reading {file.name}", 0.0)
@@ -109,13 +119,13 @@ def info(
     found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
-    found = _set_points(found, opening)
-    session = found.session
+    session = (found := _set_points(found, opening)).session
     records = () if session is None or session.means else session.records
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
-    stills, reason = _stills(session, rests)
-    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, rests.settings(), name_of(file)))
+    seen, reason = _look(session, rests)
+    stills = [] if seen is None else [_span(records[still.recording], still) for still in seen.stills]
+    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, seen, name_of(file)))
     if figure is not None:
         if not records:
             raise InputError(f"`figure`: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
@@ -132,6 +142,7 @@ def info(
     more: dict[str, object] = {"units": dict(found.units), "stills": stills, "map": found.example, "effects": parts}
     more |= {"reference_map": found.beside} if found.beside else {}
     more |= {"findings": findings_json(found.findings), "no_still_because": reason}
+    more |= {"trace": _write_trace(trace, seen)} if trace and seen and found.kind == "recording" else {}
     return Summary(
         title=f"What {name_of(file)} holds",
         answer=f"{found.path}: {found.kind} ({found.format})",
@@ -269,32 +280,73 @@ def _set_points(found: "Description", opening: Opening) -> "Description":
     return replace(bare, sample_rate_hz=None, usual_rate_hz=None, session=held)
 
 
-def _stills(session: "Session | None", rests: Rests) -> tuple[tuple[tuple[float, float], ...], str]:
-    """Return start_s and stop_s of every still phase, and why there is none; too short a recording is no error."""
-    from undrift.segments import find_poses
+def _look(session: "Session | None", rests: Rests) -> "tuple[Observed | None, str]":
+    """Return what is seen of still phases, and why there is none; too short a recording is no error."""
+    from undrift.calibration.observe import CalibrateSettings, look
 
     if session is None or session.means:
-        return (), ""
-    stills, reason, settings = session.stills, "", rests.settings()
-    if not stills:
-        try:
-            searches = find_poses(session.records, settings)
-        except InputError:
-            shortest, window = min(record.duration_s for record in session.records), settings.window_s
-            return (), f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
-        stills = tuple(still for search in searches for still in search.stills)
-        reason = "" if stills else next(search.reason for search in searches)
-    clocks = [record.time for record in session.records]
-    return tuple((float(clocks[s.recording][s.start]), float(clocks[s.recording][s.stop - 1])) for s in stills), reason
+        return None, ""
+    settings = rests.settings()
+    try:
+        seen = look(session, CalibrateSettings(still=settings))
+    except InputError:
+        shortest, window = min(record.duration_s for record in session.records), settings.window_s
+        return None, f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
+    return seen, "" if seen.stills else next(search.reason for search in seen.searches)
 
 
-def draw_found(session: "Session", settings: "StillSettings", name: str) -> Any:
+def _span(record: "Record", piece: "Still | Piece") -> tuple[float, float]:
+    """Return the times of the first and the last sample of a stretch, s."""
+    return float(record.time[piece.start]), float(record.time[piece.stop - 1])
+
+
+def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
     """Draw a recording or session with what was found in it."""
-    from undrift.calibration.observe import CalibrateSettings
     from undrift.calibration.pieces import pieces_of
 
-    pieces, _ = pieces_of(session, CalibrateSettings(still=settings))
+    pieces, _ = pieces_of(session, seen=seen)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
+
+
+def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
+    """Write time, readings and, where they show it, orientation of a recording; return its stretches, and what it reads at rest."""
+    import numpy as np
+
+    from undrift.calibration.pieces import pieces_of
+    from undrift.files import write_together
+    from undrift.orientation import OrientSettings, orient_unchecked
+
+    record, pieces = seen.session.records[0], pieces_of(seen.session, seen=seen)[0]
+    table = np.full(
+        len(record), np.nan, dtype=[("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]
+    )
+    table["time"], units, at_rest = record.time, dict[str, str](), dict[str, float]()
+    for name, quantity, unit, size in _SHOWN:
+        if (values := getattr(record, name)) is None:
+            continue
+        units[name] = own = getattr(record, f"{name}_unit")
+        if is_physical(own):
+            values, units[name] = values * (si_factor(own, quantity) / size), unit
+        table[name] = values
+        means = [float(np.linalg.norm(values[still.start : still.stop].mean(axis=0))) for still in seen.stills]
+        at_rest |= {name: float(np.median(means))} if means else {}
+    with suppress(InputError):  # counts, gaps or one sensor alone show none
+        posed = orient_unchecked(record, settings=OrientSettings(offset="still" if seen.stills else "none"))
+        first = int(record.time.searchsorted(posed.time[0]))
+        table["q_nb"][first : first + len(posed.time)] = posed.q_nb
+
+    def write(part: Path) -> None:
+        with part.open("wb") as file:
+            np.save(file, table)
+
+    write_together({path: write}, table.nbytes)
+    spans = [(one.kind, one.label, one.why, *_span(record, one)) for one in pieces]
+    return {
+        "span_s": (float(record.time[0]), float(record.time[-1])),
+        "stretches": spans,
+        "units": units,
+        "at_rest": at_rest,
+    }
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:

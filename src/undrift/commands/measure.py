@@ -21,19 +21,8 @@ if TYPE_CHECKING:
     from undrift.model import BodyMounting, Calibration
 
 ENDING = "_events.tsv"
-DECIMALS = {
-    "deg": 1,
-    "s": 2,
-    "deg/s": 1,
-    "Hz": 2,
-    "m/s2": 4,
-    "m2/s4": 5,
-    "m/s": 4,
-    "deg2": 2,
-    "steps/min": 1,
-    "%": 1,
-    "m": 2,
-}
+DECIMALS = {"deg": 1, "s": 2, "deg/s": 1, "Hz": 2, "m/s2": 4, "m2/s4": 5, "m/s": 4, "deg2": 2, "m": 2, "%": 1,
+            "steps/min": 1}  # fmt: skip
 FIRST = {  # measures that the answer names
     "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
     "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),

@@ -225,16 +225,9 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
         "runs": outcome.runs,
         "tasks": [_task_json(task) for task in outcome.tasks],
         "cohorts": [
-            {
-                "group": cohort.group,
-                "category": cohort.category,
-                "subjects": cohort.count,
-                "age_years": cohort.age_years,
-                "height_m": cohort.height,
-                "note_age_years": cohort.printed.age_years,
-                "note_height_m": cohort.printed.height,
-            }
-            for cohort in outcome.cohorts
+            {"group": one.group, "category": one.category, "subjects": one.count, "age_years": one.age_years}
+            | {"height_m": one.height, "note_age_years": one.printed.age_years, "note_height_m": one.printed.height}
+            for one in outcome.cohorts
         ],
         "figure3": figure and _figure3_json(figure),
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,

@@ -410,20 +410,14 @@ def _write(validated: Validated, folder: Path, origin: Origin) -> Validated:
 def _validation_json(result: "Validation") -> dict[str, object]:
     from undrift.io.store import findings_json
 
-    agreement = None
+    agreement: dict[str, object] | None = None
     if result.agreement is not None:
         limits, absolute = result.agreement.limits, result.agreement.absolute
-        agreement = {
-            "quantity": "mean inclination of a trial",
-            "bias_deg": limits.bias,
-            "bias_interval_deg": limits.bias_interval,
-            "limits_deg": limits.limits,
-            "icc": absolute.value,
-            "icc_interval": absolute.interval,
-            "icc_kind": absolute.kind,
-            "sem_deg": absolute.standard_error_of_measurement,
-            "mdc95_deg": absolute.minimal_detectable_change,
-        }
+        agreement = {"quantity": "mean inclination of a trial", "bias_deg": limits.bias}
+        agreement |= {"bias_interval_deg": limits.bias_interval, "limits_deg": limits.limits, "icc": absolute.value}
+        agreement |= {"icc_interval": absolute.interval, "icc_kind": absolute.kind}
+        agreement["sem_deg"] = absolute.standard_error_of_measurement
+        agreement["mdc95_deg"] = absolute.minimal_detectable_change
     trials = [
         {"recording": t.recording}
         | asdict(t.figures)

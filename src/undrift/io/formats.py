@@ -12,10 +12,13 @@ Its module is imported when a file is met that no built-in format recognises by 
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree
@@ -398,10 +401,34 @@ def read_counted(
     if settings.clock == "regular" and "clock" not in entry.honours:  # a format with a clock of its own
         clock = fit_clock(found.record.time)
         found = replace(found, record=replace(found.record, time=clock.time), clock=clock)
+    if settings.leave_out:
+        record = without(found.record, settings.leave_out)
+        spans = ", ".join(f"{start:g} to {stop:g} s" for start, stop in settings.leave_out)
+        found = replace(found, record=record, notes=(*found.notes, f"left out as stated: {spans}"))
     if settings.temp_file is None:
         return found
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
     return replace(found, record=makers.with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
+
+
+def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
+    """Return a record without stretches of its clock, s: cut off at its ends; between them their readings are gaps."""
+    time, out = record.time, np.zeros(len(record), dtype=np.bool_)
+    for start, stop in stretches:
+        out |= (among := (time >= start) & (time < stop))
+        if not among.any():
+            raise InputError(
+                f"leave_out: wanted a stretch of the recording, which goes from {time[0]:.6g} to {time[-1]:.6g} s, got "
+                f"{start:g} to {stop:g} s; name another"
+            )
+    stays = np.flatnonzero(~out)
+    if len(stays) < 2:
+        raise InputError(f"leave_out: wanted two samples or more that stay, got {len(stays)}; leave out less")
+    channels = {name: getattr(record, name) for name in ("gyro", "accel", "temp_c", "mag_ut")}
+    gaps: dict[str, Any] = {
+        k: np.where(out if v.ndim == 1 else out[:, None], np.nan, v) for k, v in channels.items() if v is not None
+    }
+    return replace(record, **gaps).part(int(stays[0]), int(stays[-1]) + 1)
 
 
 def iter_record(
@@ -412,7 +439,7 @@ def iter_record(
     chunks = format_of(path)[1].chunks
     dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
     fitted = (settings.clock or (columns.clock if columns is not None else "file")) == "regular"  # to the whole
-    if chunks is not None and settings.temp_file is None and not dated and not fitted:
+    if chunks is not None and settings.temp_file is None and not (dated or fitted or settings.leave_out):
         columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
         yield from chunks(Path(path), columns, settings, rows)
         return

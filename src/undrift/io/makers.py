@@ -59,17 +59,7 @@ from undrift.io.columns import (
     in_seconds,
 )
 from undrift.io.containers import chosen, sound
-from undrift.io.labelled import (
-    Label,
-    Sheet,
-    as_utf8,
-    label_of,
-    labelled,
-    open_sheet,
-    read_sheet,
-    unit_for,
-    with_manual,
-)
+from undrift.io.labelled import Label, Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet, unit_for, with_manual
 from undrift.io.mocap import Markers, Up, markers_of
 from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
 from undrift.io.text import Text, open_text, parse_text
@@ -831,9 +821,7 @@ DIALECTS: dict[str, Dialect] = {
     ),
     "sensor_logger": Dialect(head=rb"\Atime,seconds_elapsed,", finish=(_sensor_logger_labels,)),
     "sensorlog": Dialect(
-        head=rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)",
-        opposite=True,
-        finish=(_one_gyroscope,),
+        head=rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)", opposite=True, finish=(_one_gyroscope,)
     ),
     "physics_toolbox": Dialect(  # the g-force meter holds gravity, the linear accelerometer does not; time in s or of the day
         head=rb"\Atime[,;](gFx[,;]gFy|ax[,;]ay[,;]az[,;](aT|wx|gFx))",
@@ -848,9 +836,7 @@ DIALECTS: dict[str, Dialect] = {
         finish=(_signed_by_rests,),
     ),
     "matlab_mobile": Dialect(  # timetables that writetimetable writes; the file's name says which
-        head=rb"\ATimestamp,X,Y,Z\r?\n",
-        maker="MATLAB Mobile",
-        finish=(_matlab_labels, _signed_by_rests),
+        head=rb"\ATimestamp,X,Y,Z\r?\n", maker="MATLAB Mobile", finish=(_matlab_labels, _signed_by_rests)
     ),
     "mobgap": Dialect(
         head=rb"\Asamples,acc_x,acc_y,acc_z,gyr_x",

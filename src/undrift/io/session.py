@@ -60,7 +60,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
 from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim
-from undrift.io.formats import read_record
+from undrift.io.formats import read_record, without
 from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
 from undrift.io.text import open_text, parse_text
@@ -87,7 +87,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, g
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # For undrift's own names
-NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file"}
+NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file", "leave_out"}
 _SEAL = "# sha256 of all below: "
 ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
@@ -189,6 +189,9 @@ class MapEntry(TomlTable):
     gaps: Gaps = "raise"  # "raise" or "keep"
     repair_time: bool = False  # Leave out rows whose time does not go forward
     clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
+    leave_out: tuple[
+        tuple[Finite, Finite], ...
+    ] = ()  # Stretches, s on the recording's clock: cut off at its ends, gaps between
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
@@ -267,7 +270,9 @@ def _chosen(entry: KeptEntry, choices: Mapping[str, Any], folder: Path) -> tuple
 
 def _settings(entry: KeptEntry, folder: Path) -> ReadSettings:
     given: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
-    held = {key: getattr(entry, key) for key in ("sample_rate_hz", "repair_time", "drop_bad_rows", "sensor")}
+    held = {
+        key: getattr(entry, key) for key in ("sample_rate_hz", "repair_time", "drop_bad_rows", "sensor", "leave_out")
+    }
     return ReadSettings(temp_file=entry.thermometer(folder), **given, **held)
 
 
@@ -312,7 +317,7 @@ def entry_of(file_map: FileMap | None) -> KeptEntry:
 
 def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
-    alone = ("file", "temp_file", "sha256")  # keys that no other recording shares
+    alone = ("file", "temp_file", "sha256", "leave_out")  # keys that no other recording shares
     held = [file_map_of(entry, without=alone) for entry in entries]
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
 
@@ -636,7 +641,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
     settings = _settings(entry, folder)
     settings = settings if clock is None else replace(settings, clock=clock)
     if not maps and (pair := phone_pair([folder / name for name in names])):
-        return read_phone_pair(*pair, settings).record
+        return without(read_phone_pair(*pair, settings).record, settings.leave_out)
     records = tuple(
         read_record(folder / name, columns, settings=settings if k == 0 else replace(settings, temp_file=None))
         for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))
