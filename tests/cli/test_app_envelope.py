@@ -209,7 +209,7 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch
         time.sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "undrift twin: reading, 0 s so far, time left not known yet"
-    assert lines[-1] == "undrift twin: held out: recording 2 of 4, 30 s so far, about 10 s left"
+    assert lines[-1] == "undrift twin: held out: recording 2 of 4, 30 s so far, about 10 s left (75 %)"
     time.sleep(0.1)
     assert capsys.readouterr().err == ""  # nothing more once it ends
 
@@ -227,7 +227,7 @@ def test_a_piped_leave_one_out_tells_how_far_it_is(tmp_path):
     lines = done.stderr.splitlines()
     show("lines", lines)
     assert all(
-        re.fullmatch(r"undrift validate: .+, \d+ s so far, (about \d+ s left|time left not known yet)", line)
+        re.fullmatch(r"undrift validate: .+, \d+ s so far, (about \d+ s left \(\d+ %\)|time left not known yet)", line)
         for line in lines
     )
     assert any("fit without recording 2 of 2" in line for line in lines)

@@ -53,8 +53,9 @@ def test_add_list_show_and_find_give_the_file_back(undrift, made, place, tmp_pat
     path = made("c.json", 10)
     first = undrift.good("registry", "add", path)
     due = (NOW - timedelta(days=10)).replace(year=(NOW - timedelta(days=10)).year + 1)
-    assert first.out == f"Registered as entry 1: calibration of A17, due {due:%Y-%m-%d}\n"
-    assert undrift.good("registry", "add", path).out == "Already registered as entry 1: calibration of A17\n"
+    follows = "Next: undrift registry list --serial=A17\n"
+    assert first.out == f"Registered as entry 1: calibration of A17, due {due:%Y-%m-%d}\n{follows}"
+    assert undrift.good("registry", "add", path).out == f"Already registered as entry 1: calibration of A17\n{follows}"
     listed = undrift.good("registry", "list", "--json").json()
     assert listed["registry"] == str(place)
     (device,) = listed["devices"]

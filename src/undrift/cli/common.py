@@ -8,6 +8,7 @@ Messages and progress go to stderr. Nothing here imports numpy or rich before a 
 
 import inspect
 import json
+import os
 import shlex
 import sys
 import textwrap
@@ -111,7 +112,7 @@ def _wrapped(line: str, width: int, **options: Any) -> list[str]:
     return textwrap.wrap(line, max(1, width - max(0, cell_len(line) - len(line))), **options) or [""]
 
 
-SAID_EVERY_S = 8.0  # where stderr is not a terminal
+SAID_EVERY, SAID_EVERY_S = "UNDRIFT_PROGRESS_S", 8.0  # where stderr is not a terminal; the variable states another
 
 
 class ProgressBar:
@@ -156,9 +157,11 @@ class ProgressBar:
         self._bar.update(self._task, description=self._what, completed=share)
 
     def _tell(self) -> None:
-        while not self._stop.wait(SAID_EVERY_S):
+        while not self._stop.wait(float(os.environ.get(SAID_EVERY, SAID_EVERY_S))):
             passed_s, share = time.monotonic() - self._began_s, self._share
-            left = f"about {passed_s * (1.0 - share) / share:.0f} s left" if share > 0.0 else "time left not known yet"
+            left = "time left not known yet"
+            if share > 0.0:
+                left = f"about {passed_s * (1.0 - share) / share:.0f} s left ({100.0 * share:.0f} %)"
             sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {left}\n")
             sys.stderr.flush()
 

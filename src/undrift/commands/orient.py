@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from undrift import __version__
 from undrift.base.options import Flag, Output, Picture, Side, verb
-from undrift.base.summary import Result, Section, Summary, at, figure_of, number, today
+from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, number, today
 from undrift.commands import Progress, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
@@ -112,6 +112,7 @@ class Oriented(Result):
             findings=found.findings,
             notes=self.notes,
             written=(self.pdf,),
+            next=(*CALLED.get(), "--pdf", self.output.with_suffix(".pdf")) if CALLED.get() and self.pdf is None else (),
         )
 
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Files, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
-from undrift.commands.files import check_figure, check_output, save_json, stated_date, temperatures
+from undrift.commands.files import check_figure, check_output, ends_of, save_json, stated_date
 from undrift.commands.register import ValidMonths, Where, entry_json, open_place, registered_lines
 from undrift.errors import InputError, UndriftError
 
@@ -85,14 +85,14 @@ def add(
         )
     stated = replace(
         _stated(about),
-        temp_c=None if valid_temp_c is None else temperatures("`valid_temp_c`", valid_temp_c),
+        temp_c=None if valid_temp_c is None else ends_of("`valid_temp_c`", valid_temp_c),
         made_at=None if date is None else stated_date(date),
         supersedes=supersedes,
         note=note,
     )
     with open_place(where, station=about.station) as held:
         added = held.add(*new_entries(list(files), stated, held))
-    return _added([one.entry for one in added], [entry_json(one.entry) | {"new": one.new} for one in added])
+    return _added([one.entry for one in added], [entry_json(one.entry) | {"new": one.new} for one in added], where)
 
 
 @verb
@@ -230,12 +230,8 @@ def trend(*, serial: str, figure: Picture = None, where: Where = None) -> Regist
     shown = Summary(
         title=f"Trend of {serial}",
         answer=f"{serial}: {answer}.",
-        data={
-            "serial": serial,
-            "headline": answer,
-            "since_first": _step_json(from_first[-1]),
-            "steps": [_step_json(step) for step in steps],
-        },
+        data={"serial": serial, "headline": answer, "since_first": _step_json(from_first[-1])}
+        | {"steps": [_step_json(step) for step in steps]},
         pictures=(drawing,),
         sections=(
             *(replace(step_section(step), columns=(), rows=()) for step in steps[:-1]),
@@ -359,7 +355,7 @@ def import_folder(folder: Path, /, *, about: About = About(), where: Where = Non
         raise InputError(
             f"{folder}: wanted sessions, runs, calibrations or certificates in it, got none; name another folder"
         )
-    return _added(entries, rows, refused)
+    return _added(entries, rows, where, refused)
 
 
 def _stated(about: About) -> "Stated":
@@ -434,7 +430,7 @@ def _table(
 
 
 def _added(
-    entries: "list[Entry]", rows: list[dict[str, Any]], refused: list[dict[str, str]] | None = None
+    entries: "list[Entry]", rows: list[dict[str, Any]], where: str | None, refused: list[dict[str, str]] | None = None
 ) -> RegistryListing:
     """Return what was added, and what was refused."""
     lines = (*registered_lines(rows), *(f"Refused: {one['why']}" for one in refused or ()))
@@ -443,6 +439,9 @@ def _added(
         answer=lines[0],
         data={"entries": rows} | ({} if refused is None else {"refused": refused}),
         sections=(Section(title="Others", text=lines[1:]),),
+        next=("registry", "list", f"--serial={rows[0]['serial']}", *(["--registry", where] if where else []))
+        if rows
+        else (),
     )
     return RegistryListing(values=tuple(entries), shown=shown)
 

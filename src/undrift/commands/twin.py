@@ -45,8 +45,11 @@ class Twinned(Result):
         answer = f"{known} of {len(fitted.parameters)} parameters of the device are identifiable"
         if held_out:
             differences = np.concatenate([one.errors.pitch for one in held_out]) / RADIAN_PER_DEGREE
-            median = f"{_spread(differences)['median']:.2f} deg, median over {held_out[0].window_s:g} s"
-            answer += f"; held out, its pitch differs from the real device's by {median}"
+            median, most, _ = _spread(differences).values()
+            answer += (
+                f"; held out, its pitch differs from the real device's by at most {most:.2f} deg in 95 % of windows of "
+            )
+            answer += f"{held_out[0].window_s:g} s (median {median:.2f} deg)"
         alone = "one recording: none could be held out; add a second one to see how well the twin predicts"
         drawing = figure_of("figures:draw_held_out", held_out)
         beyond = (item for one in held_out if (item := one.excitation.finding(one.recording)) is not None)
