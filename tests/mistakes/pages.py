@@ -36,7 +36,10 @@ async def _dropped(case: Case, folder: Path, visit: Visit) -> StoredFile:
     held = await visit.recordings.add(one.write(folder, "recording0.csv"))
     if held.needs_map:
         units = {"gyro": one.units["gyro"], "accel": one.units["accel"]}
-        await visit.recordings.write_map(held, sample_rate_hz=one.sample_rate_hz, units=units)
+        visit.recordings.draft["units"] |= units
+        if "sample_rate_hz" in visit.recordings.draft:
+            visit.recordings.draft["sample_rate_hz"] = one.sample_rate_hz
+        await visit.recordings.use_map(held)
     return held
 
 
@@ -65,7 +68,7 @@ async def _calibrated(case: Case, folder: Path, visit: Visit) -> None:
 
 def _made(told: Told, ending: str) -> Path:
     visit = told.answer
-    return next(path for one in visit.recordings.files for path in one.made.values() if path.name.endswith(ending))
+    return next(path for one in visit.library.files for path in one.made.values() if path.name.endswith(ending))
 
 
 def corrected_error(case: Case, _: Path, told: Told) -> Wrong:

@@ -229,10 +229,10 @@ async def _page(case: Case, folder: Path) -> Told:
     finally:
         bench_module.run_command = before
         bench.close()
-    errors = [one.error for one in visit.recordings.files if one.error]
+    errors = [one.error for one in visit.library.files if one.error]
     errors += [bench.job.error] if bench.job is not None and bench.job.error else []
-    shown = tuple(dict.fromkeys(texts_of([visit.recordings.files, bench.job])))
-    notes = tuple(texts_of([visit.recordings.files, bench.job], "info"))
+    shown = tuple(dict.fromkeys(texts_of([visit.library.files, bench.job])))
+    notes = tuple(texts_of([visit.library.files, bench.job], "info"))
     return Told(2 if errors else 0, " | ".join(errors), shown, notes, visit)
 
 

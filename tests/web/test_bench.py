@@ -14,10 +14,11 @@ from undrift.commands.bench.library import StoredFile
 from undrift.commands.correct import correct
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
-from undrift.web.bench import Bench, ServerSettings
+from undrift.web.bench import Bench, ServerSettings, Working
 from undrift.web.commands import CommandOutcome
 from undrift.web.parts import page_words
 from undrift.web.place import Site, place_of, towns
+from undrift.web.result import certify
 
 FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "standard"}}}
 
@@ -106,7 +107,7 @@ def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
 
 def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
     held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
-    held.wearing.forward, held.wearing.up = "-z", "+x"
+    held.form.forward, held.form.up = "-z", "+x"
     for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
         asyncio.run(work)
     orient, validate, correct = bench.calls
@@ -120,13 +121,13 @@ def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(b
     held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     with pytest.raises(InputError, match="wanted the place where the device is worn, got none; choose it"):
         asyncio.run(held.mount(one))
-    held.wearing.worn, held.wearing.movement = "shank", "squat"
+    held.form.worn, held.form.movement = "shank", "squat"
     found = {"statement": "Shank: side -z", "sides": {"forward": "-z", "up": "+x"}, "output": None}
     bench.answer = CommandOutcome(code=0, answer=found)
     asyncio.run(held.mount(one))
     assert "-o" not in bench.calls[-1]
     assert "--output" not in bench.calls[-1]
-    assert (held.wearing.forward, held.wearing.up, one.mounting) == ("-z", "+x", "Shank: side -z")
+    assert (held.form.forward, held.form.up, one.mounting) == ("-z", "+x", "Shank: side -z")
     held.visit.calibration = bench.folder / "calibration.json"
     bench.answer = CommandOutcome(code=0, answer=found | {"output": "uploads/walk-worn.json"})
     asyncio.run(held.mount(one))
@@ -146,8 +147,8 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
     asyncio.run(held.run(one, "orient"))
     assert "--offset" not in bench.calls[-1]  # each command then does what it does by itself
     for chosen in get_args(get_type_hints(correct)["offset"]):
-        assert chosen in {field.name: field for field in fields(held.subtracted)}["offset"].metadata["options"]
-        held.subtracted.offset = chosen
+        assert chosen in {field.name: field for field in fields(held.form)}["offset"].metadata["options"]
+        held.form.offset = chosen
         for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
             asyncio.run(work)
             call = bench.calls[-1]
@@ -175,7 +176,7 @@ def test_a_rate_that_a_command_asks_for_can_be_stated_on_the_page(bench):
     assert one.needs_rate
     assert page_words(one.error).endswith("say “Samples per second, Hz” 100")
     asyncio.run(bench.visit("tab").recordings.state_rate(one, 100.0))
-    assert bench.calls[0][2:] == ["--map", "map.toml", "--sample-rate-hz", "100.0"]
+    assert bench.calls[0][2:6] == ["--map", "map.toml", "--sample-rate-hz", "100.0"]
     assert not one.needs_rate
 
 
@@ -189,3 +190,69 @@ def test_options_are_called_as_the_page_calls_them():
     )
     assert page_words("say --gyro none") == "say “Calibrate the accelerometers alone”"
     assert page_words("say --upload-mb 5") == "say --upload-mb 5"
+
+
+def test_a_stretch_is_left_out_on_the_clock_of_the_recording_and_a_refusal_changes_nothing(bench):
+    held, folder = bench.visit("tab").recordings, bench.folder / "uploads" / "x"
+    folder.mkdir(parents=True)
+    about = {"kind": "recording", "trace": {"span_s": [1000.0, 1060.0]}}
+    one = StoredFile(
+        path=folder / "walk.csv", about=about, made={"orient: a.csv": folder / "a.csv", "map": folder / "map.toml"}
+    )
+    bench.answer = CommandOutcome(code=0, answer=about)
+    asyncio.run(held.leave_out(one, "leave", 2.5, 4.0))
+    assert one.options() == ("--leave-out", "1002.500000:1004.000000")
+    assert list(one.made) == ["map"]  # what was made of the whole is gone
+    asyncio.run(held.leave_out(one, "none", 0.0, 0.0))
+    assert one.options() == ()
+    asyncio.run(held.leave_out(one, "alone", 10.0, 50.0))
+    assert one.options() == ("--leave-out", "1000.000000:1010.000000,1050.000000:1061.000000")
+    bench.answer = CommandOutcome(
+        code=2, error="leave_out: wanted two samples or more that stay, got 0; leave out less"
+    )
+    with pytest.raises(InputError, match="wanted two samples or more that stay"):
+        asyncio.run(held.leave_out(one, "leave", 0.0, 70.0))
+    assert (one.about, one.error, len(one.out_s)) == (about, "", 2)
+    assert Bench(bench.settings).library.files == []  # no file of it is there
+
+
+def test_what_each_offset_gives_is_what_correct_answers_or_why_it_does_not(bench):
+    visit, one = bench.visit("tab"), StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    visit.calibration = bench.folder / "c.json"
+    answers = {
+        "none": CommandOutcome(code=0, answer={"recordings": [{"rest": None}]}),
+        "rest": CommandOutcome(code=2, error="walk.csv: wanted a rest, got none"),
+        "motion": CommandOutcome(
+            code=0,
+            answer={
+                "recordings": [{"rest": {"offset_dps": [0.1, -0.2, 0.3], "offset_uncertainty_dps": [0.03, 0.0, 0.04]}}]
+            },
+        ),
+    }
+
+    async def command(*words, folder=None):
+        return answers[words[words.index("--offset") + 1]]
+
+    bench.command = command
+    asyncio.run(visit.recordings.compare_offsets(one))
+    assert visit.recordings.offsets[one.path] == {
+        "none": "nothing is subtracted",
+        "rest": "walk.csv: wanted a rest, got none",
+        "motion": "0.100, -0.200, 0.300 deg/s about x, y, z, within 0.1 (95 %)",
+    }
+
+
+def test_the_certificate_states_what_was_typed(bench):
+    job = bench.new_job()
+    asyncio.run(certify(bench, job, {"laboratory": " Lab ", "number": "", "ambient_temp_c": "-2:3"}))
+    call = bench.calls[-1]
+    assert call[call.index("--laboratory") + 1] == "Lab"
+    assert call[call.index("--ambient-temp-c") + 1] == "-2:3"
+    assert "--number" not in call
+
+
+def test_how_far_a_command_is_is_what_it_states():
+    now = Working("calibrate", line="undrift calibrate: fitting, 9 s so far, about 9 s left (50 %)")
+    assert now.share == 0.5
+    now.line = "undrift calibrate: reading, 9 s so far, time left not known yet"
+    assert now.share is None

@@ -17,7 +17,7 @@ from testkit.web_server import listening
 from undrift.commands.bench.source import Update
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE
-from undrift.web.feed import HISTORY_S, MOST_BROWSERS, MOST_WAITING, Feed, encoded
+from undrift.web.feed import HISTORY_S, MOST_BROWSERS, MOST_WAITING, Feed, encoded, trace_frame
 
 
 def decoded(data: bytes) -> dict[str, Any]:
@@ -276,3 +276,22 @@ def test_no_more_browsers_than_the_most():
         await asyncio.gather(*tasks)
 
     asyncio.run(play())
+
+
+def test_a_trace_is_sent_by_as_many_rows_as_are_asked_for_least_and_greatest_of_each(tmp_path) -> None:
+    table = np.zeros(1000, dtype=[("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)])
+    table["time"] = 1.7e9 + np.arange(1000) / 100.0
+    table["gyro"][:, 1], table["accel"][500, 2] = np.sin(np.arange(1000)), 9.0
+    table["accel"][:, 0], table["q_nb"][:, 0] = np.nan, np.arange(1000)
+    np.save(tmp_path / "trace.npy", table)
+    whole = decoded(trace_frame(tmp_path / "trace.npy", 0.0, 99.0, 100))
+    assert (whole["kind"], len(whole["time"]), whole["time"][0]) == (1, 100, 0.0)
+    assert (whole["least"][5][50], whole["most"][5][50], max(whole["most"][5][:50])) == (0.0, 9.0, 0.0)
+    for k in range(100):
+        lines = np.sin(np.arange(10 * k, 10 * k + 10)).astype("f4")
+        assert (whole["least"][1][k], whole["most"][1][k]) == (lines.min(), lines.max())
+    assert whole["least"][6] == whole["most"][6] == [10.0 * k for k in range(100)]  # orientations that there were
+    assert np.isnan(whole["least"][3]).all()
+    part = decoded(trace_frame(tmp_path / "trace.npy", 5.0, 5.2, 100))
+    assert part["kind"] == 0  # every reading
+    np.testing.assert_allclose(part["time"], np.arange(4.99, 5.205, 0.01), atol=1e-5)

@@ -64,12 +64,21 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     spans["result"] = time.monotonic() - began
     hand.click("Register the calibration")
     page.get_by_text("Registered as entry").wait_for(timeout=COMMAND_MS)
+    page.get_by_text("What the certificate states, and its limits").click()
+    page.get_by_label("Laboratory").fill("Lab of room 2")
+    page.get_by_label("Decision rule").select_option("guard")
+    page.get_by_label("Part, by its preset").fill("mpu6050")
+    shoot(page, "certificate-statement")
     hand.click("Make the certificate")
     with page.expect_download(timeout=COMMAND_MS) as download:
         hand.click("Download certificate", "link")
     spans["certificate"] = time.monotonic() - began
     assert download.value.path().read_bytes().startswith(b"%PDF")
     shoot(page, "result-with-certificate")
+    (about,) = bench_server.folder.glob("jobs/*/.bench.json")
+    certified = json.loads(about.read_text())["later"][-1]
+    assert certified["statement"]["laboratory"] == "Lab of room 2"
+    assert certified["conformity"]["rows"]
     print(
         f"\n{hand.clicks} clicks; seconds passed at " + ", ".join(f"{name} {span:.0f}" for name, span in spans.items())
     )

@@ -63,7 +63,7 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
         return page
 
     with bench_process(tmp_path / "bench") as server:
-        page = opened(server, "recordings")
+        page = opened(server, "check")
         page.get_by_label("Choose files").set_input_files(phone_files(tmp_path / "sent"))
         expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
         page.get_by_label("Choose files").set_input_files(tmp_path / "walk.parquet")
@@ -77,7 +77,7 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
         server.process.join()
     began = time.monotonic()
     with bench_process(tmp_path / "bench") as server:
-        page = opened(server, "recordings")
+        page = opened(server, "check")
         files = page.locator(".bench-list .choose")
         expect(files).to_have_text(names)
         print(f"\n2 of 2 files are listed again {time.monotonic() - began:.1f} s after the restart")

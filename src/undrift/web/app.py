@@ -2,10 +2,11 @@
 
 import asyncio
 import contextlib
+import os
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
-from typing import IO
+from typing import IO, Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -20,26 +21,18 @@ from undrift.errors import InputError, UndriftError
 from undrift.web import device, devices, guided, live, parts, rate_table, recordings, temperature
 from undrift.web.access import Access, allowed
 from undrift.web.bench import Bench, ServerSettings, Visit
-from undrift.web.feed import STATIC, Feed
+from undrift.web.feed import STATIC, Feed, trace_frame
 from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
 CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
 BUILT: dict[str, Callable[[Visit], None]] = {
-    "/": device.home,
-    "/readings": device.page,
-    "/six-faces": partial(guided.page, "Six faces"),
-    "/turns": partial(guided.page, "Turns by hand"),
-    "/rate-table": rate_table.page,
-    "/temperature": temperature.page,
-    "/live": live.page,
-    "/check": recordings.check_page,
-    "/calibrate": recordings.calibrate_page,
-    "/use": recordings.use_page,
-    "/registry": devices.page,
-}
-MOVED = {"/recordings": "/check", "/result": "/calibrate", "/devices": "/registry"}  # addresses of earlier versions
+    "/": device.home, "/readings": device.page, "/six-faces": partial(guided.page, "Six faces"),
+    "/turns": partial(guided.page, "Turns by hand"), "/rate-table": rate_table.page, "/temperature": temperature.page,
+    "/live": live.page, "/check": recordings.check_page, "/calibrate": recordings.calibrate_page,
+    "/use": recordings.use_page, "/registry": devices.page,
+}  # fmt: skip
 
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
@@ -49,6 +42,7 @@ def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
 
 
 def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]) -> None:
+    os.environ.setdefault("UNDRIFT_PROGRESS_S", "1")  # of the commands that it runs: how far they are
     bench, listener = Bench(settings), listen(settings.host, settings.port)
     port = listener.getsockname()[1]
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
@@ -57,14 +51,9 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
     address = f"http://{host}:{port}/" + (f"?token={settings.token}" if settings.token else "")
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token),
-        log_level="warning",
-        access_log=False,
-        ws_max_size=1 << 20,
-        ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
-        timeout_graceful_shutdown=2,
-        http=Prompt,
-        server_header=False,
-    )
+        log_level="warning", access_log=False, timeout_graceful_shutdown=2, http=Prompt, server_header=False,
+        ws_max_size=1 << 20, ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
+    )  # fmt: skip
     try:
         uvicorn.Server(config).run(sockets=[listener])
     finally:
@@ -124,6 +113,14 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
             )
         return answer
 
+    @made.get("/trace/{name:path}")
+    def get_trace(name: str, start: float, stop: float, rows: int) -> Response:
+        try:
+            frame = trace_frame(bench.inside(name), start, stop, min(rows, 4000))
+            return Response(frame, media_type="application/octet-stream")
+        except (InputError, ValueError, IndexError, OSError):
+            return PlainTextResponse("trace: wanted readings of a file, got others; choose a recording\n", 404)
+
     @made.post("/upload")
     async def upload(request: Request) -> Response:
         try:
@@ -142,32 +139,17 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
     Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
     pages_app.add_static_files("/static", STATIC)
-    for old, new in MOVED.items():
-        made.add_api_route(old, partial(_moved, new))
     for path, name in texts()["pages"].items():
         _add_page(bench, path, name)
-    ui.run_with(
-        made,
-        title="undrift bench",
-        dark=None,
-        language="en-US",
-        tailwind=False,
-        reconnect_timeout=10.0,
-        show_welcome_message=False,
-    )
+    look: dict[str, Any] = {"title": "undrift bench", "dark": None, "language": "en-US", "tailwind": False}
+    ui.run_with(made, reconnect_timeout=10.0, show_welcome_message=False, **look)
     return made
-
-
-def _moved(new: str, request: Request) -> Response:
-    return RedirectResponse(new + (f"?{request.url.query}" if request.url.query else ""))
 
 
 def _add_page(bench: Bench, path: str, name: str) -> None:
     async def build(job: str = "", key: str = "") -> None:
-        ui.add_head_html(
-            '<link rel="stylesheet" href="/static/bench.css"><script src="/static/bench.js" defer></script>'
-            '<script src="/static/drawings.js" defer></script>'
-        )
+        scripts = (f'<script src="/static/{name}.js" defer></script>' for name in ("bench", "drawings"))
+        ui.add_head_html('<link rel="stylesheet" href="/static/bench.css">' + "".join(scripts))
         client = ui.context.client
         rail, main = parts.frame(bench, name)
         try:
@@ -179,9 +161,8 @@ def _add_page(bench: Bench, path: str, name: str) -> None:
         opened, home = bench.job_in(bench.folder / "jobs" / job), path in ("/", "/registry")
         key = key or (opened.device if opened else visit.key)
         every = bench.library.devices
-        visit.enter(
-            None if home else next((one for one in every if one.folder.name == key), every[0] if every else None)
-        )
+        first = every[0] if every else None
+        visit.enter(None if home else next((one for one in every if one.folder.name == key), first))
         visit.shown, visit.at_home = opened or visit.shown, home
         if not home:
             with rail:

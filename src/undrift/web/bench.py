@@ -1,15 +1,8 @@
-"""The bench: what is connected, what is being recorded, what was made. All of it lives on the server; pages show it.
-
-A folder holds everything that the bench writes::
-
-    jobs/2026-11-23-0915-SERIAL/    session.toml and readings, calibration.json, report.html, certificate.pdf
-    uploads/                        files that were dropped on the page Check, and what was made of them
-    .lock                           locked while a bench is at work; the address at which it listens
-    registry/                       calibrations, certificates and pictures that the page Registry asked for
-"""
+"""The bench: what is connected, recorded and made, on the server; pages show it. commands/bench/library.py has its folder."""
 
 import asyncio
 import json
+import re
 import time
 import tomllib
 from collections.abc import Sequence
@@ -68,6 +61,12 @@ class Working:
     def words(self) -> str:
         """Say what is done, for how long, and its last line."""
         return f"Working: {self.what}, {time.monotonic() - self.began:.0f} s. {self.line}"
+
+    @property
+    def share(self) -> float | None:
+        """Return how much of it is done, as the command states it."""
+        percent = re.search(r"\((\d+) %\)$", self.line)
+        return percent and float(percent[1]) / 100.0
 
     def cancel(self) -> None:
         """End it; what it was to write is not there."""
@@ -264,6 +263,7 @@ class Visit:
         self.addresses, self.filled = replace(bench.table.addresses), 0  # the latter: how often by other than typing
         self.rates, self.soaks = ProtocolForm(), ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
         self.speed = "1"  # of the emulated table
+        self.statement = dict[str, str]()  # of the laboratory, for certificates
 
     @property
     def device(self) -> KnownDevice | None:
@@ -284,6 +284,10 @@ class Visit:
             device = self.library.new_device()
             self.key = device.folder.name
         return device
+
+    async def search(self) -> None:
+        """Look for devices and ports that can be connected."""
+        self.ways, self.filled = (await self.bench.command("record")).answer, self.filled + 1
 
     async def connect(self, address: str) -> str | None:
         """Connect the device by an address; its serial number is what it states."""

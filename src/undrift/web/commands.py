@@ -71,12 +71,9 @@ async def run_command(
     """Run a command in a folder; each line of its stderr is handed on as it comes."""
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "undrift", *map(str, words), "--json"),
-        cwd=folder,
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
+        cwd=folder, limit=LARGEST_LINE, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        limit=LARGEST_LINE,
-    )
+    )  # fmt: skip
     answer, words_of_it = cast(tuple[asyncio.StreamReader, asyncio.StreamReader], (child.stdout, child.stderr))
     lines: list[str] = []
 

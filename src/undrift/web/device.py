@@ -96,12 +96,9 @@ def identity(visit: "Visit") -> None:
         device.save()
 
     with parts.row("form"):
-        parts.Field(
-            "Serial number", device.serial if device else "", hint="required to calibrate", keep=partial(keep, "serial")
-        )
-        parts.Field(
-            "Name", device.title if device else "", hint="such as: imu3, phone of room 2", keep=partial(keep, "title")
-        )
+        hints = {"serial": ("Serial number", "required to calibrate"), "title": ("Name", "such as: phone of room 2")}
+        for name, (label, hint) in hints.items():
+            parts.Field(label, getattr(device, name, ""), hint=hint, keep=partial(keep, name))
 
 
 def _cards(visit: "Visit") -> None:
@@ -124,16 +121,13 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
     """Add what connects a device: those that are found, presets, an address; and say what is connected."""
     bench = visit.bench
 
-    async def search() -> None:
-        visit.ways = (await bench.command("record")).answer
-
     def preset(name: str) -> None:
         visit.address = parts.texts()["presets"].get(name, "")
         address.set(visit.address)
 
     with parts.section("Device"):
         parts.status_line(lambda: parts.device_line(bench), "")
-        parts.button("Look for devices", search)
+        parts.button("Look for devices", visit.search)
         parts.redrawn(lambda: visit.ways, lambda: _found(visit))
         parts.Field("Kind of device", options=("", *parts.texts()["presets"]), keep=preset)
         address = parts.Field("Address of the device", visit.address, keep=partial(setattr, visit, "address"))
@@ -148,11 +142,8 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
 def _found(visit: "Visit") -> None:
     """List what was found; a click connects it."""
     ways = {"serial_ports": "serial://", "ble_devices": "ble:", "lsl_streams": "lsl:"}
-    senders = [
-        (kind + next(iter(one.values())), one["device"])
-        for way, kind in ways.items()
-        for one in visit.ways.get(way, ())
-    ]
+    pairs = [(kind, one) for way, kind in ways.items() for one in visit.ways.get(way, ())]
+    senders = [(kind + next(iter(one.values())), one["device"]) for kind, one in pairs]
     for address, about in senders:
         parts.button(f"{address.partition(':')[2].lstrip('/')}: {about}", partial(visit.connect, address))
     if visit.ways and not senders:

@@ -3,6 +3,7 @@
 It shows what the commands ``undrift registry`` answer; the files that they wrote for it stand in a folder of the bench.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -124,9 +125,8 @@ def _shown(devices: Devices, client: Any) -> None:
         parts.next_step("Calibrate a device", "/")
         return
     heads = ("device", "state", "calibrated", "due", "entries")
-    parts.table(
-        "Devices, the most urgent first", heads, [_device_cells(devices, row) for row in devices.rows], "records"
-    )
+    rows = [_device_cells(devices, row) for row in devices.rows]
+    parts.table("Devices, the most urgent first", heads, lambda: rows, devices.choose)
     if devices.chosen is None:
         first = devices.rows[0]["serial"]
         parts.next_step(f"Show {first}", partial(devices.choose, first))
@@ -144,16 +144,11 @@ def state_words(row: dict[str, Any]) -> tuple[str, str]:
     return (f"due in {days} days", "marginal") if days < SOON_DAYS else (f"valid, {days} days left", "good")
 
 
-def _device_cells(devices: Devices, row: dict[str, Any]) -> tuple[Any, ...]:
+def _device_cells(devices: Devices, row: dict[str, Any]) -> Sequence[object]:
     serial, calibration = row["serial"], row["calibration"] or {}
-    choose = partial(parts.button, serial, partial(devices.choose, serial), pressed=serial == devices.serial)
-    return (
-        parts.Parts(choose),
-        state_words(row),
-        _day(calibration, "made_at"),
-        _day(calibration, "due_at"),
-        str(row["entries"]),
-    )
+    days = [_day(calibration, name) for name in ("made_at", "due_at")]
+    choose = ["", "", [[serial, serial, "", serial == devices.serial]]]
+    return [choose, state_words(row), *days, str(row["entries"])]
 
 
 def _device(devices: Devices, row: dict[str, Any], client: Any) -> None:
@@ -169,37 +164,37 @@ def _device(devices: Devices, row: dict[str, Any], client: Any) -> None:
     _trend(devices)
     parts.text("h2", "Entries")
     heads = ("entry", "file", "made", "due", "valid, °C", "verdict", "by", "note")
-    rows = [_entry_cells(devices, entry, client) for entry in reversed(devices.entries)]
-    parts.table(f"Entries of {row['serial']}, the newest first", heads, rows, "records")
+    rows = [_entry_cells(devices, entry) for entry in reversed(devices.entries)]
 
-
-def _entry_cells(devices: Devices, entry: dict[str, Any], client: Any) -> tuple[Any, ...]:
-    span, later, number, kind = (entry[name] for name in ("valid_temp_c", "superseded_by", "entry", "kind"))
-
-    async def download() -> None:
-        path = await devices.fetch(entry)
-        if path is not None:
+    async def press(key: str) -> None:
+        what, number = key.split()
+        entry = next(one for one in devices.entries if str(one["entry"]) == number)
+        if what == "use":
+            await devices.use(entry)
+        elif (path := await devices.fetch(entry)) is not None:
             client.download(devices.bench.link(path) + "?download=1", path.name)
 
-    def actions() -> None:
-        if kind in ENDINGS:
-            parts.button("Download", download, name=f"Download entry {number}")
-        if kind == "calibration" and not later and entry["verdict"] != "bad":
-            if devices.is_used(entry):
-                parts.text("span", "in use", "good")
-            else:
-                parts.button("Use", partial(devices.use, entry), name=f"Use entry {number}")
+    parts.table(f"Entries of {row['serial']}, the newest first", heads, lambda: rows, press)
 
-    return (
+
+def _entry_cells(devices: Devices, entry: dict[str, Any]) -> Sequence[object]:
+    span, later, number, kind = (entry[name] for name in ("valid_temp_c", "superseded_by", "entry", "kind"))
+    buttons = [["Download", f"download {number}", f"Download entry {number}"]] if kind in ENDINGS else []
+    used = devices.is_used(entry)
+    if kind == "calibration" and not (later or used) and entry["verdict"] != "bad":
+        buttons.append(["Use", f"use {number}", f"Use entry {number}"])
+    days, note = [_day(entry, name) for name in ("made_at", "due_at")], f"superseded by {later}" if later else ""
+    valid, verdict = "–" if span is None else f"{span[0]:.1f} to {span[1]:.1f}", str(entry["verdict"] or "–")
+    notes = ["; ".join(filter(None, (note, str(entry["note"])))), "records-note"]
+    return [
         f"{number} {kind}",
-        parts.Parts(actions),
-        _day(entry, "made_at"),
-        _day(entry, "due_at"),
-        "–" if span is None else f"{span[0]:.1f} to {span[1]:.1f}",
-        str(entry["verdict"] or "–"),
+        ["in use" if used else "", "good", buttons],
+        *days,
+        valid,
+        verdict,
         str(entry["added_by"]),
-        ("; ".join(filter(None, (f"superseded by {later}" if later else "", str(entry["note"])))), "records-note"),
-    )
+        notes,
+    ]
 
 
 def _trend(devices: Devices) -> None:
@@ -216,18 +211,13 @@ def _trend(devices: Devices) -> None:
                 parts.text("li", _sentence(words))
     parts.picture(devices.picture)
     with parts.folded(f"Every parameter since {last['since']['made_at'][:10]}"):
+        keys = {"change": "+.3g", "uncertainty": ".2g", "unit": "", "sigmas": ".1f"}
         rows = [
-            (
-                f"{one['sensor']} {one['parameter']}",
-                f"{one['change']:+.3g}",
-                f"{one['uncertainty']:.2g}",
-                one["unit"],
-                f"{one['sigmas']:.1f}",
-            )
+            [f"{one['sensor']} {one['parameter']}", *(format(one[key], how) for key, how in keys.items())]
             for one in last["changes"]
         ]
         heads = ("parameter", "change", "uncertainty", "unit", "sigma")
-        parts.table("Changes with their standard uncertainty", heads, rows, "records")
+        parts.table("Changes with their standard uncertainty", heads, lambda: rows)
         for words in last["not_compared"]:
             parts.text("p", f"Not compared: {words}.", "soft")
 

@@ -24,10 +24,7 @@ def listing(
     made, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
 
     def show() -> None:
-        now = (
-            [(e.folder.name, e.title, e.summary if e is chosen() else "", e.error) for e in every()],
-            chosen() and chosen().folder,
-        )
+        now = [(e.folder.name, e.title, e.error, e is chosen() and e.summary) for e in every()]
         if state != [now]:
             state[:] = [now]
             rows = [(e.folder.name, e.name, f"{e.summary} ({came_words(e)})", e is chosen()) for e in every()]

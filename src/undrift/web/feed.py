@@ -178,11 +178,8 @@ async def _send(browser: _Browser) -> None:
         while True:
             while browser.first or browser.waiting:
                 message = (browser.first or browser.waiting).popleft()
-                await (
-                    browser.socket.send_text(message)
-                    if isinstance(message, str)
-                    else browser.socket.send_bytes(message)
-                )
+                send: Any = browser.socket.send_text if isinstance(message, str) else browser.socket.send_bytes
+                await send(message)
             browser.news.clear()
             await browser.news.wait()
 
@@ -255,13 +252,9 @@ def _whole(updates: list[Update]) -> Update:
         return last
     corrected = [one.corrected for one in updates if one.corrected is not None]
     pitch = [one.pitch for one in updates if one.pitch is not None]
-    return Update(
-        number=last.number,
-        raw=joined([one.raw for one in updates]),
-        corrected=joined(corrected) if corrected else None,
-        q_nb=None,
-        pitch=np.concatenate(pitch) if pitch else None,
-    )
+    joint = joined(corrected) if corrected else None, np.concatenate(pitch) if pitch else None
+    raw = joined([one.raw for one in updates])
+    return Update(number=last.number, raw=raw, corrected=joint[0], q_nb=None, pitch=joint[1])
 
 
 def encoded(number: int, time: FloatArray, values: FloatArray, bucket: int = 1) -> bytes:
@@ -276,6 +269,17 @@ def encoded(number: int, time: FloatArray, values: FloatArray, bucket: int = 1) 
     return head + b"".join(np.ascontiguousarray(part, dtype="<f4").tobytes() for part in body)
 
 
+def trace_frame(path: Path, start: float, stop: float, rows: int) -> bytes:
+    """Return a stretch of a trace that ``info`` wrote, s since its first sample, as a frame of at most so many rows; ValueError."""
+    table = np.load(path, mmap_mode="r")
+    time = np.asarray(table["time"]) - table["time"][0]
+    low, high = time.searchsorted((start, stop))
+    part, time = table[max(low - 1, 0) : high + 1], time[max(low - 1, 0) : high + 1]
+    bucket = max(1, math.ceil(len(part) / max(rows, 2)))
+    q_nb = np.repeat(part["q_nb"][::bucket], bucket, axis=0)[: len(part)]  # an orientation has no least one
+    return encoded(0, time, np.hstack((part["gyro"], part["accel"], q_nb)), bucket)
+
+
 # ---- panel: the feed drawn by uPlot in the browser, beside NiceGUI's own socket
 
 STATIC = Path(__file__).parent / "static"
@@ -283,9 +287,9 @@ SPANS_S = (10, 30, 60)
 
 
 class Panel(Element, component="static/panel.js"):
-    """Plots of what the bench's device sends, below each other: pause, time shown, legend, values in words for screen readers."""
+    """Plots of what the bench's device sends, or of a recording (trace) with its stretches; one that is chosen is an event."""
 
-    def __init__(self, plots: Sequence[str] = tuple(PLOTS), *, span_s: int = SPANS_S[0]) -> None:
+    def __init__(self, plots: Sequence[str] = tuple(PLOTS), *, span_s: int = SPANS_S[0], trace: Any = None) -> None:
         unknown = [plot for plot in plots if plot not in PLOTS]
         if unknown or not plots or len(set(plots)) < len(plots) or span_s not in SPANS_S:
             raise InputError(
@@ -295,5 +299,5 @@ class Panel(Element, component="static/panel.js"):
         super().__init__()
         self._props["plots"] = list(plots)
         self._props["span"] = span_s
-        self._props["spans"] = list(SPANS_S)
+        self._props["spans"], self._props["trace"] = list(SPANS_S), trace
         self.add_resource(STATIC)

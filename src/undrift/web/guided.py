@@ -167,11 +167,8 @@ def _turns(visit: "Visit", guided: Guided) -> None:
         lambda: (guide.complete, guide.enough, bool(bench.working), guided.refused), lambda: _after_turns(visit, guided)
     )
     lays: Moves = [(f"{up} up", methodcaller("lay", up)) for up in UPS.values()]
-    turns: Moves = [
-        (f"{axis} {name}", methodcaller("turn", axis, sign * 2.0 * math.pi))
-        for axis in UPS
-        for name, sign in (("counter-clockwise", 1.0), ("clockwise", -1.0))
-    ]
+    ways = [(axis, *way) for axis in UPS for way in (("counter-clockwise", 1.0), ("clockwise", -1.0))]
+    turns: Moves = [(f"{axis} {name}", methodcaller("turn", axis, sign * math.tau)) for axis, name, sign in ways]
     _practice_part(bench, {"Practice device: lay it": lays, "Practice device: turn it once about": turns})
     _progress_part("Turns", guide, {way: named(way).capitalize() for way in WAYS})
     _readings_part(bench)

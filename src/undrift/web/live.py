@@ -132,9 +132,8 @@ def start_recording(bench: "Bench", source: LiveDevice) -> Path:
 
 def _files(visit: "Visit") -> tuple[Path, ...]:
     """Return the calibrations of the bench, newest first, and what is used."""
-    made = [job.calibration for job in visit.library.jobs] + [
-        one.path for one in visit.recordings.files if one.kind == "calibration"
-    ]
+    sent = [one.path for one in visit.library.files if one.kind == "calibration"]
+    made = [*(job.calibration for job in visit.library.jobs), *sent]
     source = visit.bench.source
     used = [visit.calibration, None if source is None else source.calibration_file]
     return tuple(dict.fromkeys(path for path in (*made, *used) if path is not None))
@@ -203,10 +202,8 @@ class MotionCalibration:
         source, place = self._bench.source, Place(gravity_m_s2=self._bench.place.gravity_m_s2)
         if source is None:
             raise InputError("motion: wanted a device that sends, got none; connect it first")
-        job, fit = (
-            self._bench.new_job(source.name),
-            motion_fit(form.prior, identify_adc=False, magnetometer=bool(form.magnetometer)),
-        )
+        fit = motion_fit(form.prior, identify_adc=False, magnetometer=bool(form.magnetometer))
+        job = self._bench.new_job(source.name)
         self.watch = MotionWatch(source, job.folder / "motion.parquet", fit, place, LiveMotion.enough_percent)
         self.error, self.done, self._task = "", False, asyncio.create_task(self._follow(self.watch))
 
@@ -235,7 +232,7 @@ class MotionCalibration:
 
 def motion_controls(visit: "Visit") -> None:
     """Ask what calibration from motion may use: the prior of a part, dropped on the page Check, and the magnetometer."""
-    motion, files = visit.motion, [one.path for one in visit.recordings.files if one.kind == "prior"]
+    motion, files = visit.motion, [one.path for one in visit.library.files if one.kind == "prior"]
     paths = {"published sizes": None} | {path.name: path for path in files}
     now = next(name for name, path in paths.items() if path == motion.prior)
     with parts.row("form"):
@@ -249,7 +246,7 @@ def _motion(visit: "Visit") -> None:
     with parts.section("Calibrate from motion"):
         parts.text("h2", "Calibrate from motion")
         parts.text("p", "Turn the device by hand as the page asks. It ends when every element is known well enough.")
-        parts.redrawn(lambda: len(visit.recordings.files), lambda: motion_controls(visit))
+        parts.redrawn(lambda: len(visit.library.files), lambda: motion_controls(visit))
         parts.button(
             lambda: "Start to calibrate" if motion.watch is None else "End and calibrate",
             lambda: motion.start(visit.motion) if motion.watch is None else motion.finish(),
@@ -267,10 +264,9 @@ def _result_link(bench: "Bench") -> None:
 
 def _known(watch: MotionWatch | None) -> list[object]:
     elements = () if watch is None else watch.elements
-    return [
-        (
-            f"{first.name}, {first.wanted:.2g} {first.unit}",
-            [(e.axis, f"{e.uncertainty:.2g}", min(1.0, e.wanted / e.uncertainty), e.name) for e in elements[k : k + 3]],
-        )
-        for k, first in list(enumerate(elements))[::3]
-    ]
+    rows = list[object]()
+    for k, first in list(enumerate(elements))[::3]:
+        axes = elements[k : k + 3]
+        three = [(e.axis, f"{e.uncertainty:.2g}", min(1.0, e.wanted / e.uncertainty), e.name) for e in axes]
+        rows.append((f"{first.name}, {first.wanted:.2g} {first.unit}", three))
+    return rows

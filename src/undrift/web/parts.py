@@ -15,7 +15,7 @@ from dataclasses import fields
 from functools import cache, partial
 from inspect import isawaitable, iscoroutinefunction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from nicegui import Client, ui
 
@@ -78,6 +78,11 @@ def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> A
     else:
         made._text = words
     return made
+
+
+def says(name: str) -> None:
+    """Add a sentence that stands in pages.toml."""
+    text("p", texts()["says"][name])
 
 
 def set_text(element: Any, words: str) -> None:
@@ -151,40 +156,10 @@ def row(classes: str = "") -> Any:
     return ui.element("div").classes(f"row {classes}")
 
 
-def table(
-    caption: str, heads: Sequence[str], rows: Sequence[Sequence[Any]], classes: str = "", *, region: str = ""
-) -> None:
-    """Add a table that scrolls where the screen is narrow; a cell is words, words and a class ("head" names the row), or Parts."""
-    with scrolling(caption, region), ui.element("table").classes(classes):
-        text("caption", caption)
-        if heads:
-            with ui.element("thead"), ui.element("tr"):
-                for head in heads:
-                    text("th", head).props('scope="col"')
-        with ui.element("tbody"):
-            for cells in rows:
-                with ui.element("tr"):
-                    for cell in cells:
-                        _cell(cell)
-
-
-def _cell(cell: Any) -> None:
-    if isinstance(cell, Parts):
-        with ui.element("td"):
-            cell.add()
-        return
-    words, classes = cell if isinstance(cell, tuple) else (cell, "")
-    if classes == "head":
-        text("th", words).props('scope="row"')
-    else:
-        text("td", words, classes)
-
-
-class Parts:
-    """A cell of a table that is no text: what adds its parts."""
-
-    def __init__(self, add: Callable[[], object]) -> None:
-        self.add = add
+def table(caption: str, heads: Sequence[str], rows: Callable[[], object], press: Callable[[str], Any] = bool) -> None:
+    """Add a table that follows the state; a cell is words, or [words, class, buttons], each [label, key, name, pressed]."""
+    made = ui.element("undrift-table").on("press", acted(lambda event: press(event.args["detail"])), ["detail"])
+    bound(lambda: set_prop(made, "what", json.dumps([caption, heads, rows()])))
 
 
 # ---- Controls
@@ -260,9 +235,8 @@ class Field:
                         made = text("option", option).props("selected" if option == value else "")
                         made.props["value"] = option
             else:
-                self.element = ui.element("input").props(
-                    f'type="{kind}" autocomplete="off"' + (' step="any"' if kind == "number" else "")
-                )
+                step = ' step="any"' if kind == "number" else ""
+                self.element = ui.element("input").props(f'type="{kind}" autocomplete="off"{step}')
                 # the attribute: the property would undo what is typed at each redraw
                 self.element.props["^value"] = value
             if kind == "list":  # to type, or to choose
@@ -293,13 +267,24 @@ class Field:
         self._keep(self.value)
 
 
-def form(holder: Any, *names: str) -> dict[str, Field]:
-    """Add a row of inputs for fields of a dataclass that are ``asked``; what is typed is kept there."""
-    how = {one.name: one.metadata for one in fields(holder)}
+def form(holder: Any, *names: str, proposed: Sequence[str] = ()) -> dict[str, Field]:
+    """Add a row of inputs for fields of a dataclass that are ``asked``, with what is proposed; what is typed is kept there."""
+    more: dict[str, Any] = {"kind": "list", "options": proposed} if proposed else {}
+    how = {one.name: {**one.metadata, **more} for one in fields(holder)}
     with row("form"):
         return {
             name: Field(value=getattr(holder, name), keep=partial(setattr, holder, name), **how[name]) for name in names
         }
+
+
+def settings_form(settings: type, typed: dict[str, str]) -> None:
+    """Add a form of the settings of a command, by their names, sentences and choices; what is typed is kept by name."""
+    about = dict(re.findall(r"\n    (\w+) : .*\n        (.+)", settings.__doc__ or ""))
+    with row("form"):
+        for name, hint in get_type_hints(settings).items():
+            options = tuple(option for part in get_args(hint) for option in get_args(part))
+            how = {"hint": about.get(name, ""), "options": ("", *options) if options else ()}
+            Field(f"--{name.replace('_', '-')}", typed.get(name, ""), keep=partial(typed.__setitem__, name), **how)
 
 
 def choices(label: str, every: Sequence[str], holder: Any, name: str) -> None:
@@ -401,6 +386,9 @@ def frame(bench: "Bench", title: str) -> tuple[Any, Any]:
         main = ui.element("div")
         with row("bench-work"):
             status_line(lambda: bench.working[-1].words() if bench.working else "")
+            bar = ui.element("progress").props('max="1" aria-label="How far the work is"')
+            shown_if(bar, lambda: bool(bench.working) and bench.working[-1].share is not None)
+            bound(lambda: set_prop(bar, "value", bench.working and bench.working[-1].share))
             cancel = button("Cancel", lambda: bench.working[-1].cancel() if bench.working else None)
             shown_if(cancel, lambda: bool(bench.working) and time.monotonic() - bench.working[-1].began > CANCEL_S)
     ui.timer(REFRESH_S, partial(look, ui.context.client))

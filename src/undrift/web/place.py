@@ -67,11 +67,9 @@ def place_of(town: str, height: str = "", gravity: str = "") -> Site:
     latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
     if latitude_deg is None and town.strip():
         latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
-    return Site(
-        latitude_deg=latitude_deg,
-        height_m=_number("height", height, "metres above the sea") if height.strip() else height_m,
-        stated_m_s2=_number("gravity", gravity, "m/s2") if gravity.strip() else None,
-    )
+    height_m = _number("height", height, "metres above the sea") if height.strip() else height_m
+    stated_m_s2 = _number("gravity", gravity, "m/s2") if gravity.strip() else None
+    return Site(latitude_deg=latitude_deg, height_m=height_m, stated_m_s2=stated_m_s2)
 
 
 def _number(name: str, words: str, wanted: str) -> float:
@@ -84,9 +82,8 @@ def _number(name: str, words: str, wanted: str) -> float:
 def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:
     """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
     place = bench.place
-    latitude, height, gravity = (
-        "" if value is None else f"{value:g}" for value in (place.latitude_deg, place.height_m, place.stated_m_s2)
-    )
+    values = place.latitude_deg, place.height_m, place.stated_m_s2
+    latitude, height, gravity = ("" if value is None else f"{value:g}" for value in values)
     typed = PlaceForm(town=latitude, height=height if latitude else "", gravity=gravity)
     parts.form(typed, "town", "height", "gravity")
 

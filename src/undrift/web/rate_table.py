@@ -5,17 +5,19 @@ page says of a field what the command says of the file.
 """
 
 import asyncio
-import json
 import math
 import re
 import tempfile
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nicegui import ui
 
+from undrift.base.codec import toml_text
 from undrift.base.options import asked
 from undrift.commands.bench.rig_run import GOING, EmulatedTable, RigRun, RunOrder, View, begin_run, find_run
 from undrift.commands.rig import forecast
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 NEXT_STEPS = 4
 SPEEDS = ("1", "10", "20", "100")  # of the emulated table
+CONTROLLERS = ("galil:", "grbl:", "")  # that may listen at a port; without one, a device or a chamber
 
 
 # ---- What is asked for
@@ -57,18 +60,17 @@ class ProtocolForm:
 
     def toml(self) -> str:
         """Return protocol.toml."""
-        lines = ["[protocol]", f"name = {json.dumps(self.name)}", f"cutoff_hz = {_typed(self.cutoff_hz)}"]
+        tree: dict[str, Any] = {"protocol": {"name": self.name, "cutoff_hz": _typed(self.cutoff_hz)}}
         if self.faces:
-            lines += ["", "[faces]", f"order = {json.dumps(list(self.faces))}", f"seconds = {_typed(self.face_s)}"]
+            tree["faces"] = {"order": list(self.faces), "seconds": _typed(self.face_s)}
         if self.axes:
-            lines += ["", "[rates]", f"axes = {json.dumps(list(self.axes))}", f"order = {json.dumps(self.order)}"]
-            for name in ("turn_rate_min_dps", "turn_rate_max_dps", "turn_rate_step_dps", "bracket_s"):
-                lines.append(f"{name} = {_typed(getattr(self, name))}")
-            lines += [f"seconds = {_typed(self.dwell_s)}", f"acceleration_dps2 = {_typed(self.acceleration_dps2)}"]
+            names = ("turn_rate_min_dps", "turn_rate_max_dps", "turn_rate_step_dps", "bracket_s", "acceleration_dps2")
+            typed = {name: _typed(getattr(self, name)) for name in names} | {"seconds": _typed(self.dwell_s)}
+            tree["rates"] = {"axes": list(self.axes), "order": self.order, **typed}
         if points := [part for part in re.split(r"[,;\s]+", self.temperatures_c.strip()) if part]:
-            lines += ["", "[temperatures]", f"set_points_c = [{', '.join(map(_typed, points))}]"]
-            lines.append(f"soak_c_per_min = {_typed(self.soak_c_per_min)}")
-        return "\n".join(lines) + "\n"
+            soak = _typed(self.soak_c_per_min)
+            tree["temperatures"] = {"set_points_c": [*map(_typed, points)], "soak_c_per_min": soak}
+        return toml_text(tree)
 
     def check(self, rig: str) -> "Forecast":
         """Return what it takes on a table, as ``rig run`` states it; InputError says which field is wrong, and why."""
@@ -82,14 +84,12 @@ class ProtocolForm:
                 raise InputError(re.sub(r"^line \d+: ", "", words)) from error  # of a file that nobody sees
 
 
-def _typed(words: str) -> str:
-    """Return what was typed as a value of TOML: a number where it is one, else a text that the reader refuses by name."""
-    words = words.strip().replace(",", ".")
-    try:
-        value = float(words)
-    except ValueError:
-        return json.dumps(words)
-    return repr(value) if math.isfinite(value) else json.dumps(words)
+def _typed(words: str) -> float | str:
+    """Return what was typed as a number where it is one, else as a text, which the reader refuses by name."""
+    with suppress(ValueError):
+        if math.isfinite(value := float(words.replace(",", "."))):
+            return value
+    return words.strip()
 
 
 # ---- What becomes of it
@@ -277,17 +277,16 @@ def order_form(visit: "Visit", typed: ProtocolForm, *, chamber: bool) -> None:
     with parts.section("Table"):
         parts.text("h2", "Table")
         with parts.row():
-            parts.disabled_if(
-                parts.button("Use the emulated table", lambda: table.use_emulated(visit)), lambda: bool(table.busy)
-            )
-            parts.Field(
-                "Speed of the emulated table",
-                visit.speed,
-                options=SPEEDS,
-                hint="times real time",
-                keep=lambda speed: setattr(visit, "speed", speed),
-            )
-        parts.form(addresses, "rig", "device", *(("chamber",) if chamber else ()), "serial")
+            use = parts.button("Use the emulated table", lambda: table.use_emulated(visit))
+            parts.disabled_if(use, lambda: bool(table.busy))
+            keep: Any = partial(setattr, visit, "speed")
+            parts.Field("Speed of the emulated table", visit.speed, options=SPEEDS, hint="times real time", keep=keep)
+            parts.button("Look for ports", visit.search)
+        ports = [f"{way}serial://{one['port']}" for one in visit.ways.get("serial_ports", ()) for way in CONTROLLERS]
+        if visit.ways:
+            parts.status_line(f"{len(ports) // len(CONTROLLERS)} serial ports found: the addresses below propose them.")
+        parts.form(addresses, "rig", "device", *(("chamber",) if chamber else ()), proposed=ports)
+        parts.form(addresses, "serial")
         by = "The emulated operator mounts the device."
         you = "You mount the device when this page asks for it; the motor is off then."
         parts.text("p", by if addresses.operator else you, "soft")
@@ -341,9 +340,8 @@ def run_part(bench: "Bench", run: RigRun, after: Callable[[], None]) -> None:
         parts.error_line(lambda: view.wrong if run.may_move else "")
         with ui.element("div").classes("worn"):
             parts.drawing("box", lambda: run.view.pose if run.view.pose[0] else ["+z"])
-            parts.drawing(
-                "lines", lambda: ["Turn rate of the device, scaled", "deg/s", "min", run.view.trace()], "curve"
-            )
+            trace = "Turn rate of the device, scaled", "deg/s", "min"
+            parts.drawing("lines", lambda: [*trace, run.view.trace()], "curve")
         if run.may_move:
             with parts.row():
                 if view.state == "running":
@@ -370,9 +368,8 @@ def _question(bench: "Bench", number: int, words: str) -> None:
     with parts.section("Your turn", "card question").props('role="alert"'):
         parts.text("h2", "Your turn")
         parts.text("p", words.split(", then press Enter")[0].split(", then type")[0] + ".")
-        angle = (
-            parts.Field("Angle turned, deg", hint="empty: the angle asked for") if "type the angle" in words else None
-        )
+        turned = "type the angle" in words
+        angle = parts.Field("Angle turned, deg", hint="empty: the angle asked for") if turned else None
         with parts.row():
             parts.next_step("Done, continue", lambda: bench.table.answer(number, angle.value if angle else ""))
             parts.button("End the run", lambda: bench.table.answer(number, "q"))

@@ -1,60 +1,55 @@
 """Files on the pages Check, Calibrate and Use: maps are proposed; recordings are calibrated, corrected, oriented, validated."""
 
+import asyncio
+import math
 import secrets
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
+from urllib.parse import quote
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
+from undrift.base.codec import toml_text
 from undrift.base.options import asked, stated
 from undrift.commands.bench.library import StoredFile
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError
+from undrift.files import write_whole
 from undrift.record import FACES
 from undrift.web import device, entries, parts, result
 from undrift.web.commands import CommandOutcome, remarks_of
+from undrift.web.feed import Panel
 from undrift.web.live import motion_controls
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
     from undrift.web.bench import Visit
 
-UNITS = {"gyro": ("rad/s", "dps", "count", "v"), "accel": ("m/s2", "g", "mg", "count", "v")}
+UNITS = {
+    "gyro": ("rad/s", "dps", "count", "v"),
+    "accel": ("m/s2", "g", "mg", "count", "v"),
+    "time": ("s", "ms", "us", "date"),
+}
+SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
+NO_NUMBER = "sample rate: wanted a number above 0, got '{}'; state the samples per second"
 
 
 @dataclass(slots=True, kw_only=True)
-class WearingForm:
-    """Where the device is worn, and what shows its mounting; or its sides on the upright segment. "" is not chosen."""
+class RecordingForm:
+    """What is typed and chosen of a recording; "" is not chosen: of the offset, what each command does by itself."""
 
     worn: str = asked("--worn", options=("", *get_args(Worn)))
     posture: str = asked("--posture", get_args(Posture)[0], options=get_args(Posture))
     movement: str = asked("--movement", get_args(Movement)[0], options=get_args(Movement))
     forward: str = asked("--forward", options=("", *FACES))
     up: str = asked("--up", options=("", *FACES))
-
-
-@dataclass(slots=True, kw_only=True)
-class OffsetForm:
-    """What is subtracted of the offset that a calibration leaves; "" is what each command does by itself."""
-
     offset: str = asked("--offset", options=("", "none", "rest", "motion"))
-
-
-@dataclass(slots=True, kw_only=True)
-class MarkersForm:
-    """What is typed of an optical reference of markers."""
-
     markers: str = asked("Markers, commas between")
-    up: str = asked("--reference-up", options=("", "y", "z"))
-
-
-@dataclass(slots=True, kw_only=True)
-class SourceForm:
-    """What is typed of the readings in a file."""
-
+    reference_up: str = asked("--reference-up", options=("", "y", "z"))
     rate_hz: str = asked("Samples per second, Hz", kind="number")
     turn_deg: str = asked("Angle of its turns, deg (empty: none)", kind="number")
 
@@ -63,19 +58,11 @@ class Recordings:
     """What a tab does with the files of the bench: which one it has chosen, and the commands that it runs on them."""
 
     def __init__(self, visit: "Visit") -> None:
-        self.visit, self.bench = visit, visit.bench
+        self.visit, self.bench, self.form = visit, visit.bench, RecordingForm()
         self.chosen: StoredFile | None = None
-        self.wearing, self.subtracted, self.optics, self.typed = (
-            WearingForm(),
-            OffsetForm(),
-            MarkersForm(),
-            SourceForm(),
-        )
-
-    @property
-    def files(self) -> list[StoredFile]:
-        """Return the files of the bench, the newest first."""
-        return self.bench.library.files
+        self.tried, self.trying = 0, asyncio.Lock()  # maps, one at a time
+        self.offsets = dict[Path, dict[str, str]]()  # of a recording, what each way to find them gives
+        self.draft, self.shown = dict[str, Any](), dict[str, Any]()  # a map that is chosen, and what is read by it
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
@@ -89,9 +76,10 @@ class Recordings:
 
     async def choose(self, stored: StoredFile) -> None:
         """Look at a file from now on; a calibration is used."""
-        self.chosen, self.typed = stored, SourceForm()
+        self.chosen, self.form.rate_hz, self.form.turn_deg = stored, "", ""
         if not stored.about:
             await self.look(stored)
+        self.draft, self.shown = draft_of(stored.about.get("map") or ()) if stored.needs_map else {}, {}
         if stored.kind == "calibration":
             self.visit.calibration = stored.path
 
@@ -110,45 +98,74 @@ class Recordings:
         folder.parent.rmdir()
 
     async def look(self, stored: StoredFile) -> None:
-        """Ask what a file holds; draw it where it is a recording."""
-        outcome = await self.bench.command("info", stored.path, *stored.options())
+        """Ask what a file holds, and for its trace where it is a recording."""
+        words = (*stored.options(), "--trace", stored.folder / "trace.npy")
+        outcome = await self.bench.command("info", stored.path, *words)
         stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
         noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
         stored.remarks = {"info": noticed}
         stored.save()
-        if stored.kind == "recording":
-            drawing = stored.path.parent / "recording.svg"
-            drawn = await self.bench.command("info", stored.path, *stored.options(), "--figure", drawing)
-            stored.picture = drawing if drawn.done and drawing.exists() else None
-        stored.save()
 
-    async def state_rate(self, stored: StoredFile, sample_rate_hz: float) -> None:
+    async def state_rate(self, stored: StoredFile, sample_rate_hz: float | None) -> None:
         """State the sample rate of a file without time."""
+        if not (sample_rate_hz and sample_rate_hz > 0.0):
+            raise InputError(NO_NUMBER.format(self.form.rate_hz))
         stored.sample_rate_hz = sample_rate_hz
         await self.look(stored)
 
-    async def write_map(self, stored: StoredFile, *, sample_rate_hz: float | None, units: Mapping[str, str]) -> None:
-        """Write the map of a foreign table, with the units that a person confirmed."""
-        path = stored.path.parent / "map.toml"
-        words = stated(
-            write_map=path, sample_rate_hz=sample_rate_hz, **{f"{name}_unit": unit for name, unit in units.items()}
-        )
-        outcome = await self.bench.command("info", stored.path, *words)
-        stored.error = outcome.error
-        if outcome.done:
-            stored.map = stored.made["map"] = path
-            await self.look(stored)
+    async def leave_out(self, stored: StoredFile, kind: str, start: float, stop: float) -> None:
+        """Leave a stretch out, s since the first sample, or (alone) all others, or (none) nothing; earlier results go."""
+        (first, last), before = stored.about["trace"]["span_s"], (stored.out_s, stored.about)
+        spans = [(0.0, start), (stop, last - first + 1.0)] if kind == "alone" else [(start, stop)]
+        more = [(first + low, first + high) for low, high in spans if high > low and high > 0.0]
+        stored.out_s = [] if kind == "none" else [*stored.out_s, *more]
+        await self.look(stored)
+        if stored.error:  # nothing would stay
+            (stored.out_s, stored.about), refusal, stored.error = before, stored.error, ""
+            raise InputError(refusal)
+        stored.made = {name: path for name, path in stored.made.items() if name == "map"}
+        stored.save()
+
+    async def try_map(self, stored: StoredFile) -> None:
+        """Read a table by the columns and units that are chosen so far; one that is not is taken as it stands in the file."""
+        self.tried += 1
+        mine, path, trace = self.tried, stored.folder / "draft.toml", stored.folder / "trace.npy"
+        async with self.trying:  # one after the other, and only the last that was chosen
+            units = {k: "count" if u == "?" and k != "time" else u for k, u in self.draft.get("units", {}).items()}
+            if mine != self.tried or "?" in (self.draft.get("sample_rate_hz"), units.get("time")):
+                return
+            write_whole(path, toml_text(self.draft | ({"units": units} if units else {})))
+            outcome = await self.bench.command("info", stored.path, "--map", path, "--trace", trace)
+            self.shown = outcome.answer | {"refused": outcome.error}
+
+    async def use_map(self, stored: StoredFile) -> None:
+        """Read a table by the columns and units that a person confirmed."""
+        for key, unit in self.draft.get("units", {}).items():
+            if unit == "?":
+                raise InputError(f"unit of the {SENSORS.get(key, key)}: wanted that of the device, got none; choose it")
+        if self.draft.get("sample_rate_hz") == "?":
+            raise InputError(NO_NUMBER.format(self.form.rate_hz))
+        write_whole(path := stored.folder / "map.toml", toml_text(self.draft))
+        stored.map, before = path, stored.about
+        await self.look(stored)
+        stored.made |= {} if stored.error else {"map": path}
+        if stored.error:  # it stays a table
+            stored.map, stored.about = None, before
+        stored.save()
+
+    async def choose_again(self, stored: StoredFile) -> None:
+        """Let a person choose columns and units anew, of a table that was read."""
+        stored.map, stored.made = None, {}
+        await self.look(stored)
+        await self.choose(stored)
 
     async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, motion: bool = False) -> bool:
         """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
         if not (serial := self.visit.begun().serial):
             raise InputError("serial number: wanted the one on the device, got none; type it, or a name of your own")
         job = self.bench.new_job(serial, self.visit.key)
-        words = (
-            *stated(turn_deg=None if motion else turn_deg, serial=serial),
-            *(self.visit.motion.words() if motion else ()),
-        )
-        outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *words)
+        words = self.visit.motion.words() if motion else stated(turn_deg=turn_deg)
+        outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *words, *stated(serial=serial))
         stored.error = outcome.error
         return outcome.done
 
@@ -161,16 +178,30 @@ class Recordings:
         outcome = await self.bench.command(command, stored.path, *words, "-o", made, "--report", report)
         self._take(stored, command, outcome, [made, report])
 
+    async def compare_offsets(self, stored: StoredFile) -> None:
+        """Ask what each way to find the offset gives on a recording: what is subtracted, or why it cannot be."""
+        words, made = dict[str, str](), stored.folder / "offset.parquet"
+        for offset in ("none", "rest", "motion"):
+            asking = *stored.options(), *stated(calibration=self.visit.calibration, offset=offset)
+            outcome = await self.bench.command("correct", stored.path, *asking, "-o", made)
+            made.unlink(missing_ok=True)
+            words[offset] = outcome.error or "nothing is subtracted"
+            if outcome.done and (found := outcome.answer["recordings"][0]["rest"]):
+                rates, known = found["offset_dps"], found["offset_uncertainty_dps"]
+                within = 2.0 * math.hypot(*(known if isinstance(known, list) else [known]))
+                shown = ", ".join(f"{rate:.3f}" for rate in rates)
+                words[offset] = f"{shown} deg/s about x, y, z, within {within:.2g} (95 %)"
+        self.offsets = {stored.path: words}
+
     async def mount(self, stored: StoredFile) -> None:
         """Find how the device is worn: kept in a copy of the calibration, which is used then; without one, sides are chosen."""
-        form, calibration = self.wearing, self.visit.calibration
+        form, calibration = self.form, self.visit.calibration
         if not form.worn:
             raise InputError("mounting: wanted the place where the device is worn, got none; choose it")
         copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
         words = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
-        outcome = await self.bench.command(
-            "mount", stored.path, *stored.options(), *words, *stated(output=calibration and copy)
-        )
+        words = *stored.options(), *words, *stated(output=calibration and copy)
+        outcome = await self.bench.command("mount", stored.path, *words)
         self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
         stored.mounting = str(outcome.answer.get("statement") or "")
         if stored.mounting and calibration:
@@ -199,10 +230,10 @@ class Recordings:
         return outcome.done
 
     def _calibrated(self) -> tuple[object, ...]:
-        return stated(calibration=self.visit.calibration, offset=self.subtracted.offset)
+        return stated(calibration=self.visit.calibration, offset=self.form.offset)
 
     def _sides(self) -> tuple[object, ...]:
-        return stated(forward=self.wearing.forward, up=self.wearing.up)
+        return stated(forward=self.form.forward, up=self.form.up)
 
     def _take(self, stored: StoredFile, command: str, outcome: CommandOutcome, files: list[Path]) -> None:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
@@ -212,7 +243,8 @@ class Recordings:
 
     def references(self) -> list[StoredFile]:
         """Return the files that hold optical poses."""
-        return [one for one in self.files if one.kind in ("reference", "markers") or "optical" in one.summary]
+        kinds, files = ("reference", "markers"), self.bench.library.files
+        return [one for one in files if one.kind in kinds or "optical" in one.summary]
 
 
 def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) -> tuple[object, ...]:
@@ -251,7 +283,7 @@ def _listed(visit: "Visit") -> None:
     """List the files of the device, and those of others below a fold."""
     recordings = visit.recordings
     for title, of_it in (("Files", True), ("Files of other devices", False)):
-        every = partial(lambda of_it: [one for one in recordings.files if (one.device == visit.key) == of_it], of_it)
+        every = partial(lambda of_it: [one for one in visit.library.files if (one.device == visit.key) == of_it], of_it)
         entries.listing(visit, title, every, lambda: recordings.chosen, recordings.choose)
 
 
@@ -260,8 +292,8 @@ def _state(visit: "Visit") -> object:
     one, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
     if one is None:
         return None
-    known = one.path, one.kind, one.map, one.error, len(one.made), str(one.remarks), one.mounting
-    return known, one.title, references, visit.calibration
+    known = one.path, one.kind, one.map, one.error, len(one.made), str(one.remarks), one.mounting, id(one.about)
+    return known, one.title, references, visit.calibration, id(visit.recordings.offsets.get(one.path))
 
 
 def _headed(visit: "Visit", one: StoredFile) -> None:
@@ -287,7 +319,9 @@ def _checked(visit: "Visit", one: StoredFile | None) -> None:
         parts.remarks_list(one.remarks["info"])
     if one.kind == "recording":
         parts.next_step(*(("Use it", "/use") if visit.calibration else ("Calibrate from it", "/calibrate")))
-        parts.redrawn(lambda: one.picture, lambda: parts.picture(one.picture))  # it comes later
+        _trace(visit.recordings, one, one.about)
+        if one.map is not None:
+            parts.button("Choose other columns or units", lambda: visit.recordings.choose_again(one))
 
 
 def _used(visit: "Visit", one: StoredFile | None) -> None:
@@ -311,46 +345,85 @@ def _used(visit: "Visit", one: StoredFile | None) -> None:
                     ui.link(label, visit.bench.link(path) + ("" if opened else "?download=1"), new_tab=opened)
 
 
-def _stated_rate(rate: parts.Field) -> float:
-    value = rate.number()
-    if value and value > 0.0:
-        return value
-    raise InputError(f"sample rate: wanted a number above 0, got '{rate.value}'; state the samples per second")
-
-
 def _rate_form(recordings: Recordings, one: StoredFile) -> None:
     """Ask for the sample rate of a file without time."""
     if one.kind == "recording":
         parts.error_line(one.error)
     else:
-        parts.text(
-            "p", "This file has no time column. The data sheet or the settings of the device state its sample rate."
-        )
-    rate = parts.form(recordings.typed, "rate_hz")["rate_hz"]
-    parts.next_step("Read the file", lambda: recordings.state_rate(one, _stated_rate(rate)))
+        parts.says("no time")
+    rate = parts.form(recordings.form, "rate_hz")["rate_hz"]
+    parts.next_step("Read the file", lambda: recordings.state_rate(one, rate.number()))
+
+
+def draft_of(lines: Sequence[str]) -> dict[str, Any]:
+    """Return the map that a description proposes as a tree, "?" where nothing shows a value."""
+    return tomllib.loads("\n".join(lines).replace("= ?", '= "?"'))
 
 
 def _map_form(recordings: Recordings, one: StoredFile) -> None:
-    """Show the proposed map, and ask what nothing in the file shows."""
-    lines = [str(line) for line in one.about.get("map") or ()]
-    parts.text("p", "This table does not state its units. Check the proposal against the data sheet of the device.")
-    parts.text("pre", "\n".join(lines), "scroll").props('tabindex="0"')
-    wants_rate = any(line.startswith("sample_rate_hz") for line in lines)
-    parts.text("h3", "Confirm")
-    with parts.row():
-        rate = parts.form(recordings.typed, "rate_hz")["rate_hz"] if wants_rate else None
-        chosen: dict[str, parts.Field] = {}
-        for name, label in (("gyro", "Unit of the gyroscopes"), ("accel", "Unit of the accelerometers")):
-            if any(f"{name} =" in line for line in lines):
-                marked = (unit for unit in UNITS[name] if any(f'{name} = "{unit}"' in line for line in lines))
-                chosen[name] = parts.Field(label, next(marked, UNITS[name][0]), options=UNITS[name])
+    """Ask for columns and units, as far as they are not shown, with what is read by them as their proof."""
+    draft = recordings.draft = recordings.draft or draft_of(one.about["map"])
+    names, units = [str(name) for name in one.about.get("columns") or ()], draft.get("units", {})
 
-    async def write() -> None:
-        units = {name: made.value for name, made in chosen.items()}
-        sample_rate_hz = None if rate is None else _stated_rate(rate)
-        await recordings.write_map(one, sample_rate_hz=sample_rate_hz, units=units)
+    def take(place: Any, key: Any, value: str) -> None:
+        if key == "sample_rate_hz":
+            recordings.form.rate_hz, number = value, rate.number()
+            place[key] = number if number and number > 0.0 else "?"
+        else:
+            place[key] = int(value) if isinstance(place[key], int) else value
+        background_tasks.create(recordings.try_map(one), name="map that is chosen")
 
-    parts.next_step("Read the file", write)
+    parts.says("units")
+    parts.text("p", "; ".join(words for line in one.about["map"] if (words := line.partition("# ")[2])), "soft")
+    with parts.row("form"):
+        if draft.get("sample_rate_hz") is not None:
+            asking: Any = {"kind": "number", "keep": partial(take, draft, "sample_rate_hz")}
+            rate = parts.Field("Samples per second, Hz", recordings.form.rate_hz, **asking)
+        for key, unit in units.items():
+            if (own := UNITS.get(key)) is not None:
+                parts.Field(f"Unit of the {SENSORS[key]}", unit, options=("?", *own), keep=partial(take, units, key))
+    with parts.folded("Columns"), parts.row("form"):
+        for key, columns in draft.get("columns", {}).items():
+            if key in SENSORS and isinstance(columns, list) and set(map(str, columns)) <= set(names):
+                for k, axis in enumerate("xyz"[: len(columns)]):
+                    label = f"{SENSORS[key].capitalize()}, {axis}"
+                    parts.Field(label, str(columns[k]), options=names, keep=partial(take, columns, k))
+    parts.redrawn(lambda: id(recordings.shown), lambda: _trace(recordings, one, recordings.shown))
+    parts.next_step("Read the file", lambda: recordings.use_map(one))
+    if not recordings.shown:
+        background_tasks.create(recordings.try_map(one), name="map that is proposed")
+
+
+def proof_words(trace: Mapping[str, Any]) -> str:
+    """Say what a device reads at rest, where gravity is 1 g and rates are zero if columns and units are right."""
+    rest, units = trace["at_rest"], trace["units"]
+    if not rest:
+        return "No rest was found: nothing proves columns and units."
+    names = {"accel": "|a| at rest", "gyro": "rate at rest"}
+    shown = [f"{name} = {rest[key]:.2f} {units[key]}" for key, name in names.items() if key in rest]
+    far = units.get("accel") == "g" and abs(rest.get("accel", 1.0) - 1.0) > 0.05
+    return ", ".join(shown) + ("; gravity is 1.00 g: look at columns and unit." if far else ".")
+
+
+def _trace(recordings: Recordings, one: StoredFile, about: Mapping[str, Any]) -> None:
+    """Add the trace of a recording with its rests, faces and turns; a stretch of it can be left out."""
+    parts.error_line(str(about.get("refused") or ""))
+    if (trace := about.get("trace")) is None:
+        return
+    (first, last), stretches = trace["span_s"], trace["stretches"]
+    counts = [sum(s[0] == kind and not s[2] for s in stretches) for kind in ("still", "turn")]
+    faces = len({label for kind, label, why, *_ in stretches if kind == "still" and label and not why})
+    parts.text("p", proof_words(trace), "proof")
+    url = f"/trace/{quote((one.folder / 'trace.npy').relative_to(recordings.bench.folder).as_posix())}"
+    shown = {"url": url, "units": trace["units"], "length": last - first, "chosen": one.kind == "recording"}
+    shown["words"] = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
+    shown["stretches"] = [(*words, start - first, stop - first) for *words, start, stop in stretches]
+    made = Panel(trace=shown)
+    made.on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
+    if one.out_s:
+        words = ", ".join(f"{start - first:.2f} to {stop - first:.2f} s" for start, stop in one.out_s)
+        parts.text("p", f"Left out: {words}.")
+        parts.button("Use all again", lambda: recordings.leave_out(one, "none", 0.0, 0.0))
 
 
 def _actions(visit: "Visit", one: StoredFile) -> None:
@@ -359,13 +432,12 @@ def _actions(visit: "Visit", one: StoredFile) -> None:
         parts.text("p", "No calibration chosen: drop one on the page Check, or calibrate the device.", "soft")
     else:
         parts.text("p", f"Calibration: {visit.bench.library.name_of(calibration)}", "soft")
-    parts.text(
-        "p",
-        "Gyroscopes keep an offset of each recording: none is subtracted, the mean of the first rest, or what gravity shows "
-        "while the device moves, worn or in the hand, for 20 s or more.",
-    )
-    parts.form(recordings.subtracted, "offset")
+    parts.says("offset")
+    parts.form(recordings.form, "offset")
     if calibration is not None:
+        for offset, words in recordings.offsets.get(one.path, {}).items():
+            parts.text("p", f"{offset}: {words.rstrip('.')}.", "soft")
+        parts.button("What does each give here?", lambda: recordings.compare_offsets(one))
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
     _wearing_form(visit, one)
     parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
@@ -381,12 +453,9 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
     with parts.section("Calibrate from a recording"):
         parts.text("h2", f"Calibrate from {one.name}")
         parts.refused(visit, visit.bench.job, one.error, partial(setattr, one, "error"))
-        parts.text(
-            "p",
-            "It needs six faces or more, each at rest for some seconds; gyroscopes need full turns between rests too.",
-        )
+        parts.says("faces")
         device.identity(visit)
-        typed = parts.form(recordings.typed, "turn_deg")
+        typed = parts.form(recordings.form, "turn_deg")
 
         async def calibrate(*, motion: bool = False) -> str | None:
             done = await recordings.calibrate(one, turn_deg=typed["turn_deg"].number(), motion=motion)
@@ -400,7 +469,7 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
 
 def _wearing_form(visit: "Visit", one: StoredFile) -> None:
     """Say which mounting is used; offer to find it, or to name the sides, which the drawing follows."""
-    recordings, form, mounting = visit.recordings, visit.recordings.wearing, mounting_of(visit.calibration)
+    recordings, form, mounting = visit.recordings, visit.recordings.form, mounting_of(visit.calibration)
     with parts.section("How it is worn"):
         parts.text("h3", "How it is worn")
         if mounting:
@@ -413,10 +482,7 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
         with parts.folded("Find the mounting from this recording") as find:
             if not mounting:
                 find.props("open")
-            parts.text(
-                "p",
-                "Stand upright for 3 s, walk straight ahead for 8 s and halt, four times; or do one of the movements twice.",
-            )
+            parts.says("walk")
             parts.form(form, "worn", "posture", "movement")
             parts.button("Find the mounting", lambda: recordings.mount(one))
         with parts.folded("Name the sides of the device") as sides:
@@ -431,7 +497,7 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
 
 def _worn(recordings: Recordings, one: StoredFile) -> bool:
     """Return whether the mounting is known, by the calibration or by two sides; say so where it is not."""
-    forward, up = recordings.wearing.forward, recordings.wearing.up
+    forward, up = recordings.form.forward, recordings.form.up
     sided = bool(forward and up) and forward[1] != up[1]
     shown = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))
     got = f"{forward or 'none'} and {up or 'none'}"
@@ -442,27 +508,25 @@ def _worn(recordings: Recordings, one: StoredFile) -> bool:
 
 def _optics_form(recordings: Recordings, one: StoredFile) -> None:
     """Ask for the optics of a recording: its own, or a file of poses or markers."""
-    found = {
-        ("its own" if reference is one else reference.path.name): reference for reference in recordings.references()
-    }
-    typed = recordings.optics
+    found = {("its own" if other is one else other.path.name): other for other in recordings.references()}
+    typed = recordings.form
     with parts.section("Optics"):
         parts.text("h3", "Compare with optics")
         with parts.row():
             chosen = parts.Field("Optical reference", next(iter(found)), options=tuple(found))
         if labels := next((other.about.get("columns") for other in found.values() if other.kind == "markers"), None):
-            parts.text(
-                "p", f"Markers: three or more of one rigid cluster: {', '.join(map(str, labels[:6]))} ...", "soft"
-            )
-            parts.form(typed, "markers", "up")
+            first = ", ".join(map(str, labels[:6]))
+            parts.text("p", f"Markers: three or more of one rigid cluster: {first} ...", "soft")
+            parts.form(typed, "markers", "reference_up")
 
         async def validate() -> None:
             if _worn(recordings, one):
-                await recordings.validate(one, found[chosen.value], markers=typed.markers.strip(), up=typed.up)
+                reference, markers = found[chosen.value], typed.markers.strip()
+                await recordings.validate(one, reference, markers=markers, up=typed.reference_up)
 
         async def calibrate() -> str | None:
             reference, markers = found[chosen.value], typed.markers.strip()
-            done = await recordings.calibrate_by(one, reference, markers=markers, up=typed.up)
+            done = await recordings.calibrate_by(one, reference, markers=markers, up=typed.reference_up)
             return "/calibrate" if done else None
 
         with parts.row():

@@ -1,11 +1,14 @@
 """Results, on the page Calibrate: verdict and findings, the report, the certificate, and the entry in the registry."""
 
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
 from nicegui import ui
 
 from undrift.base.options import stated
+from undrift.commands.certificate import Statement
+from undrift.commands.data_sheet import Specification
 from undrift.errors import InputError
 from undrift.web import entries, parts
 from undrift.web.commands import CommandOutcome, remarks_of
@@ -45,15 +48,13 @@ def _result(visit: "Visit", job: "Job") -> None:
         parts.text("h2", f"Verdict: {status or 'unknown'}")
         parts.text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
         if job.lacks:
-            lacks = " and ".join(job.lacks)
-            parts.text(
-                "p", f"It lacks the {lacks}: their readings stay uncorrected; in counts they are left out.", "lacks"
-            )
+            why = "their readings stay uncorrected; in counts they are left out."
+            parts.text("p", f"It lacks the {' and '.join(job.lacks)}: {why}", "lacks")
         parts.remarks_list(remarks_of({**job.answer, "later": job.later}))
     parts.refused(visit, job, job.error)
     if job.gravity_assumed and job.certificate is None:
         _gravity(visit, job)
-    _step(bench, job)
+    _step(visit, job)
     with parts.row():
         for label, path in (("Calibration", job.calibration), ("Certificate", job.certificate), ("Report", job.report)):
             if path is not None and path.exists():
@@ -62,9 +63,8 @@ def _result(visit: "Visit", job: "Job") -> None:
             parts.text("p", "Files of this tab are corrected with this calibration.", "soft")
         else:
             without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
-            parts.button(
-                f"Use it for files and live readings{without}", lambda: setattr(visit, "calibration", job.calibration)
-            )
+            use = partial(setattr, visit, "calibration", job.calibration)
+            parts.button(f"Use it for files and live readings{without}", use)
     if job.registered:
         parts.text("p", job.registered, "soft")
     if job.report is not None and job.report.exists():
@@ -73,18 +73,23 @@ def _result(visit: "Visit", job: "Job") -> None:
         made.props["src"] = bench.link(job.report)
 
 
-def _step(bench: "Bench", job: "Job") -> None:
+def _step(visit: "Visit", job: "Job") -> None:
     """Add the one next step: register, then the certificate, then recordings."""
+    bench = visit.bench
     if not job.registered:
         serial = None if job.answer.get("device") else parts.Field("Serial number of the device", job.serial)
-        parts.next_step(
-            "Register the calibration", lambda: register(bench, job, "" if serial is None else serial.value)
-        )
+        parts.next_step("Register the calibration", lambda: register(bench, job, serial.value if serial else ""))
     elif job.certificate is None:
         unstated = ", gravity not stated" if job.gravity_assumed else ""
-        parts.next_step(f"Make the certificate{unstated}", lambda: certify(bench, job))
+        parts.next_step(f"Make the certificate{unstated}", lambda: certify(bench, job, visit.statement))
     else:
         parts.next_step("Correct recordings", "/use")
+    if job.registered:
+        with parts.folded("What the certificate states, and its limits"):
+            for settings in (Statement, Specification):
+                parts.settings_form(settings, visit.statement)
+            if job.certificate is not None:
+                parts.button("Make the certificate anew", lambda: certify(bench, job, visit.statement))
 
 
 def _gravity(visit: "Visit", job: "Job") -> None:
@@ -97,9 +102,7 @@ def _gravity(visit: "Visit", job: "Job") -> None:
 
     with parts.section("Gravity", "card"):
         parts.text("h2", "Where was it recorded?")
-        parts.text(
-            "p", "Nobody stated local gravity: the certificate carries 0.15 % for it, in the accelerometers' scale."
-        )
+        parts.says("gravity")
         if job.words:
             place_form(visit.bench, "Calibrate with this gravity", again)
         else:
@@ -118,10 +121,10 @@ async def register(bench: "Bench", job: "Job", serial: str) -> None:
         job.save()
 
 
-async def certify(bench: "Bench", job: "Job") -> None:
-    """Write the certificate, and add it to the registry."""
+async def certify(bench: "Bench", job: "Job", statement: Mapping[str, str]) -> None:
+    """Write the certificate with what the laboratory states, and add it to the registry."""
     path = job.folder / "certificate.pdf"
-    words = stated(registry=bench.settings.registry)
+    words = stated(**{name: text.strip() for name, text in statement.items()}, registry=bench.settings.registry)
     outcome = await bench.command("certificate", job.calibration, "-o", path, "--register", *words)
     _heard(job, outcome)
     if outcome.done:

@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 from undrift.commands.bench.rig_run import Point, RigRun, TempCourse, View
@@ -118,27 +117,20 @@ def _fit(visit: "Visit") -> None:
 
 def _corrected(visit: "Visit") -> str:
     if visit.calibration is None:
-        return (
-            "No calibration is chosen: a device that sends counts needs one from the rate table, at room temperature."
-        )
+        return str(parts.texts()["says"]["uncalibrated"])
     return f"The tables are added to the calibration {visit.library.name_of(visit.calibration)}."
 
 
 def _set_points(run: RigRun) -> None:
     """Add the set-points with what is done and what is left."""
 
-    def dwells(k: int) -> str:
-        _, done, count = run.view.set_points()[k]
-        return f"{done} of {count}"
+    def rows() -> list[list[str]]:
+        states = [
+            ("done" if done == count else "begun" if done else "left") for _, done, count in run.view.set_points()
+        ]
+        points = zip(run.view.set_points(), states, strict=True)
+        return [[f"{temp_c:g} degC", f"{done} of {count}", state] for (temp_c, done, count), state in points]
 
-    def state(k: int) -> str:
-        _, done, count = run.view.set_points()[k]
-        return "done" if done == count else "begun" if done else "left"
-
-    rows = [
-        [(f"{temp_c:g} degC", "head"), partial(dwells, k), partial(state, k)]
-        for k, (temp_c, _, _) in enumerate(run.view.set_points())
-    ]
     parts.table("Set-points", ("Temperature", "Dwells recorded", "State"), rows)
 
 

@@ -43,9 +43,8 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
         raise InputError(
             "upload: wanted a number of up to 20 digits for a group, got something else; send the files again"
         )
-    place = (
-        folder / group / safe_name(together, "files") if group else folder / secrets.token_hex(6)
-    )  # names may repeat
+    # names may repeat
+    place = folder / group / safe_name(together, "files") if group else folder / secrets.token_hex(6)
     path, arriving, came = place / name, place / "sent.part", 0
     if path.exists():
         raise InputError(f"upload: wanted each file of a folder once, got {name} again; rename one of them")

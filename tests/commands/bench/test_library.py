@@ -103,13 +103,13 @@ def test_what_a_tab_chooses_and_types_is_its_own_and_is_there_when_it_comes_back
         return CommandOutcome(code=0, answer=answers)
 
     bench.command = command
-    first.rates.turn_rate_max_dps, first.recordings.wearing.worn = "120", "shank"
+    first.rates.turn_rate_max_dps, first.recordings.form.worn = "120", "shank"
     asyncio.run(second.recordings.add(stored(bench.library, "other.json", 1000)))
     assert second.calibration == second.recordings.chosen.path
     assert (first.calibration, first.recordings.chosen) == (None, None)
-    assert (second.rates.turn_rate_max_dps, second.recordings.wearing.worn) == ("90", "")
+    assert (second.rates.turn_rate_max_dps, second.recordings.form.worn) == ("90", "")
     assert bench.visit("one") is first
-    assert [one.name for one in first.recordings.files] == ["other.json"]
+    assert [one.name for one in first.library.files] == ["other.json"]
     bench.close()
 
 

@@ -67,24 +67,15 @@ class StoredFile(KnownDevice):
     """One file that was sent to the bench, or a folder of them that is one recording."""
 
     SAVED = (
-        "device",
-        "title",
-        "error",
-        "path",
-        "about",
-        "map",
-        "sample_rate_hz",
-        "picture",
-        "made",
-        "remarks",
-        "mounting",
+        *("device", "title", "error", "path", "about", "map", "sample_rate_hz"),
+        *("out_s", "made", "remarks", "mounting"),
     )
     folder: Path = Path()  # that of the file, with what was made of it
     path: Path
     about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
     map: Path | None = None
     sample_rate_hz: float | None = None  # that a person stated, of a file without time
-    picture: Path | None = None
+    out_s: list[tuple[float, float]] = field(default_factory=list)  # stretches that a person left out, on its clock
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
     mounting: str = ""  # that it showed, in a sentence
@@ -125,7 +116,12 @@ class StoredFile(KnownDevice):
 
     def options(self) -> tuple[object, ...]:
         """Return the options by which commands read it."""
-        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz)
+        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz, leave_out=self.leave_out)
+
+    @property
+    def leave_out(self) -> str:
+        """Return the stretches that are left out, as an option."""
+        return ",".join(f"{start:.6f}:{stop:.6f}" for start, stop in self.out_s)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -292,7 +288,7 @@ def _came(place: Path) -> float:
 def _file_in(place: Path) -> StoredFile | None:
     about = read_object(place / ABOUT)
     with suppress(TypeError, KeyError, ValueError, AttributeError):  # of another version, or touched by hand
-        paths = {name: about[name] and place / about[name] for name in ("path", "map", "picture")}
+        paths = {name: about[name] and place / about[name] for name in ("path", "map")}
         made = {label: place / name for label, name in about["made"].items()}
         remarks = {key: [Remark(**one) for one in several] for key, several in about["remarks"].items()}
         stored = StoredFile(**{**about, **paths, "made": made, "remarks": remarks})

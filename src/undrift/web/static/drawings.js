@@ -34,23 +34,28 @@ function standing(face, v) {
 // Where a point is drawn: seen from the front, the right and above.
 const onScreen = ([x, y, z]) => [0.87 * (y - x), 0.38 * (x + y) - 0.9 * z];
 
-function box(face, turn = "") {
+// The sides of a box that are seen, as it stands by a turn of its vectors, with their names.
+function sides(turned) {
   const drawn = [];
   for (const axis of Object.keys(FILLS)) for (const sign of [1, -1]) {
     const k = "xyz".indexOf(axis), normal = [0, 0, 0];
     normal[k] = sign;
-    const seen = standing(face, normal), top = seen[2] > 0.5;
-    if (Math.max(...seen) < 0.5) continue;  // on the far side
+    const seen = turned(normal), [x2, y2, z2] = seen.map((part) => part * part), top = seen[2] > 0.7;
+    if (seen[0] + seen[1] + 0.844 * seen[2] < 1e-3) continue;  // on the far side
     const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([one, other]) => {
       const corner = [0, 0, 0];
       [corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]] = [sign, one, other];
-      return onScreen(standing(face, corner.map((part, i) => part * HALF[i])));
+      return onScreen(turned(corner.map((part, i) => part * HALF[i])));
     });
     const [x, y] = [0, 1].map((i) => corners.reduce((sum, corner) => sum + corner[i], 0) / 4);
-    drawn.push(`<path d="${path(corners)} Z" fill="currentColor" fill-opacity="${FILLS[top ? "z" : seen[0] > 0.5 ? "x" : "y"]}"/>`);
+    drawn.push(`<path d="${path(corners)} Z" fill="currentColor" fill-opacity="${(FILLS.x * x2 + FILLS.y * y2 + FILLS.z * z2).toFixed(3)}"/>`);
     drawn.push(`<text x="${x.toFixed(1)}" y="${(y + (top ? 9 : 6)).toFixed(1)}" class="${top ? "top" : "side"}">${sign > 0 ? "+" : "-"}${axis}</text>`);
   }
-  const height = -0.9 * HALF["xyz".indexOf(face[1])];
+  return drawn;
+}
+
+function box(face, turn = "") {
+  const drawn = sides((v) => standing(face, v)), height = -0.9 * HALF["xyz".indexOf(face[1])];
   if (turn) {  // an arrow round the axis that is up; counter-clockwise, seen from above, for +
     const way = turn === "+" ? 1 : -1;
     const points = Array.from({ length: 49 }, (_, k) => 0.1 * (k - 24)).map((a) => [58 * Math.sin(way * a), height - 34 + 19 * Math.cos(way * a)]);
@@ -59,6 +64,15 @@ function box(face, turn = "") {
   } else drawn.push(`<path class="act" d="M0 ${(height - 22).toFixed(1)} v-34 m-9 11 l9 -11 l9 11" stroke-width="5"/>`);
   const turned = turn ? `, turned ${turn === "+" ? "counter-clockwise" : "clockwise"} seen from above` : "";
   return picture("-115 -125 230 210", `Box with ${face} up${turned}`, 2, drawn.join(""));
+}
+
+// The box as a recording says that the device lies: the quaternion takes its axes to the level ones, z up.
+function body(w, x, y, z) {
+  const rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]];
+  const k = [0, 1, 2].reduce((best, axis) => Math.abs(rows[2][axis]) > Math.abs(rows[2][best]) ? axis : best), up = rows[2][k];
+  const off = (Math.acos(Math.min(Math.abs(up), 1)) * 180 / Math.PI).toFixed(0), words = `Device with ${up > 0 ? "+" : "-"}${"xyz"[k]} up, ${off} deg off`;
+  return picture("-115 -125 230 210", words, 2, sides((v) => rows.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2])).join("")) + `<p class="soft">${words}</p>`;
 }
 
 // Where each axis of a right-handed device points; none where the two sides do not show it.
@@ -127,13 +141,48 @@ const readings = (...rows) => table("Readings now", "", rows.map(([name, values,
 const bars = (...rows) => rows.length ? table("Known to, 95 %; a full bar is enough", "", rows.map(([wanted, three]) => [wanted, three.map(([axis, known, share, name]) =>
   `<span class="nowrap${share < 1 ? "" : " good"}">${axis} ${known}</span><progress class="bar" max="1" value="${share}" aria-label="${plain(name)} ${axis}"></progress>`)])) : "";
 
-const DRAWINGS = { box, worn, lamp, ring, lines, readings, bars };
+const DRAWINGS = { box, body, worn, lamp, ring, lines, readings, bars };
 customElements.define("undrift-drawing", class extends HTMLElement {
   static observedAttributes = ["kind", "what"];
   connectedCallback() { this.attributeChangedCallback(); }
   attributeChangedCallback() {
     const what = this.getAttribute("what");
     if (this.getAttribute("kind") && what) this.innerHTML = DRAWINGS[this.getAttribute("kind")](...JSON.parse(what));
+  }
+});
+
+const pressed = (words, act, name) => {
+  const button = document.createElement("button");
+  Object.assign(button, { type: "button", textContent: words });
+  if (name) button.setAttribute("aria-label", name);
+  button.addEventListener("click", (event) => { if (event.detail < 2) act(); });  // the second click of a double click would undo the first
+  return button;
+};
+
+// A table [caption, heads, rows], each cell words, or [words, class, buttons]; a button, [label, key, name, pressed], sends "press" with its key.
+customElements.define("undrift-table", class extends HTMLElement {
+  static observedAttributes = ["what"];
+  attributeChangedCallback() {
+    const [caption, heads, rows] = JSON.parse(this.getAttribute("what")), part = (tag, words = "", more = {}) => Object.assign(document.createElement(tag), { textContent: words, ...more });
+    const region = part("div", "", { className: "scroll", tabIndex: 0, role: "region", ariaLabel: caption }), table = part("table", "", { className: "records" }), focus = document.activeElement?.ariaLabel;
+    table.append(part("caption", caption));
+    const head = table.createTHead().insertRow(), body = table.createTBody();
+    for (const words of heads) head.append(part("th", words, { scope: "col" }));
+    for (const cells of rows) {
+      const row = body.insertRow();
+      for (const [words, className = "", buttons = []] of cells.map((cell) => [cell].flat(1))) {
+        const cell = row.cells.length ? part("td", words, { className }) : part("th", words, { className, scope: "row" });
+        for (const [label, key, name, down] of buttons) {
+          const button = pressed(label, () => this.dispatchEvent(new CustomEvent("press", { detail: key })), name);
+          if (down !== undefined) button.ariaPressed = String(down);
+          cell.append(button);
+        }
+        row.append(cell);
+      }
+    }
+    region.append(table);
+    this.replaceChildren(region);
+    if (focus) [...this.querySelectorAll("button")].find((one) => one.ariaLabel === focus)?.focus();
   }
 });
 
@@ -158,11 +207,11 @@ customElements.define("undrift-list", class extends HTMLElement {
     for (const [key, name, about, chosen] of rows) {
       const item = document.createElement("li"), words = document.createElement("span");
       Object.assign(words, { className: "soft", textContent: about });
-      const choose = this.button(name, () => this.send("choose", key));
+      const choose = pressed(name, () => this.send("choose", key));
       choose.className = "choose";
       choose.setAttribute("aria-pressed", String(chosen));
       const remove = () => { if (confirm(`Delete ${name} and what was made of it? This cannot be undone.`)) this.send("remove", key); };
-      item.append(choose, words, this.button("Rename", () => this.ask(item, key, name), `Rename ${name}`), this.button("Delete", remove, `Delete ${name}`));
+      item.append(choose, words, pressed("Rename", () => this.ask(item, key, name), `Rename ${name}`), pressed("Delete", remove, `Delete ${name}`));
       list.append(item);
     }
     return list;
@@ -174,15 +223,8 @@ customElements.define("undrift-list", class extends HTMLElement {
     label.append("Name", input);
     const end = (save) => { const typed = input.value; this.draw(); if (save) this.send("rename", key, typed); };
     input.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === "Escape") event.stopPropagation(), end(event.key === "Enter"); });
-    item.replaceChildren(label, this.button("Save the name", () => end(true)), this.button("Cancel", () => end(false)));
+    item.replaceChildren(label, pressed("Save the name", () => end(true)), pressed("Cancel", () => end(false)));
     input.select();
-  }
-  button(words, act, name) {
-    const button = document.createElement("button");
-    Object.assign(button, { type: "button", textContent: words });
-    if (name) button.setAttribute("aria-label", name);
-    button.addEventListener("click", act);
-    return button;
   }
   send(kind, key, name = "") { this.dispatchEvent(new CustomEvent(kind, { detail: { key, name } })); }
 });

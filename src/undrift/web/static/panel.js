@@ -56,7 +56,7 @@ function range(unit, least, most, centred) {
 
 export default {
   template: '<div class="panel"></div>',
-  props: { plots: Array, span: Number, spans: Array, resourcePath: String },
+  props: { plots: Array, span: Number, spans: Array, resourcePath: String, trace: Object },
   async mounted() {
     this.time = [];
     this.columns = [];
@@ -77,6 +77,7 @@ export default {
     this.dark.addEventListener("change", this.repaint);
     this.resizer = new ResizeObserver(() => this.fit());
     this.resizer.observe(this.body);
+    if (this.trace) return this.showAll();
     this.connect();
     this.words = setInterval(() => this.tell(), 1000);
     this.next();
@@ -86,6 +87,7 @@ export default {
     clearInterval(this.words);
     clearTimeout(this.drawing);
     clearTimeout(this.again);
+    cancelAnimationFrame(this.playing);
     if (this.socket) this.socket.close();
     if (this.resizer) this.resizer.disconnect();
     if (this.dark) this.dark.removeEventListener("change", this.repaint);
@@ -93,6 +95,7 @@ export default {
   },
   methods: {
     build() {
+      if (this.trace) return this.buildTrace();
       this.pause = make("button", { type: "button", "aria-pressed": "false" }, "Pause");
       this.pause.addEventListener("click", () => this.setPaused(!this.paused));
       const group = make("div", { role: "group", "aria-label": "Time shown", class: "panel-spans" });
@@ -168,7 +171,7 @@ export default {
         }
       });
       const old = this.place(this.time[this.time.length - 1] - KEPT_S);
-      if (old > 1000) {
+      if (old > 1000 && !this.trace) {
         this.time.splice(0, old);
         for (const column of this.columns) column.splice(0, old);
       }
@@ -190,7 +193,8 @@ export default {
       this.body.replaceChildren();
       let column = 0;
       for (const plot of this.head ? this.head.plots : []) {
-        if (plot.lines.length) this.charts.push(this.chart(plot, column));
+        if (plot.key === "pose") this.pose = column;
+        else if (plot.lines.length && plot.lines[0].unit) this.charts.push(this.chart(plot, column));
         column += plot.lines.length;
       }
       this.draw();
@@ -212,13 +216,15 @@ export default {
       }));
       const time = { ...axis, label: "Time before now, s", labelSize: 18, size: 32, grid, ticks: grid };
       const scales = Object.fromEntries(units.map((unit) => [unit, { range: (_, least, most) => range(unit, least, most, two) }]));
+      if (this.trace) Object.assign(time, { label: "Time, s", values: undefined });
       const options = {
         width: Math.max(this.body.clientWidth, 120),
         height: this.height(),
         legend: { show: false },
-        cursor: { show: false },
-        scales: { x: { time: false, auto: false, range: () => [-this.seconds, 0] }, ...scales },
-        axes: [{ ...time, values: (_, splits) => splits.map((t) => Math.abs(t)) }, ...axes],
+        cursor: this.trace ? { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: this.trace.url } } : { show: false },
+        hooks: this.trace ? { drawClear: [(drawn) => this.bands(drawn)], setSelect: [(drawn) => this.take_stretch(drawn)], setCursor: [(drawn) => this.point(drawn)] } : {},
+        scales: { x: { time: false, auto: false, range: () => this.trace ? [this.from, this.to] : [-this.seconds, 0] }, ...scales },
+        axes: [{ values: (_, splits) => splits.map((t) => Math.abs(t)), ...time }, ...axes],
         series: [{}],
       };
       const values = plot.lines.map((line, k) => {
@@ -265,6 +271,7 @@ export default {
     draw() {
       this.drawn = this.heard;
       if (!this.time.length) return;
+      if (this.trace) return this.charts.forEach(({ plot, first, lines }) => plot.setData([this.time, ...lines.map((_, k) => this.columns[first + k])]));
       const newest = this.time[this.time.length - 1], start = this.place(newest - this.seconds);
       const time = this.time.slice(start).map((t) => t - newest);
       for (const { plot, first, lines } of this.charts) {
@@ -273,6 +280,7 @@ export default {
     },
     // Once a second the newest values in words: beside the legend, and for screen readers.
     tell() {
+      if (this.trace) return;
       const silent = performance.now() - this.heard > STALE_MS;
       let state = "";
       if (!this.head) state = "Connection to the bench lost. Trying again.";
@@ -290,6 +298,100 @@ export default {
         });
         picture.setAttribute("aria-label", `${title} over the last ${this.seconds} s. Now: ${words.join(", ")}. ${state}`.trim());
       }
+    },
+    // ---- A recording as a whole: zoomed, with its stretches, and the device as it lay
+
+    buildTrace() {
+      const button = (words, act) => { const made = make("button", { type: "button" }, words); made.addEventListener("click", act); return made; };
+      const field = (words) => { const input = make("input", { type: "number", step: "any" }); return [make("label", { class: "bench-field" }, make("span", {}, words), input), input]; };
+      const [startLabel, start] = field("Stretch from, s"), [stopLabel, stop] = field("to, s");
+      this.ends = [start, stop];
+      const zoom = (factor, shift = 0) => { const [middle, half] = [(this.from + this.to) / 2 + shift * (this.to - this.from), (this.to - this.from) / 2 * factor]; this.show(middle - half, middle + half); };
+      const chosen = (act) => () => { const [a, b] = this.ends.map((each) => each.valueAsNumber); if (a < b) act(a, b); else start.focus(); };
+      const send = (kind) => chosen((a, b) => this.$emit("stretch", { kind, start: a, stop: b }));
+      this.state = make("span", { role: "status", class: "panel-state" });
+      this.body = make("div", { class: "panel-body" });
+      this.play = button("Play", () => this.run());
+      this.lying = make("undrift-drawing", { kind: "body", class: "panel-lying" });
+      const view = make("div", { role: "group", "aria-label": "View", class: "panel-bar" }, button("Zoom in", () => zoom(0.5)), button("Zoom out", () => zoom(2)),
+        button("Earlier", () => zoom(1, -0.5)), button("Later", () => zoom(1, 0.5)), button("Show all", () => this.showAll()), this.state);
+      const stretch = make("div", { role: "group", "aria-label": "Stretch", class: "panel-bar" }, startLabel, stopLabel, button("Zoom to it", chosen((a, b) => this.show(a, b))),
+        button("Leave it out", send("leave")), button("Use it alone", send("alone")));
+      this.device = make("section", { "aria-label": "Device as it lay", class: "panel-device", hidden: "" }, this.lying, make("div", {}, make("h3", {}, "Wrong axes?"),
+        make("p", {}, "Hold the device as it lay and turn it as you did, while the drawing does: play the trace, or point at it."), this.play));
+      this.$el.append(view, this.body, ...(this.trace.chosen ? [stretch] : []), this.device);
+    },
+    showAll() { this.show(0, this.trace.length); },
+    // Show from one time to another, by as many rows as there are pixels.
+    async show(from, to) {
+      const span = Math.min(Math.max(to - from, 1e-2), this.trace.length);
+      this.from = Math.min(Math.max(from, 0), this.trace.length - span);
+      this.to = this.from + span;
+      const asked = this.asked = {}, rows = Math.max(this.body.clientWidth, 120), url = `${this.trace.url}?start=${this.from}&stop=${this.to}&rows=${rows}`;
+      const answer = await fetch(url).catch(() => null);
+      if (this.gone || asked !== this.asked) return;
+      if (!answer || !answer.ok) return void (this.state.textContent = "The readings did not come: load the page again.");
+      const buffer = await answer.arrayBuffer();
+      if (this.gone || asked !== this.asked) return;
+      const plot = (key, title, axes, unit) => ({ key, title, lines: [...axes].map((axis) => ({ name: `raw ${axis}`, unit })) }), { gyro, accel } = this.trace.units;
+      if (!this.head) this.begin({ plots: [plot("rate", "Turn rate", "xyz", gyro), plot("accel", "Specific force", "xyz", accel), plot("pose", "", "wxyz")] });
+      this.time = [];
+      this.columns = this.columns.map(() => []);
+      this.frame = -1;
+      this.take(buffer);
+      this.draw();
+      const words = `${this.from.toFixed(2)} to ${this.to.toFixed(2)} s`, counts = this.trace.words;
+      this.state.textContent = `${words}. ${counts}`;
+      for (const { picture, title, plot } of this.charts) picture.setAttribute("aria-label", `${title}, ${words}. ${counts}`), plot.setSelect({ width: 0 }, false);
+      if (this.pose !== undefined && !this.lying.innerHTML) this.lie(0);
+    },
+    // Rests, turns and what was no rest, behind the lines.
+    bands(plot) {
+      const { ctx, bbox } = plot, css = getComputedStyle(this.$el);
+      ctx.save();
+      Object.assign(ctx, { textAlign: "left", textBaseline: "alphabetic" });
+      ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+      for (const [kind, label, why, start, stop] of this.trace.stretches) {
+        const [x0, x1] = [start, stop].map((time) => Math.min(Math.max(plot.valToPos(time, "x", true), bbox.left), bbox.left + bbox.width));
+        if (x1 - x0 < 0.5) continue;
+        const colour = css.getPropertyValue(why ? "--soft" : kind === "turn" ? "--panel-y" : "--good").trim(), words = why ? "" : kind === "turn" ? `turn ${label}` : label || "rest";
+        ctx.fillStyle = colour;
+        ctx.globalAlpha = 0.14;
+        ctx.fillRect(x0, bbox.top, x1 - x0, bbox.height);
+        ctx.globalAlpha = 1;
+        if (!why) ctx.fillRect(x0, kind === "turn" ? bbox.top + bbox.height - 4 : bbox.top, x1 - x0, 4);
+        if (ctx.measureText(words).width < x1 - x0 - 4) ctx.fillText(words, x0 + 3, kind === "turn" ? bbox.top + bbox.height - 9 : bbox.top + 15 * devicePixelRatio);
+      }
+      ctx.restore();
+    },
+    take_stretch({ select, posToVal }) {
+      if (select.width > 2) [select.left, select.left + select.width].forEach((at, k) => { this.ends[k].value = posToVal(at, "x").toFixed(2); });
+    },
+    point({ cursor }) {
+      const row = cursor.idx;
+      if (row === null || row === undefined || cursor.left < 0) return;
+      this.lie(row);
+      for (const { first, lines, values } of this.charts) lines.forEach((line, k) => { values[k].textContent = shown(this.columns[first + k][row], line.unit); });
+    },
+    // The device as it lay at a row.
+    lie(row) {
+      const q = this.pose === undefined ? [null] : [0, 1, 2, 3].map((k) => this.columns[this.pose + k][row]);
+      if (q.includes(null) || q.includes(undefined)) return;
+      this.lying.setAttribute("what", JSON.stringify(q));
+      this.device.hidden = false;
+    },
+    // Turn the device through what is shown, in real time or in 20 s.
+    run() {
+      const stop = this.play.textContent === "Stop", speed = Math.max(1, (this.to - this.from) / 20), began = performance.now();
+      cancelAnimationFrame(this.playing);
+      this.play.textContent = stop ? "Play" : "Stop";
+      const step = () => {
+        const time = this.from + (performance.now() - began) / 1000 * speed, { plot } = this.charts[0];
+        if (this.gone || time >= this.to) return void (this.play.textContent = "Play");
+        plot.setCursor({ left: plot.valToPos(time, "x"), top: 10 });
+        this.playing = requestAnimationFrame(step);
+      };
+      if (!stop) step();
     },
   },
 };
