@@ -154,6 +154,22 @@ def test_a_pool_whose_worker_is_killed_gives_the_same_bits(study: Study, expecte
     assert (found[0].error_rms_deg == expected).all()
 
 
+def whose(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def test_the_process_that_asks_works_beside_the_others() -> None:
+    done = dict(Pool(2).run(whose, [0.05] * 40))
+    assert sorted(done) == list(range(40))
+    show(
+        "units of 40 done by the process that asks", sum(pid == os.getpid() for pid in done.values()), "told, not held"
+    )
+    assert len(set(done.values())) == 2
+    assert done[39] == os.getpid()  # from the last on
+    assert done[0] != os.getpid()
+
+
 def test_work_that_kills_its_workers_is_given_up() -> None:
     with pytest.raises(UndriftError, match=f"wanted workers that live, got {MOST_LOSSES + 1} losses"):
         list(Pool(1).run(dies, [0]))
