@@ -218,9 +218,11 @@ def split_study(
     groups = [tuple(of) for _, of in groupby(units, lambda each: (each[0], each[1].subject))]
     jobs = [*beside, *(partial(run_units, tuple(unit for _, unit in of)) for of in groups)]
     others: list[Any] = [None] * len(beside)
-    advance(0, len(jobs))
-    for done, (number, runs) in enumerate(executor.run(cast("Callable[[Any], Any]", call), jobs), 1):
-        advance(done, len(jobs))
+    done, total = 0, len(beside) + len(units)
+    advance(done, total)
+    for number, runs in executor.run(cast("Callable[[Any], Any]", call), jobs):
+        done += 1 if number < len(beside) else len(runs)
+        advance(done, total)
         if number < len(beside):
             others[number] = runs
             continue
