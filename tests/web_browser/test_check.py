@@ -6,13 +6,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
 import undrift
-from testkit.bench import BenchServer
+from testkit.bench import BenchServer, bench_process
 from undrift.io.parquet import write_parquet
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -157,3 +159,33 @@ def test_columns_and_units_prove_themselves_and_what_nothing_shows_stays_empty(
     expect(page.get_by_role("link", name="Calibrate from it")).to_be_visible()
     expect(page.locator(".panel-state")).to_contain_text("12 rests on 6 faces, 11 turns")
     assert complaints == []
+
+
+def test_a_trace_is_for_whoever_has_the_token_and_no_other_file_is_one(tmp_path: Path) -> None:
+    token = "0123456789abcdef"
+    with bench_process(tmp_path / "bench", "--token", token) as server:
+        place = server.folder / "uploads" / "x"
+        place.mkdir(parents=True)
+        np.save(
+            place / "trace.npy",
+            np.zeros(4, dtype=[("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]),
+        )
+        np.save(place / "objects.npy", np.array([{}], dtype=object))  # is not unpickled
+        (place / "map.toml").write_text("gaps = 1")
+        cookie = {"Cookie": f"undrift_token_{server.port}={token}"}
+
+        def answered(name: str, headers: dict[str, str]) -> tuple[int, bytes]:
+            url = f"http://127.0.0.1:{server.port}/trace/uploads/x/{name}?start=0&stop=9&rows=9"
+            try:
+                with urlopen(Request(url, headers=headers)) as answer:
+                    return answer.status, answer.read()
+            except HTTPError as error:
+                with error:
+                    return error.code, error.read()
+
+        assert answered("trace.npy", {})[0] == 403
+        code, body = answered("trace.npy", cookie)
+        assert (code, body[:4]) == (200, b"UDF1")
+        wrong = b"trace: wanted readings of a file, got others; choose a recording\n"
+        for name in ("objects.npy", "map.toml", "none.npy", "..%2F..%2F..%2Fregistry.sqlite"):
+            assert answered(name, cookie) == (404, wrong)
