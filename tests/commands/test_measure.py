@@ -14,6 +14,7 @@ from undrift.commands.measure import DECIMALS, FIRST
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.measures.tasks import TASKS, TYPES, UNITS
+from undrift.measures.uncertainty import Measure
 from undrift.model import BodyMounting
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
@@ -177,6 +178,86 @@ def test_timed_up_and_go_has_its_phases_and_turns(undrift, tmp_path):
         "sit-to-stand", "walking", "turn", "walking", "turn", "stand-to-sit"
     ]  # fmt: skip
     assert "turning (deg/s)" in page.read_text()
+
+
+@pytest.fixture
+def of_leg(tmp_path):
+    """Corrected recordings of a planted person by a device at a shank and at a thigh."""
+    rng = np.random.default_rng
+    motions = {
+        "shank": planted.walk_of_leg(rng([37, 4]), "shank")[0].motion, "thigh": planted.chair_of_thigh(rng([38, 4]))[0].motion
+    }  # fmt: skip
+    for name, motion in motions.items():
+        record = simulate_device(random_device(rng(3)), motion, rng=rng(1)).record
+        write_record(replace(record, **_in_si(record)), tmp_path / f"{name}.parquet")
+    return {name: tmp_path / f"{name}.parquet" for name in motions}
+
+
+def test_a_walk_by_a_shank_has_stance_and_swing_its_contacts_and_its_page(undrift, tmp_path, of_leg):
+    out, page = tmp_path / "shank_events.tsv", tmp_path / "shank.html"
+    words = ("measure", of_leg["shank"], "--task", "walk", "--worn", "shank")
+    shown = undrift.good(*words, "-o", out, "--report", page, "--json").json()
+    measures = shown["measures"]
+    assert shown["place"] == "shank"
+    assert measures["stance_duration_s"]["mean_s"] + measures["swing_duration_s"]["mean_s"] == pytest.approx(
+        measures["stride_duration_s"]["mean_s"], abs=1e-6
+    )
+    kinds = [row["trial_type"] for row in csv.DictReader(out.read_text().splitlines(), delimiter="\t")]
+    assert kinds.count("initial contact") == kinds.count("end contact") == shown["strides"] + 3
+    assert "shank pitch (deg)" in page.read_text()
+    first = undrift.good(*words).out.splitlines()[0]
+    assert first.startswith(f"walk, {shown['strides']} strides: cadence ")
+    assert "stance 6" in first
+
+
+def test_rises_by_a_thigh_take_their_place_from_the_mounting_or_by_name(undrift, tmp_path, of_leg, worn):
+    at_thigh = tmp_path / "thigh.json"
+    write_calibration(replace(read_calibration(worn), mounting=replace(WORN, place="thigh")), at_thigh)
+    task = ("measure", of_leg["thigh"], "--task", "5xSTS")
+    named, mounted = (
+        undrift.good(*task, *how, "--json").json() for how in (("--worn", "thigh"), ("--mounting", at_thigh))
+    )
+    assert named["measures"].keys() == mounted["measures"].keys()
+    assert named["measures"]["thigh_pitch_range_deg"]["mean_deg"] == pytest.approx(
+        mounted["measures"]["thigh_pitch_range_deg"]["mean_deg"], abs=0.5
+    )
+    assert "peak thigh velocity" in undrift.good(*task, "--worn", "thigh").out.splitlines()[0]
+    refused = undrift.refused(*task, "--mounting", at_thigh, "--worn", "lower-back")
+    assert "wanted a device at the lower-back (--worn), got a mounting for the thigh" in refused
+    words = ("measure", of_leg["thigh"], "--task", "standing", "--mounting", at_thigh)
+    assert "standing: wanted a device at the lower-back, got one at the thigh" in undrift.refused(*words)
+    words = ("measure", of_leg["shank"], "--task", "sit-to-stand", "--worn", "shank")
+    assert "sit-to-stand: wanted a device at the lower-back or thigh, got one at the shank" in undrift.refused(*words)
+
+
+def test_what_halves_the_uncertainty_is_stated_in_numbers(undrift, bench, worn):
+    """Mounting alone limits the peak: its part must fall by a known share, and no calibration halves it."""
+    found = undrift_measure(bench / "trial.parquet", calibration=worn)
+    peak = next(one for one in found.measures if one.name == "peak_trunk_pitch_deg")
+    limit = next(one for one in found.findings if one.code == "measure.limit_mounting")
+    share = limit.values["aim"] / limit.values["size"]
+    assert limit.values["size"] == pytest.approx(1.0)
+    assert np.hypot(share * peak.parts["mounting"], peak.without("mounting")) == pytest.approx(0.5 * peak.uncertainty)
+    assert limit.values["times"] == np.ceil(share**-2)
+    shown = undrift.good(
+        "measure", bench / "trial.parquet", "--calibration", worn, "--task", "sit-to-stand", "--details"
+    ).out
+    assert "A perfect calibration would leave 1 of 1 deg of the uncertainty of peak trunk pitch." in shown
+    assert "Next:" not in shown
+
+
+def test_a_calibration_that_limits_an_angle_names_the_study_that_finds_a_better_one(bench, worn):
+    found = undrift_measure(bench / "trial.parquet", calibration=worn)
+    names, values = ("mounting", "calibration", "offset"), np.array([30.0])
+    one = Measure(name="peak_trunk_pitch_deg", values=values, columns=np.array([[0.1], [0.8], [0.1]]), sources=names)
+    summary = replace(found, measures=(one,)).summary()
+    small = np.sqrt(0.25 * 0.66 - 0.02)
+    assert summary.next == ("study", "--preset", "note", "--target-deg", f"{small:.2g}", "-o", "study")
+    several = Measure(
+        name="peak_trunk_pitch_deg", values=values, columns=np.array([[0.5], [0.5], [0.1]]), sources=names
+    )
+    assert several.halving("mounting") == several.halving("calibration") == 0.0
+    assert replace(found, measures=(several,)).summary().next == ()
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,14 @@ library's tasks. Walking is a pendulum upside down: the trunk is lowest, and pus
 
     k(t)   a smooth course through the contacts: 0, 1, 2, ... at t_0, t_1, ...
     up     -h cos(2 pi k) + h_2 sin(4 pi k)         left   w sin(pi k)          pitch, roll, yaw: waves of k, and the turns
+
+A leg turns by a curve of the stride through a few nodes of its rate, whose extremes and zeros lie there: contacts are nodes.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from testkit.walking import GRAVITY, _smooth_rise, _sway, orientation
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -104,11 +106,17 @@ def step_up(rng, count=3, *, pause=3.0, height=None):
     return Planted(motion_of(t, roll, pitch, yaw, way), starts, []), duration, height
 
 
-def up_and_go(rng, *, turned=np.pi):
+def _slow_sway(rng, t, rms):
+    """Return the sway of a body that is held up: the slower the larger, as that of stance below its own frequency."""
+    lines = np.geomspace(0.03, 0.6, 9) * rng.uniform(0.9, 1.1, 9)
+    sway = sum(np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 2.0 * np.pi)) / f**0.5 for f in lines)
+    return rms * sway / np.sqrt(0.5 * (1.0 / lines).sum())
+
+
+def up_and_go(rng, *, turned=np.pi, begun=5.0):
     """Return a person who gets up, walks out, turns, walks back, turns and sits down; each turn by an angle to the left."""
     sits, rise, lean = rng.normal(0.0, 3.0) * DEGREE, rng.uniform(1.4, 2.2), rng.uniform(25.0, 40.0) * DEGREE
     duration, turn = rng.uniform(0.48, 0.7), rng.uniform(1.6, 2.6)
-    begun = 5.0
     walks = begun + rise + 0.3
     out = contacts_of(rng, walks + duration, 20, duration)
     turns = [(out[6], out[6] + turn, turned), (out[14], out[14] + turn, np.pi)]
@@ -126,6 +134,72 @@ def up_and_go(rng, *, turned=np.pi):
     path[:, :2] += way[:, 1:2] * np.stack((-np.sin(yaw), np.cos(yaw)), axis=1)
     bent = _smooth_rise(t, begun, 0.5 * rise) - _smooth_rise(t, begun + 0.5 * rise, 0.5 * rise)
     bent += _smooth_rise(t, down, 0.5 * rise) - _smooth_rise(t, down + 0.5 * rise, 0.5 * rise)
-    pitch = angles[:, 1] + sits + lean * bent + _sway(rng, t, 0.1 * DEGREE)  # who sits sways little
-    roll, yaw = angles[:, 0] + _sway(rng, t, 0.1 * DEGREE), yaw + angles[:, 2] + _sway(rng, t, 0.1 * DEGREE)
+    pitch = angles[:, 1] + sits + lean * bent + _slow_sway(rng, t, 0.1 * DEGREE)  # who sits sways little
+    roll, yaw = angles[:, 0] + _slow_sway(rng, t, 0.1 * DEGREE), yaw + angles[:, 2] + _slow_sway(rng, t, 0.1 * DEGREE)
     return Planted(motion_of(t, roll, pitch, yaw, path), contacts, turns), (begun, begun + rise), (down, down + rise)
+
+
+# Rate at which a segment swings forward, deg/s at a stride of 1.1 s, over the share of a stride since the initial contact: of a
+# shank 0 there, least at the end contact; the first value of each that bends balances the stride.
+SHANK = ((0.0, 0.05, 0.15, 0.35, 0.50, 0.61, 0.68, 0.79, 0.93, 1.0), (0, -170, -60, -40, -110, -215, 0, 380, 140, 0))
+THIGH = ((0.0, 0.05, 0.25, 0.45, 0.53, 0.68, 0.86, 0.94, 1.0), (-20, -15, -80, -60, 0, 190, 0, -40, -20))
+NODE = 5  # end contact of the shank, mid-swing of the thigh
+
+
+def _leg(rng, nodes):
+    """Return a segment's pitch over a stride, rad, by phase, and the phase of each node: a person's own size and timing."""
+    phase, rate = (np.array(one, dtype=float) for one in nodes)
+    phase[1:-1] += rng.uniform(-0.015, 0.015, len(phase) - 2)
+    rate *= rng.uniform(0.7, 1.15) * rng.uniform(0.9, 1.1, len(rate)) * DEGREE * 1.1
+    rate[-1] = rate[0]
+    whole = PchipInterpolator(phase, rate).integrate(0.0, 1.0)
+    for _ in range(40):  # the slow part of the stance takes what is left, so that a stride begins as it ended
+        rate[2:4] -= whole
+        whole = PchipInterpolator(phase, rate).integrate(0.0, 1.0)
+    angle = PchipInterpolator(phase, rate).antiderivative()
+    mean = np.mean(angle(np.linspace(0.0, 1.0, 1000)))
+    return (lambda k: -(angle(np.mod(k, 1.0)) - mean)), phase
+
+
+def walk_of_leg(rng, place, count=16):
+    """Return a person who stands, walks ahead, stands, by a device at a shank or a thigh; and end contacts, or mid-swings (s)."""
+    legs = {"shank": _leg(rng, SHANK), "thigh": _leg(rng, THIGH)}
+    contacts = contacts_of(rng, 5.0, count, rng.uniform(0.95, 1.4))
+    padded = np.concatenate((contacts[:1] - np.diff(contacts[:2]), contacts, contacts[-1:] + np.diff(contacts[-2:])))
+    t = np.arange(round((padded[-1] + 4.0) * FINE)) / FINE
+    course = CubicSpline(padded, np.arange(-1, count + 1.0))
+    k = course(np.clip(t, padded[0], padded[-1]))
+    on = _smooth_rise(t, padded[0], 0.6) - _smooth_rise(t, padded[-1] - 0.6, 0.6)
+    angle = {name: leg(k) for name, (leg, _) in legs.items()}
+    bend = rng.uniform(1.0, 4.0, 2) * DEGREE
+    roll, yaw = (
+        size * on * np.sin(2.0 * np.pi * k + late) for size, late in zip(bend, rng.uniform(0, 6, 2), strict=True)
+    )
+    pitch, roll, yaw = (
+        one + _sway(rng, t, size * DEGREE) for one, size in ((on * angle[place], 0.3), (roll, 0.3), (yaw, 0.4))
+    )
+    hip = np.cumsum(on * rng.uniform(0.9, 1.3)) / FINE, 0.02 * on * np.cos(4.0 * np.pi * k)
+    position = np.stack((hip[0], 0.0 * t, hip[1]), axis=1)
+    arms = [0.42, 0.15] if place == "shank" else [0.2]
+    for one, arm in zip((angle["thigh"], angle["shank"]), arms, strict=False):
+        position[:, 0] -= arm * np.sin(on * one)
+        position[:, 2] -= arm * np.cos(on * one)
+    ends = np.interp(np.arange(count) - 1.0 + legs[place][1][NODE], k, t)
+    return Planted(motion_of(t, roll, pitch, yaw, position), contacts, []), ends[1:]
+
+
+def chair_of_thigh(rng, count=5):
+    """Return a person who sits, stands and sits some times, by a device at a thigh; start and end of rises, and of sittings (s)."""
+    sits, stands = rng.uniform(-95.0, -70.0) * DEGREE, rng.normal(0.0, 4.0) * DEGREE
+    lasts = rng.uniform(0.8, 2.0, (2, count))
+    pauses = rng.uniform(0.4, 1.5, (2, count))
+    rises = 5.0 + np.cumsum(np.append(0.0, (lasts + pauses).sum(axis=0)[:-1]))
+    downs = rises + lasts[0] + pauses[0]
+    t = np.arange(round((downs[-1] + lasts[1, -1] + 5.0) * FINE)) / FINE
+    up = sum(_smooth_rise(t, a, n) for a, n in zip(rises, lasts[0], strict=True))
+    up = up - sum(_smooth_rise(t, a, n) for a, n in zip(downs, lasts[1], strict=True))
+    pitch = sits + (stands - sits) * up + _slow_sway(rng, t, 0.2 * DEGREE)
+    roll, yaw = (up * rng.normal(0.0, 3.0) * DEGREE + _slow_sway(rng, t, 0.2 * DEGREE) for _ in range(2))
+    way = np.stack((-0.25 * np.sin(pitch), 0.02 * np.sin(roll), 0.25 * np.cos(pitch)), axis=1)  # about the knee
+    spans = [np.stack((one, one + last), axis=1) for one, last in zip((rises, downs), lasts, strict=True)]
+    return Planted(motion_of(t, roll, pitch, yaw, way), rises, []), *spans

@@ -24,12 +24,12 @@ ENDING = "_events.tsv"
 DECIMALS = {"deg": 1, "s": 2, "deg/s": 1, "Hz": 2, "m/s2": 4, "m2/s4": 5, "m/s": 4, "deg2": 2, "m": 2, "%": 1,
             "steps/min": 1}  # fmt: skip
 FIRST = {  # measures that the answer names
-    "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg"),
-    "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg"),
+    "sit-to-stand": ("duration_s", "peak_trunk_pitch_deg", "peak_thigh_velocity_dps"),
+    "5xSTS": ("five_times_duration_s", "peak_trunk_pitch_deg", "peak_thigh_velocity_dps"),
     "standing": ("rms_m_s2", "rms_pitch_deg"),
     "tug": ("tug_duration_s", "peak_turn_velocity_dps"),
     "step": ("rise_duration_s", "peak_trunk_pitch_deg"),
-    "walk": ("cadence_per_min", "stride_duration_s"),
+    "walk": ("cadence_per_min", "stance_percent", "stride_duration_s"),
 }
 ENOUGH_STRIDES, FEW_STRIDES = 50, 20  # for a spread known to 10 and 16 %
 SPREAD = 0.1  # of the whole: parts below it are not named
@@ -53,21 +53,21 @@ class Measured(Result):
     def summary(self) -> Summary:
         """Return the measures as a table, and what limits them."""
         named = {one.name: one for one in self.measures}
-        first = [named[name] for name in FIRST[self.task] if name in named]
+        first = [named[name] for name in FIRST[self.task] if name in named][:2]
         whole = "; ".join(f"{_words(one)} {statement(one)}" for one in first)
         count = max(len(one.values) for one in self.measures) if self.measures else 0
         times = f", {count} times" if count > 1 and self.task != "5xSTS" else ""
         times = f", {self.shown.strides} strides" if self.shown.strides else times
         heads = (
             "measure",
-            "mean",
-            "standard uncertainty",
-            "least to greatest",
+            "mean +- standard uncertainty",
             "smallest change between visits",
+            "least to greatest",
             "from",
         )
-        rows = tuple(_row(one) for one in self.measures)
-        sections = [Section(title="Measures", columns=heads, rows=rows, words=True)]
+        table: list[tuple[str, ...]] = [heads, *map(_row, self.measures)]
+        head, *rows = [(*one[:3], *one[3 if count > 1 else 4 :]) for one in table]
+        sections = [Section(title="Measures", columns=head, rows=tuple(rows), words=True), *_halving(first)]
         if self.closed:
             sections.append(_pairs(self.measures, self.closed))
         events = tuple((f"{one.onset:.2f}", f"{one.duration:.2f}", one.trial_type) for one in self.shown.events)
@@ -81,10 +81,18 @@ class Measured(Result):
             sections=tuple(sections),
             findings=self.findings,
             notes=self.notes,
+            next=self._next(first),
             written=() if self.output is None else (self.output, self.output.with_suffix(".json")),
         )
 
+    def _next(self, first: "list[Measure]") -> tuple[object, ...]:
+        """Return the study that finds the calibration session which halves a limited angle."""
+        wanted = [one.parts["calibration"] * one.halving("calibration") for one in first if _unit(one) == "deg"]
+        small = max(wanted, default=0.0)
+        return ("study", "--preset", "note", "--target-deg", f"{small:.2g}", "-o", "study") if small else ()
+
     def _picture(self) -> Drawing:
+        from undrift.measures.stepping import zeroed_velocity
         from undrift.units import RADIAN_PER_DEGREE
 
         course, events = self.course, [(one.onset, one.duration, one.trial_type) for one in self.shown.events]
@@ -92,8 +100,13 @@ class Measured(Result):
             "standing": ("roll (deg)", course.roll / RADIAN_PER_DEGREE),
             "tug": ("turning (deg/s)", course.turning / RADIAN_PER_DEGREE),
             "walk": ("upward acceleration\n(m/s2)", course.up),
+            "step": ("upward velocity\n(m/s)", zeroed_velocity(course)[0]),
         }.get(self.task, ("upward velocity\n(m/s)", course.velocity))
-        courses = {"trunk pitch (deg)": course.pitch / RADIAN_PER_DEGREE, second[0]: second[1]}
+        place = "trunk" if self.device.place == "lower-back" else self.device.place
+        if place != "trunk":
+            sign, label = (-1.0, "swing rate") if self.task == "walk" else (1.0, "thigh rate")
+            second = f"{label} (deg/s)", sign * course.rate[:, 1] / RADIAN_PER_DEGREE
+        courses = {f"{place} pitch (deg)": course.pitch / RADIAN_PER_DEGREE, second[0]: second[1]}
         return figure_of("figures:draw_measured", course.time, courses, events)
 
     def _data(self) -> dict[str, Any]:
@@ -119,6 +132,7 @@ def measure(
     *,
     task: Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"],
     eyes_closed: Path | None = None,
+    worn: Literal["lower-back", "thigh", "shank"] | None = None,
     mounting: Path | None = None,
     calibration: Path | None = None,
     forward: Side | None = None,
@@ -128,7 +142,7 @@ def measure(
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Measured:
-    """Measures of a motor task by one device at the lower back, with the instrument's uncertainty; events as BIDS has them.
+    """Measures of a motor task by one worn device, with the instrument's uncertainty; events as BIDS has them.
 
     Parameters
     ----------
@@ -139,6 +153,9 @@ def measure(
         straight ahead; step, rising a step or stairs; tug, timed up and go.
     eyes_closed : Path or None
         With standing: the same person's stance with eyes closed, compared with the recording.
+    worn : str or None
+        Where the device is worn, with stated sides: the lower back, which is assumed without, a thigh (sit-to-stand, 5xSTS,
+        walk) or a shank (walk). A mounting states it.
     mounting : Path or None
         calibration.json with the device's mounting, as mount writes it, of a corrected recording.
     calibration : Path or None
@@ -165,14 +182,14 @@ def measure(
         )
     model = None if calibration is None else read_calibration(calibration)
     calibrated = model if mounting is None else read_calibration(mounting)
-    worn = _worn(calibrated, mounting, forward, up)
-    task_measure, devices = measure_of(task), list["Instrument"]()
+    place = _worn(calibrated, mounting, worn, forward, up)
+    task_measure, devices = measure_of(task, place.place if place else "lower-back"), list["Instrument"]()
     earlier, notes = list["Finding"](), list[str]()
     for path in (record, eyes_closed) if eyes_closed else (record,):
         progress(f"measuring {path.name}", 0.2)
         with named_columns(path):
             readings, against, remarks = corrected(opening.like(model, calibration).read(path), path, model, applying)
-            devices.append(instrument(readings, calibrated, worn))
+            devices.append(instrument(readings, calibrated, place))
         earlier += against
         notes += remarks
     taken = [take(device, task_measure) for device in devices]
@@ -187,22 +204,22 @@ def measure(
 
 
 def _worn(
-    calibrated: "Calibration | None", path: Path | None, forward: str | None, up: str | None
+    calibrated: "Calibration | None", path: Path | None, place: str | None, forward: str | None, up: str | None
 ) -> "BodyMounting | None":
     """Return how the device is worn: by the sides that are stated, else by the mounting that a calibration keeps."""
     import numpy as np
 
     from undrift.model import AXES, BodyMounting
 
-    if forward is None and up is None:
-        worn = None if calibrated is None else calibrated.mounting
+    worn = None if calibrated is None else calibrated.mounting
+    if place is not None and worn is not None and worn.place != place:
+        raise InputError(
+            f"measure: wanted a device at the {place} (`worn`), got a mounting for the {worn.place}; state the one that is right"
+        )
+    if forward is None and up is None and (place in (None, "lower-back") or worn is not None):
         if worn is None and path is not None:
             raise InputError(
                 f"{path}: wanted a calibration that keeps a mounting, got one without; find it (mount), or state sides"
-            )
-        if worn is not None and worn.place != "lower-back":
-            raise InputError(
-                f"measure: wanted a device at the lower-back, got one at the {worn.place}; its mounting states that"
             )
         return worn
     sides = (forward or "+x", up or "+z")
@@ -212,7 +229,12 @@ def _worn(
             f"measure: wanted two axes of the device, got forward {sides[0]} and up {sides[1]}; state two different ones"
         )
     matrix = np.stack((ways[0], np.cross(ways[1], ways[0]), ways[1]))
-    return BodyMounting(place="lower-back", matrix=matrix, covariance=np.zeros((3, 3)), basis="stated")
+    return BodyMounting(
+        place=place or (worn.place if worn else "lower-back"),
+        matrix=matrix,
+        covariance=np.zeros((3, 3)),
+        basis="stated",
+    )
 
 
 def _findings(
@@ -225,9 +247,23 @@ def _findings(
     texts = [finding("measure.assumed", "warn", what=assumed)] if assumed else []
     peak = next((one.mean for one in measures if one.name == "peak_trunk_pitch_deg"), 0.0)
     texts += [finding("measure.sides", "warn", pitch_deg=peak)] if peak < 0.0 else []
-    for one in (one for one in measures if one.name in first):
-        source, part = next(iter(one.parts.items()))
-        words = {"measure": _words(one), "part": part, "whole": one.uncertainty, "unit": _unit(one)}
+    for one in [one for one in measures if one.name in first][:2]:
+        if not _shows(one):
+            continue
+        (source, adds), (second, next_adds) = list(one.parts.items())[:2]
+        share, size = one.halving(source), devices[0].sizes.get(source, 0.0)
+        words: dict[str, float | str] = {
+            "measure": _words(one),
+            "part": adds,
+            "whole": one.uncertainty,
+            "unit": _unit(one),
+        }
+        if not share:
+            words |= {"source": source, "rest": one.without(source), "second": second, "next_part": next_adds}
+            texts.append(finding("measure.limit_several", "info", **words))
+            continue
+        words |= {"half": share * adds, "size": size, "aim": share * size, "times": math.ceil(share**-2)}
+        words |= {"faster": math.ceil(1.0 / share)}
         limit = finding(
             {
                 "noise": "measure.limit_noise", "mounting": "measure.limit_mounting", "calibration": "measure.limit_calibration",
@@ -242,6 +278,28 @@ def _findings(
         texts.append(finding("measure.few_strides", "warn" if count < FEW_STRIDES else "info", **few))
     texts += [finding("measure.left_out", "info", measure=name, reason=reason) for name, reason in shown.missing]
     return tuple(texts)
+
+
+def _halving(first: "list[Measure]") -> list[Section]:
+    """Return how small each source must become to halve the uncertainty of the first measures, where their decimals show it."""
+    rows, text = list[tuple[str, ...]](), list[str]()
+    for one in filter(_shows, first):
+        for source, size in one.parts.items():
+            share, rest = one.halving(source), one.without(source)
+            half = f"{share * size:.2g}" if share else f"not alone: the others leave {rest:.2g}"
+            if size > SPREAD * one.uncertainty:
+                rows.append((f"{_words(one)} ({_unit(one)})", source, f"{size:.2g}", half))
+        if not one.halving("calibration"):
+            least = f"{one.without('calibration'):.2g} of {one.uncertainty:.2g} {_unit(one)}"
+            text.append(f"A perfect calibration would leave {least} of the uncertainty of {_words(one)}.")
+    heads, title = ("measure", "source", "adds", "half the uncertainty at"), "What would halve the uncertainty"
+    section = Section(title=title, text=tuple(text), columns=heads, rows=tuple(rows), words=True, folded=True)
+    return [section] if rows else []
+
+
+def _shows(one: "Measure") -> bool:
+    """Tell whether an uncertainty shows in the decimals of its measure."""
+    return not _small(one.uncertainty, _places(one)).startswith("<")
 
 
 def _words(one: "Measure") -> str:
@@ -287,7 +345,7 @@ def _row(one: "Measure") -> tuple[str, ...]:
     places = _places(one)
     span = f"{one.values.min():.{places}f} to {one.values.max():.{places}f}" if len(one.values) > 1 else ""
     small, change = (_small(size, places) for size in (one.uncertainty, one.smallest_change))
-    return f"{_words(one)} ({_unit(one)})", f"{one.mean:.{places}f}", small, span, change, _shares(one)
+    return f"{_words(one)} ({_unit(one)})", f"{one.mean:.{places}f} +- {small}", change, span, _shares(one)
 
 
 def _pairs(opened: "tuple[Measure, ...]", closed: "tuple[Measure, ...]") -> Section:
@@ -326,9 +384,5 @@ def _write_events(events: "tuple[Event, ...]", path: Path) -> None:
         "duration": {"Description": "Length of the event; 0 for an instant", "Units": "s"},
         "trial_type": {"Description": "What happens", "Levels": levels},
     }
-    write_together(
-        {
-            path: "onset\tduration\ttrial_type\n" + rows,
-            path.with_suffix(".json"): json.dumps(described, indent=1) + "\n",
-        }
-    )
+    table = "onset\tduration\ttrial_type\n" + rows
+    write_together({path: table, path.with_suffix(".json"): json.dumps(described, indent=1) + "\n"})

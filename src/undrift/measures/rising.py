@@ -9,7 +9,14 @@ leans forward and comes back [1]_, [2]_::
                which comes as the seat is left [3]_
     sitting    a lobe of downward velocity alike: the trunk leans forward, the body sinks, the trunk comes up
 
-Five times sit-to-stand lasts from the first start to the fifth time upright [4]_.
+By one device at a thigh, which turns from lying on the seat to upright as the seat is left [5]_::
+
+    rise       a stretch in which the thigh turns forward by 45 deg or more and is then within 35 deg of upright
+    start, end where its rate is a tenth of its peak
+    seat-off   its end at the hip, as cos(pitch), has come 5 % of its way up
+    sitting    the same backward
+
+Five times sit-to-stand lasts from the first start to the fifth time upright [4]_; by a thigh, from the thigh's first motion.
 
 .. [1] R. C. van Lummel et al., "Automated approach for quantifying the repeated sit-to-stand using one body fixed sensor in young
    and older adults", Gait & Posture 38, 153-156, 2013: phases by pitch and vertical velocity.
@@ -18,8 +25,10 @@ Five times sit-to-stand lasts from the first start to the fifth time upright [4]
 .. [3] B. Etnyre, D. Q. Thomas, "Event standardization of sit-to-stand movements", Physical Therapy 87, 1651-1666, 2007.
 .. [4] J. M. Guralnik et al., "A short physical performance battery assessing lower extremity function", J. Gerontology 49,
    M85-M94, 1994.
+.. [5] "Assessment of thigh angular velocity by an activity monitor to describe sit-to-stand performance", Sensors 22, 1405, 2022.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +43,11 @@ REACH_S = 0.5  # by which the greatest pitch may come before the body rises, or 
 LEAST_LEAN = 5.0 * RADIAN_PER_DEGREE  # of flexion and of extension
 EDGE = 0.1  # of the peak rate: where a movement begins and ends
 LONGEST_S = 4.0  # of flexion, and of extension
+LEAST_TURN, UPRIGHT = (
+    45.0 * RADIAN_PER_DEGREE,
+    35.0 * RADIAN_PER_DEGREE,
+)  # of a thigh: from a high seat it turns by 60 [assumed]
+OFF = 0.05  # of the hip's way: the seat is left
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,25 +170,97 @@ def sit_to_stand(course: Course) -> TaskResult:
 
 def five_times(course: Course) -> TaskResult:
     """Measure five times sit-to-stand."""
-    rises, sittings = rises_and_sittings(course, "5xSTS")
+    return _five(course, *rises_and_sittings(course, "5xSTS"), _measured)
+
+
+def sit_to_stand_of_thigh(course: Course) -> TaskResult:
+    """Measure every rise from a seat, and every time that the person sits down, by the thigh."""
+    return _measured_of_thigh(course, *_turns_of_thigh(course, "sit-to-stand"))
+
+
+def five_times_of_thigh(course: Course) -> TaskResult:
+    """Measure five times sit-to-stand by the thigh."""
+    return _five(course, *_turns_of_thigh(course, "5xSTS"), _measured_of_thigh)
+
+
+def _five(
+    course: Course, rises: list[Transfer], sittings: list[Transfer], measured: Callable[..., TaskResult]
+) -> TaskResult:
+    """Return the values and events of five rises and of the sittings between."""
     if len(rises) < 5:
         raise not_shown(
             "5xSTS", "five rises from a seat", f"{len(rises)}", "record all five, or measure them as sit-to-stand"
         )
-    shown = _measured(course, rises[:5], [one for one in sittings if one.start < rises[4].start])
+    shown = measured(course, rises[:5], [one for one in sittings if one.start < rises[4].start])
     whole = Event(rises[0].start, rises[4].stop - rises[0].start, "5xSTS")
     gaps = np.diff([one.start for one in rises[:5]])
     values = {"five_times_duration_s": np.array([whole.duration]), "cycle_s": gaps, **shown.values}
     return TaskResult(values=values, events=(whole, *shown.events))
 
 
+def _turns_of_thigh(course: Course, task: str) -> tuple[list[Transfer], list[Transfer]]:
+    """Return the stretches in which a thigh turns upright from a seat, and those in which it turns down to it."""
+    both, most = (list[Transfer](), list[Transfer]()), 0.0
+    for sign, seen in zip((1.0, -1.0), both, strict=True):
+        rate = sign * course.rate[:, 1]
+        for a, b in runs(rate > 0.0).tolist():
+            k = a + int(np.argmax(rate[a:b]))
+            edges = [crossing(rate, k, EDGE * rate[k], way) for way in (-1, 1)]
+            if (start := edges[0]) is None or (stop := edges[1]) is None:
+                continue  # cut off by the recording
+            first, last = (value_at(course.pitch, one) for one in (start, stop))
+            upright, turn = (last if sign > 0.0 else first), sign * (last - first)
+            most = max(most, turn)
+            if turn >= LEAST_TURN and abs(upright) < UPRIGHT:
+                top = summit(rate, k)[0] if 0 < k < len(rate) - 1 else float(k)
+                begun, fastest, ended = (course.step * one for one in (start, top, stop))
+                seen.append(Transfer(begun, fastest, ended, fastest, turn, min(first, last)))
+    if not both[0]:
+        degrees = [one / RADIAN_PER_DEGREE for one in (LEAST_TURN, UPRIGHT, most)]
+        raise not_shown(
+            task, f"a rise in which the thigh turns by {degrees[0]:g} deg or more to within {degrees[1]:g} deg of upright",
+            f"one turn of {degrees[2]:.0f} deg at most",
+            "record from sitting to standing, and check the sides of the device (`forward`, `up`)",
+        )  # fmt: skip
+    return both
+
+
+def _thigh_events(course: Course, one: Transfer) -> list[Event]:
+    """Return a rise, and when the hip has come a share of its way above the knee."""
+    rows = np.arange(int(one.start / course.step), int(one.stop / course.step) + 2)
+    height = np.cos(course.pitch[rows])
+    share = (height - height[0]) / (height[-1] - height[0])
+    off = float(np.interp(OFF, np.maximum.accumulate(share), rows)) * course.step
+    return [Event(one.start, one.duration, "sit-to-stand"), Event(off, 0.0, "seat-off")]
+
+
+def _measured_of_thigh(course: Course, rises: list[Transfer], sittings: list[Transfer]) -> TaskResult:
+    """Return values and events of a thigh that rises from a seat, and sits down."""
+    rate = np.abs(course.rate[:, 1])
+    fastest = [np.array([value_at(rate, one.peak / course.step) for one in each]) for each in (rises, sittings)]
+    rows = [(one.duration, one.peak - one.start, one.stop - one.peak, one.way, one.lean) for one in rises]
+    whole, faster, slower, turn, seated = np.array(rows).T
+    values = {
+        "duration_s": whole, "acceleration_duration_s": faster, "deceleration_duration_s": slower,
+        "thigh_pitch_range_deg": turn / RADIAN_PER_DEGREE, "thigh_pitch_sitting_deg": seated / RADIAN_PER_DEGREE,
+        "thigh_pitch_standing_deg": (seated + turn) / RADIAN_PER_DEGREE, "peak_thigh_velocity_dps": fastest[0] / RADIAN_PER_DEGREE,
+    }  # fmt: skip
+    if sittings:
+        values["peak_thigh_velocity_sitting_dps"] = fastest[1] / RADIAN_PER_DEGREE
+    return _with_sittings(values, [event for one in rises for event in _thigh_events(course, one)], sittings)
+
+
 def _measured(course: Course, rises: list[Transfer], sittings: list[Transfer]) -> TaskResult:
     """Return values and events of rises, and of the times of sitting down."""
     table = [rise_values(course, one) for one in rises]
     values = {name: np.array([row[name] for row in table]) for name in table[0]}
+    return _with_sittings(values, [event for one in rises for event in rise_events(course, one)], sittings)
+
+
+def _with_sittings(values: dict[str, FloatArray], events: list[Event], sittings: list[Transfer]) -> TaskResult:
+    """Return values and events of rises, and of the times of sitting down."""
     if sittings:
         values["sitting_duration_s"] = np.array([one.duration for one in sittings])
-    events = [event for one in rises for event in rise_events(course, one)]
     events += [Event(one.start, one.duration, "stand-to-sit") for one in sittings]
     return TaskResult(values=values, events=tuple(sorted(events, key=lambda one: (one.onset, -one.duration))))
 

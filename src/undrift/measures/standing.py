@@ -27,9 +27,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 CUTOFF_HZ, LOWEST_HZ = 3.5, 0.15
 LEAST_S = 10.0  # a recording: one and a half periods of the slowest sway
-MOST_LEAN = (
-    6.0 * RADIAN_PER_DEGREE
-)  # rms of pitch and roll about their means, each: stance on foam, eyes closed, has 2 at most
+MOST_LEAN = 6.0 * RADIAN_PER_DEGREE  # rms of pitch and of roll: stance on foam, eyes closed, has 2 at most
 MOST_ACCELERATION = 0.8  # m/s2 rms, level; foam, eyes closed, has 0.13, slow walking 1
 MOST_UPWARD = 0.4  # m/s2 rms; foam, eyes closed, has 0.12, walking 0.8 or more
 
@@ -52,23 +50,17 @@ def sway(course: Course) -> TaskResult:
         )
     degrees = smooth((angles - angles.mean(axis=0)) / RADIAN_PER_DEGREE, CUTOFF_HZ, rate_hz)
     speed = smooth(np.cumsum(level, axis=0) / rate_hz, LOWEST_HZ, rate_hz, order=2, kind="highpass")
+    mean, median = frequencies(level, rate_hz)
+    mean_pitch, median_pitch = frequencies(degrees[:, :1], rate_hz)
     values = {
-        "rms_ap_m_s2": _rms(level[:, 0]),
-        "rms_ml_m_s2": _rms(level[:, 1]),
-        "rms_m_s2": float(push),
-        "path_m_s2": _path(level) / length,
-        "ellipse_area_m2_s4": ellipse_area(level),
-        "mean_velocity_m_s": float(np.hypot(*speed.T).mean()),
-        "mean_frequency_hz": frequencies(level, rate_hz)[0],
-        "median_frequency_hz": frequencies(level, rate_hz)[1],
-        "rms_pitch_deg": _rms(degrees[:, 0]),
-        "rms_roll_deg": _rms(degrees[:, 1]),
-        "angle_ellipse_area_deg2": ellipse_area(degrees),
-        "mean_angular_velocity_dps": _path(degrees) / length,
-        "mean_pitch_frequency_hz": frequencies(degrees[:, :1], rate_hz)[0],
-        "median_pitch_frequency_hz": frequencies(degrees[:, :1], rate_hz)[1],
+        "rms_ap_m_s2": _rms(level[:, 0]), "rms_ml_m_s2": _rms(level[:, 1]), "rms_m_s2": float(push),
+        "path_m_s2": _path(level) / length, "ellipse_area_m2_s4": ellipse_area(level),
+        "mean_velocity_m_s": float(np.hypot(*speed.T).mean()), "mean_frequency_hz": mean, "median_frequency_hz": median,
+        "rms_pitch_deg": _rms(degrees[:, 0]), "rms_roll_deg": _rms(degrees[:, 1]),
+        "angle_ellipse_area_deg2": ellipse_area(degrees), "mean_angular_velocity_dps": _path(degrees) / length,
+        "mean_pitch_frequency_hz": mean_pitch, "median_pitch_frequency_hz": median_pitch,
         "mean_pitch_deg": float(course.pitch.mean()) / RADIAN_PER_DEGREE,
-    }
+    }  # fmt: skip
     return TaskResult(
         values={name: np.array([one]) for name, one in values.items()}, events=(Event(0.0, length, "standing"),)
     )

@@ -31,9 +31,7 @@ from undrift.units import RADIAN_PER_DEGREE
 HEIGHT = (0.08, 0.27)  # m, of the body: half of a usual step, above which walking rises by 0.05; a high step [assumed]
 LEAST_VELOCITY = 0.1  # m/s, of a lobe's peak above what is about it: a slow rise has 0.13
 MOST_FALL = 0.5  # of the peak
-MOST_RANGE = (
-    25.0 * RADIAN_PER_DEGREE
-)  # of pitch: who rises from a low seat or picks something up leans further [assumed]
+MOST_RANGE = 25.0 * RADIAN_PER_DEGREE  # of pitch: who rises from a low seat leans further [assumed]
 STANCE_S, STANCE = 0.5, 0.2  # s; m/s2 rms, twice that of stance on foam, eyes closed
 
 

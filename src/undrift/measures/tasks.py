@@ -13,19 +13,10 @@ from undrift.measures.worn import Course
 
 TaskName = Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"]
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
-UNITS = {  # longest first: the end of a name, the unit, and the factor from SI
-    "_m2_s4": "m2/s4",
-    "_m_s2": "m/s2",
-    "_m_s": "m/s",
-    "_per_min": "steps/min",
-    "_percent": "%",
-    "_deg2": "deg2",
-    "_dps": "deg/s",
-    "_deg": "deg",
-    "_hz": "Hz",
-    "_s": "s",
-    "_m": "m",
-}
+UNITS = {  # longest first: the end of a name, and the unit
+    "_m2_s4": "m2/s4", "_m_s2": "m/s2", "_m_s": "m/s", "_per_min": "steps/min", "_percent": "%", "_deg2": "deg2", "_dps": "deg/s",
+    "_deg": "deg", "_hz": "Hz", "_s": "s", "_m": "m",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +42,23 @@ class TaskResult:
 TaskMeasure: TypeAlias = Callable[[Course], TaskResult]
 
 
-def measure_of(task: TaskName) -> TaskMeasure:
-    """Return the function that measures a task."""
+def measure_of(task: TaskName, place: str = "lower-back") -> TaskMeasure:
+    """Return the function that measures a task by a device at a place of the body."""
     from undrift.measures import rising, standing, stepping, up_and_go, walking
 
-    functions: dict[TaskName, TaskMeasure] = {
-        "sit-to-stand": rising.sit_to_stand,
-        "5xSTS": rising.five_times,
-        "standing": standing.sway,
-        "walk": walking.walk,
-        "step": stepping.step,
-        "tug": up_and_go.up_and_go,
+    functions: dict[TaskName, dict[str, TaskMeasure]] = {
+        "sit-to-stand": {"lower-back": rising.sit_to_stand, "thigh": rising.sit_to_stand_of_thigh},
+        "5xSTS": {"lower-back": rising.five_times, "thigh": rising.five_times_of_thigh},
+        "standing": {"lower-back": standing.sway},
+        "walk": {"lower-back": walking.walk, "thigh": walking.walk_of_thigh, "shank": walking.walk_of_shank},
+        "step": {"lower-back": stepping.step},
+        "tug": {"lower-back": up_and_go.up_and_go},
     }
-    return functions[task]
+    if place not in functions[task]:
+        raise InputError(
+            f"{task}: wanted a device at the {' or '.join(functions[task])}, got one at the {place}; its mounting states that"
+        )
+    return functions[task][place]
 
 
 def unit_of(name: str) -> tuple[str, str]:
@@ -83,16 +78,18 @@ def not_shown(task: str, wanted: str, got: str, advice: str) -> InputError:
 
 
 TYPES = {  # of events, for people
-    "sit-to-stand": "The trunk flexes, the seat is left, the trunk extends: from first to last motion of the trunk",
+    "sit-to-stand": "From sitting to standing: from first to last motion of the trunk, or of the thigh that wears the device",
     "5xSTS": "Five times sit-to-stand: from the first motion to the fifth time upright",
     "flexion": "Trunk flexion: from the first motion to the greatest forward pitch",
-    "seat-off": "The seat is left: greatest upward acceleration of the rise",
+    "seat-off": "The seat is left: greatest upward acceleration of the rise; by a thigh, the hip has come 5 % of its way up",
     "extension": "Trunk extension: from the greatest forward pitch to the last motion",
-    "stand-to-sit": "Sitting down: from first to last motion of the trunk",
+    "stand-to-sit": "Sitting down: from first to last motion of the trunk, or of the thigh",
     "standing": "Quiet stance",
     "tug": "Timed up and go: from the first motion of the trunk out of the chair to the last into it",
     "turn": "Turn about the vertical: from 5 to 95 % of the change of heading",
     "rise": "The body is lifted onto a step: upward velocity above a tenth of its peak",
     "walking": "Steps in a row: from the first contact to the last",
-    "initial contact": "A foot comes down: greatest upward acceleration of the smoothed course, a little after the first touch",
+    "initial contact": "A foot comes down: greatest upward acceleration, a little after the touch; by a shank, its swing ends",
+    "end contact": "The foot leaves the ground: least swing rate of the shank before its greatest",
+    "mid-swing": "Greatest rate at which the thigh swings forward",
 }

@@ -12,8 +12,9 @@ again with each change; to first order::
 ``calibration``  E and d of w + E w + d, and of f, by the covariance of the fit (correction/plan.error_covariance)
 ``offset``       the gyroscopes' offset left at this moment, by a rest or since the calibration; ageing of the accelerometers'
 ``temperature``  of the accelerometers, beyond the temperatures that their tables or constants are made for
-``motion``       accelerations of the body taken for gravity: the filter with half its time constant
-``sampling``     an instant between samples is interpolated: 0.03 of a step for a time, by simulated people of the library
+``motion``       accelerations of the body taken for gravity: the filter with twice its time constant, which leaves a third of what
+                 they do, by simulated people (0.25 to 0.38)
+``sampling``     an instant between samples is interpolated: 0.01 of a step for a time, by simulated people
 
 The covariance of a fit is split along its principal axes; those with less than 1e-4 of the whole are left out.
 
@@ -43,14 +44,18 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 SOURCES = ("noise", "mounting", "calibration", "offset", "temperature", "motion", "sampling")
 SHARED = ("calibration",)  # by two visits with one calibration
 COVERAGE = 1.96
-DRAWS = 6  # of noise, each with both signs so that what is linear leaves no bias: u of it is known to 30 %
+DRAWS = 6  # of noise, each with both signs so that what is linear leaves no bias
+STUDENT = 2.447 / 1.96  # of six degrees of freedom: the scatter of so few draws is known to 30 %
+QUIET_S = 3.0  # of the quietest stretch: that of a second is by chance 25 % quieter than the others
 # Where nothing is known of them [assumed]: sides of a device by hand; an accelerometer's offset, for 0.3 deg; scale of a gyroscope;
 # offset of a gyroscope since its last calibration, each axis
 BY_HAND = 5.0 * RADIAN_PER_DEGREE
 ACCEL_OFFSET = 0.3 * RADIAN_PER_DEGREE * STANDARD_GRAVITY
 GYRO_SCALE = 0.01
 GYRO_OFFSET = 0.1 * RADIAN_PER_DEGREE
-SAMPLING = 0.03  # of a step
+SAMPLING = 0.01  # of a step
+LEAST_REST_S = 2.5  # a body sways more slowly than a shorter rest shows
+MOTION = 1.5  # of the change by a time constant twice as long, which leaves a third
 _NEGLIGIBLE = 1e-4
 
 
@@ -68,6 +73,7 @@ class Instrument:
     seeds: tuple[int, ...]  # of its draws
     assumed: tuple[str, ...]  # what is not stated, and assumed
     place: str  # on the body
+    sizes: Mapping[str, float]  # of mounting, deg, and offset, deg/s: standard uncertainty of an axis
 
     def all_changes(self, *, stands: bool) -> tuple[tuple[str, Change], ...]:
         """Return what changes a measure but noise, of a person who stands or moves."""
@@ -117,6 +123,15 @@ class Measure:
         """Standard uncertainty of each repetition, (K,)."""
         return np.asarray(np.sqrt((self.columns**2).sum(axis=0)))
 
+    def without(self, source: str) -> float:
+        """Standard uncertainty of the mean that the other sources leave."""
+        return math.hypot(*(part for name, part in self.parts.items() if name != source))
+
+    def halving(self, source: str) -> float:
+        """Share of a source's part at which the uncertainty is half of what it is; 0 where the others leave more."""
+        room = 0.25 * self.uncertainty**2 - self.without(source) ** 2
+        return math.sqrt(room) / self.parts[source] if room > 0.0 else 0.0
+
     @property
     def smallest_change(self) -> float:
         """Change of the mean between two visits that exceeds the instrument's error, 95 %."""
@@ -141,6 +156,7 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
     offset_covariance = gyro[9:, 9:].copy()
     gyro[9:, :], gyro[:, 9:] = 0.0, 0.0  # what is left of the offset at this moment counts as such
     rest = known_rest_offset(record)
+    rest = rest if rest is not None and rest.stop_s - rest.start_s > LEAST_REST_S else None
     if rest is not None and record.offset_uncertainty is None:
         worn, left = replace(worn, gyro=worn.gyro - rest.rate), rest.uncertainty / math.sqrt(3.0) * np.ones(3)
         standing = np.sqrt(np.diag(rest.covariance))
@@ -164,16 +180,20 @@ def instrument(record: Record, model: Calibration | None, mounting: BodyMounting
         changes += [("temperature", _erring("accel", _scale(scale_k, k))) for k in range(3) if scale_k]
     size = ageing("" if force_error is None else force_error.calibrated)
     changes += [("offset", _erring("accel", _offset(size, k))) for k in range(3)]
-    changes.append(("motion", lambda one: replace(one, acc_s=0.5 * ACC_S)))
+    changes.append(("motion", lambda one: replace(one, acc_s=2.0 * ACC_S)))
     seeds = np.random.default_rng(seed).integers(2**32, size=DRAWS).tolist()
     return Instrument(
         worn=worn,
         changes=tuple(changes),
         left=(left, left if rest is None or record.offset_uncertainty is not None else standing),
-        noise=(_noise_of(worn, model, np.min), _noise_of(worn, model, np.median)),
+        noise=(_noise_of(worn, model, stands=False), _noise_of(worn, model, stands=True)),
         seeds=tuple(seeds),
         assumed=tuple(assumed),
         place=worn_as.place,
+        sizes={
+            "mounting": math.sqrt(float(np.trace(covariance)) / 3.0) / RADIAN_PER_DEGREE,
+            "offset": float(np.linalg.norm(left)) / math.sqrt(3.0) / RADIAN_PER_DEGREE,
+        },
     )
 
 
@@ -191,7 +211,7 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
         except InputError:
             again = {}
         same: dict[str, FloatArray] = {
-            name: again[name] - value
+            name: (MOTION if source == "motion" else 1.0) * (again[name] - value)
             for name, value in shown.values.items()
             if name in again and again[name].shape == value.shape
         }
@@ -202,12 +222,9 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
 
     changes = device.all_changes(stands=stands)
     every = [moved(source, change) for source, change in changes]
+    signed = [(seed, sign) for seed in device.seeds for sign in (1, -1)]
     draws = [
-        [
-            moved("noise", noisy(device, seed, sign * math.sqrt(power), stands=stands))
-            for seed in device.seeds
-            for sign in (1, -1)
-        ]
+        [moved("noise", noisy(device, seed, sign * math.sqrt(power), stands=stands)) for seed, sign in signed]
         for power in (1.0, 2.0)
     ]
     sources = (*(source for source, _ in changes), "noise", "noise", "sampling")
@@ -216,7 +233,7 @@ def take(device: Instrument, task: TaskMeasure) -> tuple[TaskResult, tuple[Measu
         if name in undone:
             continue
         once, twice = (np.array([one[name] for one in each]) for each in draws)
-        noise = once.std(axis=0), 3.0 * once.mean(axis=0) - twice.mean(axis=0)
+        noise = STUDENT * once.std(axis=0), 3.0 * once.mean(axis=0) - twice.mean(axis=0)
         columns = np.array(
             [*(one[name] for one in every), *noise, between * shown.by_time.get(name, is_time(name)) + 0.0 * value]
         )
@@ -266,10 +283,10 @@ def _scale(size: float, axis: int) -> FloatArray:
     return np.asarray(size * np.eye(12)[4 * axis])
 
 
-def _noise_of(worn: WornReadings, model: Calibration | None, second_of: Callable[..., FloatArray]) -> FloatArray:
-    """Return white noise of a reading (2, 3), rad/s and m/s2: by the calibration, else by third differences of a second.
+def _noise_of(worn: WornReadings, model: Calibration | None, *, stands: bool) -> FloatArray:
+    """Return white noise of a reading (2, 3), rad/s and m/s2: by the calibration, else by third differences of a stretch.
 
-    Motion is in these too, though it is smooth: then the quietest second; of a person who stands the usual one.
+    Motion is in these too, though it is smooth: then the quietest stretch; of a person who stands the usual one.
     """
     rate_hz = (len(worn.time) - 1) / float(worn.time[-1] - worn.time[0])
     noise, sizes = None if model is None else model.noise, list[FloatArray]()
@@ -277,10 +294,10 @@ def _noise_of(worn: WornReadings, model: Calibration | None, second_of: Callable
         (worn.gyro, None if noise is None else noise.angle_random_walk),
         (worn.accel, None if noise is None else noise.velocity_random_walk),
     ):
-        second = max(round(rate_hz), 8)
-        steps = np.diff(readings, 3, axis=0)
-        steps = steps[: len(steps) // second * second].reshape(-1, second, 3)
-        shown = np.sqrt(second_of((steps**2).mean(axis=1), axis=0) / 20.0)
+        power = np.diff(readings, 3, axis=0) ** 2
+        length = min(max(round(QUIET_S * rate_hz), 8), len(power))
+        each = power[: len(power) // length * length].reshape(-1, length, 3).mean(axis=1)
+        shown = np.sqrt((np.median(each, axis=0) if stands else each[np.argmin(each.sum(axis=1))]) / 20.0)
         stated = np.full(3, np.nan) if density is None else np.asarray(density) * math.sqrt(rate_hz)
         sizes.append(np.where(np.isfinite(stated), stated, shown))
     return np.stack(sizes)

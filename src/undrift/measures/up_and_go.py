@@ -101,16 +101,12 @@ def _values(course: Course, rise: Transfer, down: Transfer, first: Turning, seco
     """Return the measures of one test."""
     trunk = rise_values(course, rise)
     return {
-        "tug_duration_s": down.stop - rise.start,
-        "sit_to_stand_duration_s": rise.duration,
-        "walk_out_duration_s": first.start - rise.stop,
-        "turn_duration_s": first.stop - first.start,
-        "walk_back_duration_s": second.start - first.stop,
-        "turn_to_sit_duration_s": down.stop - second.start,
+        "tug_duration_s": down.stop - rise.start, "sit_to_stand_duration_s": rise.duration,
+        "walk_out_duration_s": first.start - rise.stop, "turn_duration_s": first.stop - first.start,
+        "walk_back_duration_s": second.start - first.stop, "turn_to_sit_duration_s": down.stop - second.start,
         "stand_to_sit_duration_s": down.duration,
-        "turn_angle_deg": first.angle / RADIAN_PER_DEGREE,
-        "peak_turn_velocity_dps": first.fastest / RADIAN_PER_DEGREE,
+        "turn_angle_deg": first.angle / RADIAN_PER_DEGREE, "peak_turn_velocity_dps": first.fastest / RADIAN_PER_DEGREE,
         "second_turn_angle_deg": second.angle / RADIAN_PER_DEGREE,
         "second_peak_turn_velocity_dps": second.fastest / RADIAN_PER_DEGREE,
         **{name: trunk[name] for name in ("peak_trunk_pitch_deg", "trunk_flexion_deg", "peak_flexion_velocity_dps")},
-    }
+    }  # fmt: skip

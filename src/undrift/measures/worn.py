@@ -32,6 +32,7 @@ SMOOTH_HZ = 6.0  # low-pass of rates and accelerations, in both directions (Wint
 DRIFT_HZ = 0.1
 LEAST_S = 3.0
 FAR_FROM_UP = 60.0 * RADIAN_PER_DEGREE
+MEAN_UP = {"thigh": (0.5**0.5, 0.0, 0.5**0.5)}  # that of who sits and stands; else (0, 0, 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +90,8 @@ def wear(record: Record, mounting: BodyMounting) -> WornReadings:
         time = even
     worn = WornReadings(time=time, gyro=gyro, accel=accel, matrix=mounting.matrix, averaged=count)
     mean = mounting.matrix @ accel.mean(axis=0)
-    off = float(np.arccos(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0)))
+    up = np.array(MEAN_UP.get(mounting.place, (0.0, 0.0, 1.0)))
+    off = float(np.arccos(np.clip(up @ mean / np.linalg.norm(mean), -1.0, 1.0)))
     if off > FAR_FROM_UP:
         axis = int(np.argmax(np.abs(felt := accel.mean(axis=0))))
         side = f"{'-' if felt[axis] < 0.0 else '+'}{'xyz'[axis]}"

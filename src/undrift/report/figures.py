@@ -485,15 +485,16 @@ def draw_measured(
     """Draw courses (N,) of a task over time by their labels; events, by onset and duration (s), shaded."""
     figure, panels = new_figure(len(courses), height=1.6)
     colours = {"sit-to-stand": DEVICE, "stand-to-sit": ERROR, "walking": DEVICE, "rise": DEVICE, "turn": LIMIT}
-    shade: Any = {"alpha": 0.18, "linewidth": 0.0, "zorder": 0}
     for axes, (label, values) in zip(panels, courses.items(), strict=True):
         axes.plot(*envelope(time, values), color=DEVICE)
         axes.set_ylabel(label)
         for onset, duration, name in events:
             if name in colours:
+                shade: Any = {"alpha": 0.08 if name == "walking" else 0.18, "linewidth": 0.0, "zorder": 0}
                 axes.axvspan(onset, onset + duration, color=colours[name], label=name, **shade)
             elif duration == 0.0:
-                axes.axvline(onset, color=OPTICS, linewidth=0.8, linestyle=":", label=name)
+                style = "--" if name == "end contact" else ":"
+                axes.axvline(onset, color=OPTICS, linewidth=0.8, linestyle=style, label=name)
     panels[-1].set_xlabel("time (s)")
     once = {label: handle for handle, label in zip(*panels[0].get_legend_handles_labels(), strict=True)}
     if once:
