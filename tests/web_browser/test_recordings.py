@@ -119,6 +119,14 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
         page.get_by_role("heading", name=name).wait_for()
     step(page, "Use")
+    page.get_by_role("button", name="What does each give here?").click()
+    main = page.locator(".bench-main")
+    expect(main).to_contain_text("none: nothing is subtracted.", timeout=COMMAND_MS)
+    for offset in ("rest", "motion"):
+        expect(main).to_contain_text(
+            re.compile(rf"{offset}: -?\d\.\d+, -?\d\.\d+, -?\d\.\d+ deg/s about x, y, z, within [\d.]+ \(95 %\)\.")
+        )
+    assert list(page.get_by_role("link", name="offset.parquet").all()) == []  # it is looked at, and not kept
     page.get_by_label("Offset to subtract").select_option("motion")
     name_sides(page, "+x", "+z")
     for command in ("Correct", "Orient"):
