@@ -189,7 +189,7 @@ class Recordings:
             if outcome.done and (found := outcome.answer["recordings"][0]["rest"]):
                 rates, known = found["offset_dps"], found["offset_uncertainty_dps"]
                 within = 2.0 * math.hypot(*(known if isinstance(known, list) else [known]))
-                shown = ", ".join(f"{rate:.3f}" for rate in rates)
+                shown = ", ".join(f"{round(rate, 3) + 0.0:.3f}" for rate in rates)  # no -0.000
                 words[offset] = f"{shown} deg/s about x, y, z, within {within:.2g} (95 %)"
         self.offsets = {stored.path: words}
 
