@@ -90,7 +90,7 @@ def test_its_report_is_six_printed_pages_at_most_and_names_the_pages_behind_it(q
 def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
     # a computer that is too busy loses an answer: the run resumes, slower, with a line that says so
     lines = [line for line in quick[1].stderr.splitlines() if "; resuming, attempt " not in line]
-    told = re.compile(r"undrift demo: .+, \d+ s so far, (about \d+ s left|time left not known yet)")
+    told = re.compile(r"undrift demo: .+, \d+ s so far, (about \d+ s left \(\d+ %\)|time left not known yet)")
     assert len(lines) >= 1
     assert [line for line in lines if not told.fullmatch(line)] == []
     assert any(re.match(r"undrift demo: (virtual bench: )?(bench|thermal) ", line) for line in lines)

@@ -117,6 +117,16 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
     assert "--forward" not in correct
 
 
+def test_the_task_that_was_chosen_is_measured_where_the_device_is_worn(bench):
+    held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
+    held.form.task, held.form.worn, held.form.forward, held.form.up = "walk", "shank", "-z", "+x"
+    asyncio.run(held.run(one, "measure"))
+    words = " ".join(map(str, bench.calls[-1]))
+    assert "--task walk --worn shank --forward -z --up +x" in words
+    assert "walk_events.tsv --report" in words
+    assert "--offset" not in words
+
+
 def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(bench):
     held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     with pytest.raises(InputError, match="wanted the place where the device is worn, got none; choose it"):

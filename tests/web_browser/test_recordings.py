@@ -188,6 +188,14 @@ def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Calla
     rate.fill("100")
     page.get_by_role("button", name="Read the file").click()
     expect(page.locator(".bench-main")).to_contain_text("samples at 100 Hz", timeout=COMMAND_MS)
+    step(page, "Use")
+    name_sides(page, "+z", "+x")
+    page.get_by_label("Motor task").select_option("walk")
+    page.get_by_role("button", name="Measure").click()
+    page.get_by_role("link", name="measure: report").wait_for(timeout=COMMAND_MS)
+    expect(page.get_by_role("link", name="measure: HA_001_Test11_events.tsv")).to_have_count(1)
+    shoot(page, "recordings-measured-1280")
+    assert faults_of(page) == []
 
 
 def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(

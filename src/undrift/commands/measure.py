@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from undrift.model import BodyMounting, Calibration
 
 ENDING = "_events.tsv"
+Task = Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"]
 DECIMALS = {"deg": 1, "s": 2, "deg/s": 1, "Hz": 2, "m/s2": 4, "m2/s4": 5, "m/s": 4, "deg2": 2, "m": 2, "%": 1,
             "steps/min": 1}  # fmt: skip
 FIRST = {  # measures that the answer names
@@ -130,7 +131,7 @@ def measure(
     record: Path,
     /,
     *,
-    task: Literal["sit-to-stand", "5xSTS", "standing", "walk", "step", "tug"],
+    task: Task,
     eyes_closed: Path | None = None,
     worn: Literal["lower-back", "thigh", "shank"] | None = None,
     mounting: Path | None = None,

@@ -1,4 +1,4 @@
-"""Files on the pages Check, Calibrate and Use: maps are proposed; recordings are calibrated, corrected, oriented, validated."""
+"""Files on Check, Calibrate and Use: maps are proposed; recordings are calibrated, corrected, oriented, measured, validated."""
 
 import asyncio
 import math
@@ -16,6 +16,7 @@ from nicegui import background_tasks, ui
 from undrift.base.codec import toml_text
 from undrift.base.options import asked, stated
 from undrift.commands.bench.library import StoredFile
+from undrift.commands.measure import Task
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -35,6 +36,11 @@ UNITS = {
     "time": ("s", "ms", "us", "date"),
 }
 SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
+MADE = {  # by a command of the page Use: what its file is called, and what it is asked by
+    "correct": ("-corrected.parquet", ("offset",)),
+    "orient": ("-angles.csv", ("offset", "forward", "up")),
+    "measure": ("_events.tsv", ("task", "worn", "forward", "up")),
+}
 NO_NUMBER = "sample rate: wanted a number above 0, got '{}'; state the samples per second"
 
 
@@ -48,6 +54,7 @@ class RecordingForm:
     forward: str = asked("--forward", options=("", *FACES))
     up: str = asked("--up", options=("", *FACES))
     offset: str = asked("--offset", options=("", "none", "rest", "motion"))
+    task: str = asked("--task", get_args(Task)[0], options=get_args(Task))
     markers: str = asked("Markers, commas between")
     reference_up: str = asked("--reference-up", options=("", "y", "z"))
     rate_hz: str = asked("Samples per second, Hz", kind="number")
@@ -170,13 +177,11 @@ class Recordings:
         return outcome.done
 
     async def run(self, stored: StoredFile, command: str) -> None:
-        """Correct or orient a recording; what is written can be downloaded."""
-        base, place = safe_name(stored.path.name.split(".")[0], "recording"), stored.path.parent
-        made = place / f"{base}-{'corrected.parquet' if command == 'correct' else 'angles.csv'}"
-        report = place / f"{base}-{command}.html"
-        words = [*stored.options(), *self._calibrated(), *(self._sides() if command == "orient" else ())]
-        outcome = await self.bench.command(command, stored.path, *words, "-o", made, "--report", report)
-        self._take(stored, command, outcome, [made, report])
+        """Correct or orient a recording, or measure its task; what is written can be downloaded."""
+        base, (ending, names) = safe_name(stored.path.name.split(".")[0], "recording"), MADE[command]
+        made, report = (stored.path.with_name(f"{base}{end}") for end in (ending, f"-{command}.html"))
+        words = *stored.options(), *self._stated(*names), "-o", made, "--report", report
+        self._take(stored, command, await self.bench.command(command, stored.path, *words), [made, report])
 
     async def compare_offsets(self, stored: StoredFile) -> None:
         """Ask what each way to find the offset gives on a recording: what is subtracted, or why it cannot be."""
@@ -212,9 +217,8 @@ class Recordings:
     async def validate(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> None:
         """Compare a recording with its optics, in degrees."""
         place = stored.path.parent / "validation"
-        words = *_optics(stored, reference, markers, up), *self._calibrated(), *self._sides()
-        outcome = await self.bench.command("validate", *words, "-o", place)
-        self._take(stored, "validate", outcome, sorted(place.glob("*")))
+        words = *_optics(stored, reference, markers, up), *self._stated("offset", "forward", "up"), "-o", place
+        self._take(stored, "validate", await self.bench.command("validate", *words), sorted(place.glob("*")))
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
@@ -229,11 +233,8 @@ class Recordings:
             self.visit.shown, self.visit.calibration = job.read(), job.calibration
         return outcome.done
 
-    def _calibrated(self) -> tuple[object, ...]:
-        return stated(calibration=self.visit.calibration, offset=self.form.offset)
-
-    def _sides(self) -> tuple[object, ...]:
-        return stated(forward=self.form.forward, up=self.form.up)
+    def _stated(self, *names: str) -> tuple[object, ...]:
+        return stated(calibration=self.visit.calibration, **{name: getattr(self.form, name) for name in names})
 
     def _take(self, stored: StoredFile, command: str, outcome: CommandOutcome, files: list[Path]) -> None:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
@@ -340,9 +341,9 @@ def _used(visit: "Visit", one: StoredFile | None) -> None:
         parts.text("h3", "Results")
         with ui.element("ul"):
             for label, path in one.made.items():
-                opened = path.suffix in (".html", ".svg")
+                end = "" if (opened := path.suffix in (".html", ".svg")) else "?download=1"
                 with ui.element("li"):
-                    ui.link(label, visit.bench.link(path) + ("" if opened else "?download=1"), new_tab=opened)
+                    ui.link(label, visit.bench.link(path) + end, new_tab=opened)
 
 
 def _rate_form(recordings: Recordings, one: StoredFile) -> None:
@@ -418,8 +419,7 @@ def _trace(recordings: Recordings, one: StoredFile, about: Mapping[str, Any]) ->
     shown = {"url": url, "units": trace["units"], "length": last - first, "chosen": one.kind == "recording"}
     shown["words"] = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     shown["stretches"] = [(*words, start - first, stop - first) for *words, start, stop in stretches]
-    made = Panel(trace=shown)
-    made.on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
+    Panel(trace=shown).on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
     if one.out_s:
         words = ", ".join(f"{start - first:.2f} to {stop - first:.2f} s" for start, stop in one.out_s)
         parts.text("p", f"Left out: {words}.")
@@ -441,6 +441,8 @@ def _actions(visit: "Visit", one: StoredFile) -> None:
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
     _wearing_form(visit, one)
     parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
+    parts.form(recordings.form, "task")
+    parts.button("Measure", lambda: recordings.run(one, "measure") if _worn(recordings, one) else None)
     if recordings.references():
         _optics_form(recordings, one)
 
