@@ -230,7 +230,7 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
 def test_an_error_that_nobody_foresaw_is_a_row_too(undrift, folder, monkeypatch):
     from undrift.commands import info as module
 
-    monkeypatch.setattr(module, "_stills", lambda *_: [].pop())
+    monkeypatch.setattr(module, "_look", lambda *_: [].pop())
     answer = undrift.good("info", folder, "--json").json()
     rows = {row["name"]: row["error"] for row in answer["files"]}
     assert rows["walk.parquet"] == "IndexError: pop from empty list"
