@@ -444,3 +444,11 @@ def test_what_study_refuses(undrift, plan, tmp_path):
     )
     assert "check the path" in refused(tmp_path / "none.toml", "-o", tmp_path / "a")
     assert "make it first" in refused(plan, "-o", tmp_path / "no" / "folder")
+
+
+def test_a_study_that_is_refused_starts_no_process(undrift, tmp_path, monkeypatch):
+    from undrift.study.run import Pool
+
+    monkeypatch.setattr(Pool, "start", lambda *_: pytest.fail("a process was started"))
+    (tmp_path / "walk.csv").write_text("mine")
+    assert "wanted a new folder" in undrift.refused("study", "--preset", "note", "--workers", 2, "-o", tmp_path)

@@ -399,9 +399,8 @@ def _solve(problem: _Problem, p: FloatArray) -> tuple[FloatArray, FloatArray, _M
     if stated.turned is not None:
         p, rows = _descend(stated, p, rows.state, whitener, 1e-8)
     covariance = covariance_of(rows.design)
-    if (
-        stated.turned is not None and problem.creep is not None
-    ):  # a scale creeps in turns and in moves, which may cancel
+    # A scale creeps in turns and in moves, which may cancel
+    if stated.turned is not None and problem.creep is not None:
         gain = covariance @ rows.design.T
         in_moves = -gain[:, :count] @ whitener @ _by_gyro_creep(problem, problem.creep[1], rows.state, p)
         in_turns = gain[:, count : count + 9] @ stated.turned.state

@@ -331,9 +331,8 @@ def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -
         return replace(session_from_files([path], file_map), gravity_m_s2=gravity_m_s2)
     record = opening.record(path)
     inputs = ((path.name, sha256_of(path)),) if path.is_file() else ()
-    file_map = file_map and file_map_of(
-        entry_of(file_map), without=("leave_out",)
-    )  # a stretch belongs to one recording
+    # a stretch belongs to one recording
+    file_map = file_map and file_map_of(entry_of(file_map), without=("leave_out",))
     about: Any = {"serial": record.device, "gravity_m_s2": gravity_m_s2, "inputs": inputs, "file_map": file_map}
     return Session(kind="thermal", records=(record,), **about)
 

@@ -103,7 +103,7 @@ def info(
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     trace : Path or None
-        Readings and orientation of a recording for a page that draws them, .npy; stills, faces and turns stand in --json then.
+        Of a recording alone: readings and orientation for a page that draws them, .npy; stills, faces and turns are in --json.
     output : Path or None
         Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """

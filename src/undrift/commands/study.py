@@ -157,22 +157,23 @@ def study(
     if (plan is None) == (preset is None):
         raise InputError(f"study: wanted a study.toml or `preset` note, got {'both' if plan else 'neither'}; name one")
     planned = choices.applied(plan)
-    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
-    if isinstance(executor, Pool):  # while this process imports what it alone needs
-        executor.start(partial(run_unit, units_of(planned)[0]))
-    from undrift.commands.study_rig import write_protocols
-    from undrift.study.outcome import StudyProgress, forecast, judge_study
-    from undrift.study.real import read_real
-
+    executor, rivals, recordings = choose_executor(scheduler, workers), not (no_rivals or choices.quick), None
     if real is not None:
+        from undrift.study.real import read_real
+
         progress("reading real recordings", 0.0)
-    recordings = None if real is None else read_real(real)
+        recordings = read_real(real)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
         raise InputError(
             f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
         )
     RunStore(output, planned)  # refuses the folder of another study before anything is computed
+    if isinstance(executor, Pool):  # while this process imports what it alone needs
+        executor.start(partial(run_unit, units_of(planned)[0]))
+    from undrift.commands.study_rig import write_protocols
+    from undrift.study.outcome import StudyProgress, forecast, judge_study
+
     stages = forecast(planned, output, workers=executor.workers, rivals=rivals, real=recordings)
     progress("\n".join((*_announced(planned, stages, executor.workers), stages[0].name)), 0.0)
     course = StudyProgress(progress, stages)

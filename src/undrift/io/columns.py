@@ -238,9 +238,8 @@ class ReadSettings:
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
     temp_file: TempFile | None = None  # Takes the place of a temperature in the recording
     clock: Clock | None = None  # "file" or "regular", overruling a map; None: as the map states, else the file's
-    leave_out: tuple[
-        tuple[float, float], ...
-    ] = ()  # Stretches, s on the recording's clock: cut off at its ends, gaps between
+    # Stretches, s on the recording's clock: cut off at its ends, gaps between
+    leave_out: tuple[tuple[float, float], ...] = ()
 
 
 READ_SETTINGS = ReadSettings()

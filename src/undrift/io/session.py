@@ -189,9 +189,8 @@ class MapEntry(TomlTable):
     gaps: Gaps = "raise"  # "raise" or "keep"
     repair_time: bool = False  # Leave out rows whose time does not go forward
     clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
-    leave_out: tuple[
-        tuple[Finite, Finite], ...
-    ] = ()  # Stretches, s on the recording's clock: cut off at its ends, gaps between
+    # Stretches, s on the recording's clock: cut off at its ends, gaps between
+    leave_out: tuple[tuple[Finite, Finite], ...] = ()
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own

@@ -43,10 +43,8 @@ REACH_S = 0.5  # by which the greatest pitch may come before the body rises, or 
 LEAST_LEAN = 5.0 * RADIAN_PER_DEGREE  # of flexion and of extension
 EDGE = 0.1  # of the peak rate: where a movement begins and ends
 LONGEST_S = 4.0  # of flexion, and of extension
-LEAST_TURN, UPRIGHT = (
-    45.0 * RADIAN_PER_DEGREE,
-    35.0 * RADIAN_PER_DEGREE,
-)  # of a thigh: from a high seat it turns by 60 [assumed]
+# Of a thigh: from a high seat it turns by 60 deg [assumed]
+LEAST_TURN, UPRIGHT = 45.0 * RADIAN_PER_DEGREE, 35.0 * RADIAN_PER_DEGREE
 OFF = 0.05  # of the hip's way: the seat is left
 
 

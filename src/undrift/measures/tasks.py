@@ -55,8 +55,9 @@ def measure_of(task: TaskName, place: str = "lower-back") -> TaskMeasure:
         "tug": {"lower-back": up_and_go.up_and_go},
     }
     if place not in functions[task]:
+        places = " or ".join(functions[task])
         raise InputError(
-            f"{task}: wanted a device at the {' or '.join(functions[task])}, got one at the {place}; its mounting states that"
+            f"{task}: wanted a device at the {places}, got one at the {place}; name where it was worn, or another task"
         )
     return functions[task][place]
 
