@@ -108,7 +108,7 @@ def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
 def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
     held, one = bench.visit("tab").recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     held.form.forward, held.form.up = "-z", "+x"
-    for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
+    for work in (held.run(one, "orient"), held.validate(one, one), held.run(one, "correct")):
         asyncio.run(work)
     orient, validate, correct = bench.calls
     for call in (orient, validate):
@@ -159,11 +159,11 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
     for chosen in get_args(get_type_hints(correct)["offset"]):
         assert chosen in {field.name: field for field in fields(held.form)}["offset"].metadata["options"]
         held.form.offset = chosen
-        for work in (held.run(one, "orient"), held.validate(one, one, markers="", up=""), held.run(one, "correct")):
+        for work in (held.run(one, "orient"), held.validate(one, one), held.run(one, "correct")):
             asyncio.run(work)
             call = bench.calls[-1]
             assert call[call.index("--offset") + 1] == chosen
-    asyncio.run(held.calibrate_by(one, one, markers="", up=""))
+    asyncio.run(held.calibrate_by(one, one))
     assert "--offset" not in bench.calls[-1]
 
 

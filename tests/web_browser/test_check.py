@@ -15,7 +15,9 @@ from playwright.sync_api import Page, expect
 
 import undrift
 from testkit.bench import BenchServer, bench_process
+from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
+from undrift.io.session import read_map
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from web_browser.conftest import faults_of, shoot, state_serial, step
@@ -158,6 +160,37 @@ def test_columns_and_units_prove_themselves_and_what_nothing_shows_stays_empty(
     page.get_by_role("button", name="Read the file").click()
     expect(page.get_by_role("link", name="Calibrate from it")).to_be_visible()
     expect(page.locator(".panel-state")).to_contain_text("12 rests on 6 faces, 11 turns")
+    assert complaints == []
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
+    open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path, turned: Record, width: int, height: int,
+    scheme: str,
+) -> None:  # fmt: skip
+    opposite = np.asarray(turned.accel) * (-1.0, 1.0, 1.0) / STANDARD_GRAVITY
+    table = np.column_stack((turned.time * 1e3, np.asarray(turned.gyro) / RADIAN_PER_DEGREE, opposite))
+    np.savetxt(tmp_path / "log.csv", table, "%.6f", ",", header="Time,gx,gy,gz,ax,ay,az", comments="")
+    page = open_page("/check", width=width, height=height, color_scheme=scheme)
+    complaints, lies = dropped(page, tmp_path / "log.csv"), page.locator(".panel-device .soft")
+    page.get_by_label("Unit of the gyroscopes").select_option("dps")
+    page.get_by_label("Unit of the accelerometers").select_option("g")
+    disagree = page.get_by_text("accelerometer column x is (they read turns about +x, -y, -z")
+    expect(disagree).to_be_visible()
+    expect(lies).to_have_text("Device with -x up, 0 deg off")
+    page.get_by_text("Columns", exact=True).click()
+    page.get_by_label("Sign of accelerometers x").select_option("-")
+    expect(disagree).to_be_hidden()
+    expect(lies).to_have_text("Device with +x up, 0 deg off")
+    expect(page.locator(".proof")).to_have_text("|a| at rest = 1.00 g, rate at rest = 0.01 deg/s.")
+    page.mouse.move(0, 0)
+    shoot(page, f"check-sign-{width}")
+    assert faults_of(page) == []
+    page.get_by_role("button", name="Read the file").click()
+    expect(page.get_by_role("link", name="Calibrate from it")).to_be_visible()
+    (path,) = bench_server.folder.glob("uploads/*/map.toml")
+    read = read_record(path.with_name("log.csv"), read_map(path)[0])
+    assert np.abs(np.asarray(read.in_si().accel) - np.asarray(turned.accel)).max() < 1e-4
     assert complaints == []
 
 

@@ -186,15 +186,8 @@ def _entry_cells(devices: Devices, entry: dict[str, Any]) -> Sequence[object]:
     days, note = [_day(entry, name) for name in ("made_at", "due_at")], f"superseded by {later}" if later else ""
     valid, verdict = "–" if span is None else f"{span[0]:.1f} to {span[1]:.1f}", str(entry["verdict"] or "–")
     notes = ["; ".join(filter(None, (note, str(entry["note"])))), "records-note"]
-    return [
-        f"{number} {kind}",
-        ["in use" if used else "", "good", buttons],
-        *days,
-        valid,
-        verdict,
-        str(entry["added_by"]),
-        notes,
-    ]
+    made = [f"{number} {kind}", ["in use" if used else "", "good", buttons], *days]
+    return [*made, valid, verdict, str(entry["added_by"]), notes]
 
 
 def _trend(devices: Devices) -> None:

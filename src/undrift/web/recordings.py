@@ -214,16 +214,16 @@ class Recordings:
         elif stored.mounting:
             form.forward, form.up = (outcome.answer["sides"][way] for way in ("forward", "up"))
 
-    async def validate(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> None:
+    async def validate(self, stored: StoredFile, reference: StoredFile) -> None:
         """Compare a recording with its optics, in degrees."""
         place = stored.path.parent / "validation"
-        words = *_optics(stored, reference, markers, up), *self._stated("offset", "forward", "up"), "-o", place
+        words = *self._optics(stored, reference), *self._stated("offset", "forward", "up"), "-o", place
         self._take(stored, "validate", await self.bench.command("validate", *words), sorted(place.glob("*")))
 
-    async def calibrate_by(self, stored: StoredFile, reference: StoredFile, *, markers: str, up: str) -> bool:
+    async def calibrate_by(self, stored: StoredFile, reference: StoredFile) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
         job = self.bench.new_job(stored.path.stem, self.visit.key)
-        words = *_optics(stored, reference, markers, up), "--calibrate-from", "reference", *self.bench.place.words()
+        words = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
         stored.error = outcome.error
         if outcome.done:
@@ -236,6 +236,11 @@ class Recordings:
     def _stated(self, *names: str) -> tuple[object, ...]:
         return stated(calibration=self.visit.calibration, **{name: getattr(self.form, name) for name in names})
 
+    def _optics(self, stored: StoredFile, reference: StoredFile) -> tuple[object, ...]:
+        other, by = (None, None) if reference is stored else (reference.path, reference.map)
+        typed = stated(markers=self.form.markers.strip(), reference_up=self.form.reference_up)
+        return stored.path, *stored.options(), *stated(reference=other, reference_map=by), *typed
+
     def _take(self, stored: StoredFile, command: str, outcome: CommandOutcome, files: list[Path]) -> None:
         stored.error, stored.remarks[command] = outcome.error, remarks_of(outcome.answer)
         if outcome.done:
@@ -246,11 +251,6 @@ class Recordings:
         """Return the files that hold optical poses."""
         kinds, files = ("reference", "markers"), self.bench.library.files
         return [one for one in files if one.kind in kinds or "optical" in one.summary]
-
-
-def _optics(stored: StoredFile, reference: StoredFile, markers: str, up: str) -> tuple[object, ...]:
-    other, by = (None, None) if reference is stored else (reference.path, reference.map)
-    return stored.path, *stored.options(), *stated(reference=other, reference_map=by, markers=markers, reference_up=up)
 
 
 # ---- The page
@@ -371,7 +371,8 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
             recordings.form.rate_hz, number = value, rate.number()
             place[key] = number if number and number > 0.0 else "?"
         else:
-            place[key] = int(value) if isinstance(place[key], int) else value
+            sign = isinstance(place[key], float)
+            place[key] = float(f"{value}1") if sign else type(place[key])(value)  # a name, or a position from 0
         background_tasks.create(recordings.try_map(one), name="map that is chosen")
 
     parts.says("units")
@@ -386,10 +387,19 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
     with parts.folded("Columns"), parts.row("form"):
         for key, columns in draft.get("columns", {}).items():
             if key in SENSORS and isinstance(columns, list) and set(map(str, columns)) <= set(names):
+                gains = draft.setdefault("scale", {}).setdefault(key, {"gain": [1.0] * len(columns)})["gain"]
                 for k, axis in enumerate("xyz"[: len(columns)]):
-                    label = f"{SENSORS[key].capitalize()}, {axis}"
-                    parts.Field(label, str(columns[k]), options=names, keep=partial(take, columns, k))
-    parts.redrawn(lambda: id(recordings.shown), lambda: _trace(recordings, one, recordings.shown))
+                    with parts.row("signed"):
+                        signs = parts.Field("Sign", "+-"[gains[k] < 0.0], options="+-", keep=partial(take, gains, k))
+                        signs.element.props["aria-label"] = f"Sign of {SENSORS[key]} {axis}"
+                        label = f"{SENSORS[key].capitalize()}, {axis}"
+                        parts.Field(label, str(columns[k]), options=names, keep=partial(take, columns, k))
+
+    def shown() -> None:
+        parts.remarks_list(remarks_of(recordings.shown))
+        _trace(recordings, one, recordings.shown)
+
+    parts.redrawn(lambda: id(recordings.shown), shown)
     parts.next_step("Read the file", lambda: recordings.use_map(one))
     if not recordings.shown:
         background_tasks.create(recordings.try_map(one), name="map that is proposed")
@@ -511,7 +521,6 @@ def _worn(recordings: Recordings, one: StoredFile) -> bool:
 def _optics_form(recordings: Recordings, one: StoredFile) -> None:
     """Ask for the optics of a recording: its own, or a file of poses or markers."""
     found = {("its own" if other is one else other.path.name): other for other in recordings.references()}
-    typed = recordings.form
     with parts.section("Optics"):
         parts.text("h3", "Compare with optics")
         with parts.row():
@@ -519,17 +528,14 @@ def _optics_form(recordings: Recordings, one: StoredFile) -> None:
         if labels := next((other.about.get("columns") for other in found.values() if other.kind == "markers"), None):
             first = ", ".join(map(str, labels[:6]))
             parts.text("p", f"Markers: three or more of one rigid cluster: {first} ...", "soft")
-            parts.form(typed, "markers", "reference_up")
+            parts.form(recordings.form, "markers", "reference_up")
 
         async def validate() -> None:
             if _worn(recordings, one):
-                reference, markers = found[chosen.value], typed.markers.strip()
-                await recordings.validate(one, reference, markers=markers, up=typed.reference_up)
+                await recordings.validate(one, found[chosen.value])
 
         async def calibrate() -> str | None:
-            reference, markers = found[chosen.value], typed.markers.strip()
-            done = await recordings.calibrate_by(one, reference, markers=markers, up=typed.reference_up)
-            return "/calibrate" if done else None
+            return "/calibrate" if await recordings.calibrate_by(one, found[chosen.value]) else None
 
         with parts.row():
             parts.button("Validate", validate)
