@@ -4,6 +4,7 @@ import shlex
 
 import pytest
 
+from undrift.cli.app import command_line
 from undrift.commands.rig import forecast
 from undrift.commands.study import study
 from undrift.commands.study_rig import protocol_of, rig_sections, write_protocol
@@ -68,7 +69,9 @@ def test_the_file_of_a_task_is_its_cheapest_equal_and_the_commands_name_it(studi
     words = [shlex.split(line) for line in commands.text[1:]]
     chamber = ["--chamber", "ADDRESS"] * bool(written.temperatures_c)
     run = ["undrift", "rig", "run", str(path), "--rig", "ADDRESS", "--device", "ADDRESS", *chamber]
-    assert words[0] == [*run, "--output", "session-step"]
+    assert words[0] == [*run, "-o", "session-step"] == ["undrift", *map(str, studied.summary().next)]
+    command, *_ = command_line().parse_args(words[0][1:], exit_on_error=False, print_error=False)
+    assert command.__name__ == "run"
     assert [line[1] for line in words[1:]] == ["calibrate", "drift"][: 1 + bool(written.temperatures_c)]
     assert len(plan.rows) == len(written.faces) + 3
     minutes = sum(float(row[-1]) for row in plan.rows)  # each to 0.05

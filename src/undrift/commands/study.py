@@ -36,7 +36,7 @@ class Studied(Result):
 
     def summary(self) -> Summary:
         """Return the protocol to use for each task, and all that speaks for it."""
-        from undrift.commands.study_rig import rig_sections
+        from undrift.commands.study_rig import protocol_of, rig_sections, run_words
         from undrift.commands.study_sections import NOTE, answer_of, sections_of
 
         outcome, note = self.outcome, Section(title="The note", text=(NOTE,), folded=True)
@@ -48,6 +48,7 @@ class Studied(Result):
             pictures=(figure_of("figures:draw_pareto", outcome, outcome.tasks[0]),),
             sections=(*sections_of(outcome), *rig_sections(outcome, self.output), note),
             written=(*(self.output / name for name in files), *sorted(self.output.glob("protocol-*.toml"))),
+            next=run_words(protocol_of(outcome, outcome.tasks[0]), self.output),
         )
 
 
@@ -165,9 +166,7 @@ def study(
         recordings = read_real(real)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
-        raise InputError(
-            f"{output}: wanted a new folder, or that of this study, got one with other files; name another"
-        )
+        raise InputError(f"{output}: wanted a new folder, or that of this study, got other files; name another")
     RunStore(output, planned)  # refuses the folder of another study before anything is computed
     if isinstance(executor, Pool):  # while this process imports what it alone needs
         executor.start(partial(run_unit, units_of(planned)[0]))

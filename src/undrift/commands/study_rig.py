@@ -60,22 +60,27 @@ def write_protocols(outcome: "StudyOutcome", folder: Path) -> None:
         write_protocol(folder, task.surface.task, protocol_of(outcome, task))
 
 
+def run_words(protocol: "Protocol", folder: Path) -> tuple[object, ...]:
+    """Return the words of the command that runs the protocol of a task; addresses are to be filled in."""
+    places = ("--rig", "--device", "--chamber")[: 3 if protocol.temperatures_c else 2]
+    addresses = (word for place in places for word in (place, "ADDRESS"))
+    return "rig", "run", folder / f"protocol-{protocol.name}.toml", *addresses, "-o", f"session-{protocol.name}"
+
+
 def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
     """Return the commands that run the protocol of each task on a rate table and fit it, and the plans of these sessions."""
     lines, plans = [], []
     for task in outcome.tasks:
         key, protocol = task.surface.task, protocol_of(outcome, task)
-        session, path, oven = f"session-{key}", folder / f"protocol-{key}.toml", bool(protocol.temperatures_c)
+        session, oven = f"session-{key}", bool(protocol.temperatures_c)
         plan, total = _plan(protocol, plain_words(key))
         plans.append(plan)
-        addresses = "`rig` ADDRESS `device` ADDRESS" + " `chamber` ADDRESS" * oven
         lines.append(f"On the rate table, {plain_words(key)}: {total}.")
         if inclined := [pose for pose in protocol.faces if " " in pose]:
             lines.append(
-                f"File and commands have the level faces alone; no command takes inclined poses yet ({', '.join(inclined)}). The "
-                "errors stated above are with them."
+                f"File and commands have the level faces alone; errors above are with {', '.join(inclined)} too."
             )
-        lines.append(f"undrift rig run {shlex.quote(str(path))} {addresses} `output` {session}")
+        lines.append("undrift " + shlex.join(map(str, run_words(protocol, folder))))
         lines.append(f"undrift calibrate {session} `output` {key}.json")
         lines += [f"undrift drift {session} `calibration` {key}.json `output` {key}.json"] * oven
     text = tuple(spoken(line, called=True) for line in lines)
