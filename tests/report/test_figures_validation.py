@@ -12,7 +12,7 @@ from undrift.commands.validate import (
     coverage_text,
     method_section,
     recordings_section,
-    trials_section,
+    trials_sections,
 )
 from undrift.correction.correct import correct
 from undrift.findings import finding
@@ -75,7 +75,7 @@ def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
 
 
 def test_every_figure_of_the_table_is_a_field_of_the_result(result):
-    section = trials_section(result.trials, [("mean", result.mean)])
+    section, _ = trials_sections(result.trials, [("mean", result.mean)])
     assert len(section.columns) == len(COLUMNS) + 3
     assert [row[0] for row in section.rows] == ["a", "b", "c", "mean"]
     for row, figures in zip(section.rows, [*(t.figures for t in result.trials), result.mean], strict=True):
@@ -90,6 +90,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
     sections = [one for one in replace(METHOD, result=result).summary().sections if one.on != "terminal"]
     assert [section.title for section in sections] == [
         "Errors",
+        "Further errors",
         "Agreement over trials",
         "Method",
         "Recordings",
@@ -97,7 +98,7 @@ def test_sections_are_errors_what_was_done_agreement_and_one_for_each_trial(resu
         "b",
         "c",
     ]
-    agreement = sections[1]
+    agreement = sections[2]
     assert without_signed_zeros(f"bias {result.agreement.limits.bias:+.2f} deg") in agreement.text[0]
     assert "an ICC depends on how much the trials differ" in agreement.text[0]
 

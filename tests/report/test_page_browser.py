@@ -77,18 +77,23 @@ def make_pages(folder: Path) -> None:
         for name, words in CALLS.items():
             assert run([name, *shlex.split(words), "--report", f"{name}.html"]) in (0, 1), name
         assert run(["calibrate", "session", "--page", "again.html"]) in (0, 1)
-        turns = [
-            RecordedDwell(
-                step=k, purpose="rate", up="+z", axis="xyz"[k % 3], samples=300, start_s=0.0, stop_s=3.0, missing=k // 5,
-                nominal_turn_rate=rate * RADIAN_PER_DEGREE, turn_rate=1.0001 * rate * RADIAN_PER_DEGREE,
-                turn_rate_uncertainty=1e-5,
-            )
-            for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
-        ]  # fmt: skip
-        result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
-        write_page(Path("rig.html"), Ran(output=Path("run"), result=result, registered=[]).summary(), origin)
+        write_page(Path("rig.html"), rig_run().summary(), origin)
     (folder / "cut.json").write_text(json.dumps(cut))
+
+
+def rig_run() -> Ran:
+    """Return what a run of a rate table came to."""
+    turns = [
+        RecordedDwell(
+            step=k, purpose="rate", up="+z", axis="xyz"[k % 3], samples=300, start_s=0.0, stop_s=3.0, missing=k // 5,
+            nominal_turn_rate=rate * RADIAN_PER_DEGREE, turn_rate=1.0001 * rate * RADIAN_PER_DEGREE,
+            turn_rate_uncertainty=1e-5,
+        )
+        for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
+    ]  # fmt: skip
+    result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
+    return Ran(output=Path("run"), result=result, registered=[])
 
 
 def test_no_picture_of_a_page_cuts_its_legend_or_a_label(pages: Path) -> None:

@@ -1,11 +1,11 @@
-"""Text of a PDF as typst writes it: compressed streams, strings of glyphs of two bytes, and the letters that each font states."""
+"""Text of a PDF as typst and chromium write it: compressed streams, glyphs of two bytes, and the letters that each font states."""
 
 import re
 import zlib
 from pathlib import Path
 
 _OBJECT = re.compile(rb"(\d+) 0 obj\n?(.*?)(?:stream\r?\n(.*?)\r?\nendstream\s*)?endobj", re.S)
-_SHOWN = re.compile(rb"/(\w+) [\d.]+ Tf|(\((?:\\.|[^()\\])*\))|\bET\b", re.S)
+_SHOWN = re.compile(rb"/(\w+) [\d.]+ Tf|(\((?:\\.|[^()\\])*\)|<[0-9A-F]+>(?= Tj))|\bET\b", re.S)
 _ESCAPES = {b"n": b"\n", b"r": b"\r", b"t": b"\t", b"b": b"\b", b"f": b"\f"}
 
 
@@ -30,7 +30,10 @@ def text_of(path: Path) -> str:
         for name, string in _SHOWN.findall(stream):
             if name:
                 font = fonts[name]
-            glyphs = re.sub(rb"\\([0-7]{1,3}|.)", _escaped, string[1:-1], flags=re.S)
+            if string.startswith(b"<"):
+                glyphs = bytes.fromhex(string[1:-1].decode())
+            else:
+                glyphs = re.sub(rb"\\([0-7]{1,3}|.)", _escaped, string[1:-1], flags=re.S)
             shown = "".join(font.get(glyphs[k : k + 2], "") for k in range(0, len(glyphs), 2))
             text += shown if string else " "
     return " ".join(text.split())

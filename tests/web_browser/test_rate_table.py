@@ -82,7 +82,7 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
     trace = page.get_by_role("img", name=re.compile("Turn rate of the device, scaled from .* measured .* commanded"))
     expect(trace).to_be_visible(timeout=RUN_MS)
     expect(page.get_by_role("img", name=re.compile(r"Box with \+x up"))).to_be_visible()
-    expect(page.get_by_text("look how it is mounted")).to_have_count(0)
+    expect(page.get_by_text("check the mounting")).to_have_count(0)
     shoot(page, "rate-table-running")
     assert faults_of(page) == []
     page.reload()

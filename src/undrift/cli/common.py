@@ -249,7 +249,7 @@ def show(summary: "Summary", *, details: bool) -> None:
     """Show a summary on a terminal: answer, sections, verdict or warnings, notes, what was written and what comes next."""
     say(summary.answer)
     for section in summary.sections:
-        if section.on != "page" and (details or section.folded is not True):
+        if details or (section.on != "page" and section.folded is not True):
             _show_section(section, details=details)
     if summary.verdict is not None and (details or not summary.brief):
         show_verdict(summary.verdict, details=details)

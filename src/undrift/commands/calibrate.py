@@ -234,9 +234,7 @@ def _known_section(known: "Sequence[ElementKnown]") -> Section:
 
 def _check_pieces(prior: Path | None, magnetometer: bool) -> None:
     if prior is not None or magnetometer:
-        raise InputError(
-            "calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state that, or leave it out"
-        )
+        raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:

@@ -161,9 +161,7 @@ class Statement:
         if months is not None:
             if not (1 <= months <= 1200 and _day(created)):
                 got = f"{months} of a calibration from '{created or 'no date'}'"
-                raise InputError(
-                    f"`valid_months`: wanted 1 to 1200 months from a date, got {got}; leave it to be filled in"
-                )
+                raise InputError(f"`valid_months`: wanted 1 to 1200 months from a date, got {got}; leave it out")
             due = months_after(datetime.fromisoformat(created), months).date().isoformat()
         texts = {name: getattr(self, name).strip() for name in ("number", "laboratory", "customer", "operator")}
         temp = _stretch("ambient_temp_c", self.ambient_temp_c, (-100.0, 200.0), " °C")

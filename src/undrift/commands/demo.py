@@ -85,9 +85,7 @@ def _check_fresh(out: Path) -> None:
     """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
     check_folder(out)
     if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
-        raise InputError(
-            f"{out}: wanted a new folder, or that of an earlier demo, got one with other files; name another"
-        )
+        raise InputError(f"{out}: wanted a new folder, or that of an earlier demo, got other files; name another")
     out.mkdir(exist_ok=True)
     for name in RUNS:
         if (out / name).is_dir():
@@ -167,9 +165,9 @@ def _summary(
 
 
 def _details(run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...]) -> Iterator[Section]:
-    from undrift.commands.validate import trials_section
+    from undrift.commands.validate import trials_sections
 
-    for section in (trials_section(trials), _bench(run), _rates(run), *calibration_sections(fit.constant)):
+    for section in (trials_sections(trials)[0], _bench(run), _rates(run), *calibration_sections(fit.constant)):
         yield replace(section, folded=True)
 
 

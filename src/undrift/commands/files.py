@@ -152,9 +152,7 @@ class Opening:
             return self.record(path)
         records = read_session(path, clock=self.clock).records
         if len(records) > 1:
-            raise InputError(
-                f"{path}: wanted one recording, got a session of {len(records)}; name the file of one of them"
-            )
+            raise InputError(f"{path}: wanted one recording, got a session of {len(records)}; name the file of one")
         return records[0]
 
 

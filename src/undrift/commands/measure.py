@@ -174,9 +174,7 @@ def measure(
     from undrift.measures.uncertainty import instrument, take
 
     reads = (record, eyes_closed, mounting, calibration, opening.column_map)
-    check_output(
-        output, endings=(ENDING,), reads=reads, beside=() if output is None else (output.with_suffix(".json"),)
-    )
+    check_output(output, endings=(ENDING,), reads=reads, beside=(output.with_suffix(".json"),) if output else ())
     if (eyes_closed and task != "standing") or (mounting and calibration):
         raise InputError(
             "measure: wanted eyes_closed with the task standing alone, and a calibration or a mounting, got others; leave one out"

@@ -156,15 +156,11 @@ def _turned(worn: "BodyMounting", before: "BodyMounting | None") -> "Verdict":
 
     turn = worn.matrix if before is None else worn.matrix @ before.matrix.T
     degrees = math.degrees(math.acos(max(-1.0, min(1.0, (float(turn.trace()) - 1.0) / 2.0))))
-    words = ("upside down", "left and right swapped", "front and back swapped")
-    how = (
-        ", ".join(word for word, cosine in zip(words, turn.diagonal()[::-1], strict=True) if cosine < -0.7) or "turned"
-    )
+    ways = ("upside down", "left and right swapped", "front and back swapped")
+    how = ", ".join(way for way, cosine in zip(ways, turn.diagonal()[::-1], strict=True) if cosine < -0.7) or "turned"
     against = "+x forward and +z up" if before is None else "the mounting before"
-    shown = finding(
-        "mount.turned", "warn" if before else "info", how=how.capitalize(), degrees=degrees, against=against
-    )
-    return Verdict.of(*((shown,) if degrees > 45.0 else ()))
+    one = finding("mount.turned", "warn" if before else "info", how=how.capitalize(), degrees=degrees, against=against)
+    return Verdict.of(*((one,) if degrees > 45.0 else ()))
 
 
 def _hinge_summary(fit: "HingeFit", records: tuple[Path, ...], output: Path | None) -> Summary:

@@ -1,13 +1,14 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from undrift.base.options import OptionalOutput, Picture, verb
-from undrift.base.summary import PICTURES, Drawing, Result, Section, Summary, figure_of
+from undrift.base.summary import PICTURES, Drawing, Result, Summary, figure_of, table_section
 from undrift.commands import Progress, silent
 from undrift.commands.certificate import ANSWERED_S, COVERAGE
 from undrift.commands.data_sheet import PART, sheet_of, sheet_words
@@ -64,21 +65,23 @@ class Noise(Result):
         for name, triad, axes in (("gyroscopes", "gyro", fit.gyro), ("accelerometers", "accel", fit.accel)):
             if not axes:
                 continue
-            walks = [axis.angle_random_walk for axis in axes]
+            names, walks = TERMS[triad], [axis.angle_random_walk for axis in axes]
             largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
             if math.isfinite(largest):
-                seen.append(f"{TERMS[triad]['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
-            drawing = figure_of("figures:draw_allan_fit", fit, triad, TERMS[triad])
-            heads = (f"{term} ({getattr(axes[0], key).unit})" for key, term in TERMS[triad].items())
-            sections.append(
-                Section(
-                    title=f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals",
-                    columns=("axis", *heads),
-                    rows=tuple((axis.axis, *(_cell(axis, key) for key in TERMS[triad])) for axis in axes),
-                    text=tuple(_data_sheet(axes, TERMS[triad], triad, kind)),
-                    pictures=(drawing,),
+                seen.append(f"{names['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
+            drawing = figure_of("figures:draw_allan_fit", fit, triad, names)
+            cells: list[tuple[str, Callable[[AxisNoise], str]]] = [("axis", lambda axis: axis.axis)]
+            for term, words in names.items():
+                cells.append((f"{words} ({getattr(axes[0], term).unit})", partial(_cell, term)))
+            if physical and triad == "gyro":
+                cells.append(
+                    (f"angle after {ANSWERED_S:.0f} s (deg)", lambda axis: f"{angle_after(axis)['angle']:.2g}")
                 )
+            title, text = (
+                f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals",
+                _data_sheet(axes, names, triad, kind),
             )
+            sections.append(table_section(title, axes, cells, text=tuple(text), pictures=(drawing,)))
         return Summary(
             title=f"Noise of {self.record.name}",
             answer=_meaning(fit)
@@ -190,9 +193,7 @@ def _meaning(fit: "NoiseFit") -> str:
         axis = max(fit.gyro, key=lambda one: angle_after(one)["angle"])
         each = angle_after(axis)
         words = ((_WALK, "white noise"), (_FLOOR, "bias instability"), (_RISE, "rate random walk"))
-        terms = (
-            f"{name} {'under ' * math.isnan(getattr(axis, term).value)}{each[term]:.2g} deg" for term, name in words
-        )
+        terms = (f"{name} {'under ' * math.isnan(getattr(axis, key).value)}{each[key]:.2g} deg" for key, name in words)
         if not math.isfinite(each["angle"]):
             return ""
         parts.append(
@@ -261,7 +262,7 @@ def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     return made
 
 
-def _cell(axis: "AxisNoise", term: str) -> str:
+def _cell(term: str, axis: "AxisNoise") -> str:
     """Return a coefficient with its interval, or the limit below which it was not seen."""
     one = getattr(axis, term)
     if math.isnan(one.value):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from undrift import __version__
 from undrift.base.options import Flag, Output, Picture, Side, verb
-from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, number, today
+from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, interval, number, rows_section, today
 from undrift.commands import Progress, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
@@ -89,14 +89,23 @@ class Oriented(Result):
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
+        rests = [
+            {
+                "from, to (s)": interval(times, ".2f"),
+                "offset, x y z (deg/s)": ", ".join(f"{rate:.4f}" for rate in rates),
+            }
+            for times, rates in zip(data["rests"], data["rest_offsets_dps"], strict=True)
+        ]
+        uncertainty = f"Offset: standard uncertainty {data['offset_uncertainty_dps']:.4f} deg/s, all axes together."
         # A page shows all findings
         offset = tuple(one.text for one in found.findings if one.code in _SHOWN)
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
-            Section(title="Angles", columns=heads, rows=rows, on="page"),
+            Section(title=f"Angles, {len(found.time)} samples", columns=heads, rows=rows, on="page"),
             Section(title="How it was found", text=lines),
             Section(title="Offset, north and mounting", text=offset, on="terminal"),
+            rows_section("Rests", rests, text=(uncertainty,), folded=True),
         ]
         if self.calibration is not None:
             verdict = self.calibration.verdict
@@ -224,7 +233,7 @@ def trial_content(done: Oriented, device: str) -> dict[str, Any]:
     )
     basis += "" if model is None else f"verdict {model.verdict.status}, sha256 {content_hash(model)}"
     summary = done.summary()
-    (table,) = (one for one in summary.sections if one.title == "Angles")
+    (table,) = (one for one in summary.sections if one.title.startswith("Angles"))
     how = {"strapdown": "rates integrated from the rest (strapdown)", "vqf": "filter VQF"}[done.method]
     band = "95 % band: tilt at the rest, offset over the time since it, scale factor."
     if done.band is None:

@@ -80,9 +80,7 @@ def add(
     from undrift.registry.documents import new_entries
 
     if supersedes is not None and (len(files) > 1 or not note):
-        raise InputError(
-            "`supersedes`: wanted one file, and `note` with the reason, got others; correct one entry at a time"
-        )
+        raise InputError("`supersedes`: wanted one file, and `note` with the reason, got others; correct one at a time")
     stated = replace(
         _stated(about),
         temp_c=None if valid_temp_c is None else ends_of("`valid_temp_c`", valid_temp_c),
@@ -408,8 +406,8 @@ def _devices(title: str, known: "list[Known]", data: dict[str, Any]) -> Registry
     stated, rows = [_device_json(one) for one in known], list[tuple[str, ...]]()
     for one, values in zip(known, stated, strict=True):
         cells = _cells(one.calibration) if one.calibration else ("–",) * len(HEADS)
-        rows.append((one.serial, str(values["state"]), cells[0], *cells[3:5], str(one.entries)))
-    heads = ("serial", "state", "calibration", "made", "due", "entries")
+        rows.append((one.serial, str(values["state"]), cells[0], *cells[3:6], str(one.entries)))
+    heads = ("serial", "state", "calibration", "made", "due", "valid (degC)", "entries")
     table = Section(title="Devices", columns=heads, rows=tuple(rows))
     return _table(title, table, data | {"devices": stated}, tuple(known))
 

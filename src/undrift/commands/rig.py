@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 from cyclopts import Parameter
 
 from undrift.base.options import WRITTEN, Flag, Gravity, Output, options, verb
-from undrift.base.summary import Cells, Result, Section, Summary, figure_of, table_section
+from undrift.base.summary import Cells, Result, Section, Summary, figure_of, plus_minus, table_section
 from undrift.commands import Screen
 from undrift.commands.files import device_at
 from undrift.commands.register import Registration, registered_lines
@@ -89,9 +89,8 @@ class Ran(Result):
         data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
         data |= {"registered": self.registered} if self.registered else {}
         beside = tuple(zip(self.others, result.others, strict=True))
-        data |= (
-            {"others": [{"folder": str(path), "dwells": len(each.pieces)} for path, each in beside]} if beside else {}
-        )
+        data |= {"others": [{"folder": str(path), "dwells": len(one.pieces)} for path, one in beside]} if beside else {}
+        achieved = {one.name: plus_minus(one.turn_rate / dps, one.turn_rate_uncertainty / dps) for one in turns}
         cells: Cells[RecordedDwell] = (
             ("dwell", lambda piece: piece.name),
             ("purpose", lambda piece: piece.purpose),
@@ -99,7 +98,7 @@ class Ran(Result):
             ("samples", lambda piece: str(piece.samples)),
             ("missing", lambda piece: str(piece.missing)),
             ("nominal (deg/s)", lambda piece: f"{piece.nominal_turn_rate / dps:+g}" if piece.purpose == "rate" else ""),
-            ("achieved (deg/s)", lambda piece: f"{piece.turn_rate / dps:+.4f}" if piece.purpose == "rate" else ""),
+            ("achieved (deg/s)", lambda piece: achieved.get(piece.name, "")),
             ("temperature (degC)", lambda piece: "" if piece.device_c is None else f"{piece.device_c:.2f}"),
         )
         return Summary(

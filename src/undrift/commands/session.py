@@ -163,7 +163,5 @@ def _log_lines(log: dict[str, Any]) -> list[str]:
             f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
         )
         if abs(each["drift"]) > NOTABLE_DRIFT:
-            lines.append(
-                f"the clocks differ by {abs(each['drift']):.2%}; rates are by the table's: check which is right"
-            )
+            lines.append(f"the clocks differ by {abs(each['drift']):.2%}; rates are the table's: check both")
     return lines

@@ -239,9 +239,7 @@ def _motion(
     for task in get_args(TaskName):
         if name == task:
             if cutoff_hz is not None:
-                raise InputError(
-                    f"{task}: wanted no `cutoff_hz`, got {cutoff_hz}; a task has no camera noise, leave it out"
-                )
+                raise InputError(f"{task}: wanted no `cutoff_hz`, got {cutoff_hz}; tasks have no camera noise")
             performed = draw_task(task, rng=rng)
             time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
             return performed.at(time, gravity_m_s2), performed.position(time), {}
@@ -308,7 +306,7 @@ def _moved(
     text += [f"warning: {gaps} samples are gaps, where the poses are not known"] if gaps else []
     text += ["no accelerometer: these poses hold no positions"] if record.accel is None else []
     effects = rows_section(f"{model.name} {model.serial}: contribution of each effect (rms)", rows)
-    line = f"{len(record)} samples at {record.sample_rate_hz:.6g} Hz."
+    line = f"{len(record)} samples at {record.sample_rate_hz:.6g} Hz over {record.duration_s:.1f} s."
     return _answer(motion, output, model, record, figures, line, (effects, Section(title="Remarks", text=tuple(text))))
 
 

@@ -230,9 +230,7 @@ def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") ->
     if halving.generations:
         met = halving.rounds[0].subjects
         how = f"The first {halving.generations} rounds are generations of CMA-ES, each on the next {met} subjects. "
-        how += (
-            "The best of them are halved: each round keeps the better half of the protocols and doubles the subjects."
-        )
+        how += "The best are halved: each round keeps the better half of the protocols and doubles the subjects."
     elif tried < every:
         how = f"{tried} of {every} protocols were drawn by a Latin hypercube. {how}"
     text = (

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 
 LEAST_MS = 0.01  # that is shown: copies of one recording agree to the last bit
 CERTAIN_S = 1e-3  # a larger expanded uncertainty is a finding
-TEXT = (
-    "offset: its stamp less that of the first clock, in the middle of what both have seen; within: at most there, 95 %"
-)
+TEXT = "offset: its stamp less that of the first clock, at the middle of what both have seen; within: at most in all of that, 95 %"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,9 +26,8 @@ class SyncedFile:
     """A recording on the first one's clock."""
 
     path: Path
-    held: (
-        "Record | Reference"  # On the first one's clock, missing rows as gaps; as it was read where no clock was found
-    )
+    # On the first one's clock, missing rows as gaps; as it was read where no clock was found
+    held: "Record | Reference"
     clock: "SharedMotion | None" = None  # Against the first, or what stands in ``through``; None of the first
     through: str = ""  # Another one, on the first one's clock, with which it shares more
     uncertainty_s: float = 0.0  # Expanded (95 %), largest in what is shared
@@ -74,16 +71,15 @@ class SyncedFile:
     def cells(self) -> dict[str, str]:
         """Return the recording as a table has it."""
         row, first = self.row, self.clock is None
-        synced, start, stop = self.found and not first, *(round(row[key], 1) + 0.0 for key in ("start_s", "stop_s"))
-        return {
-            "recording": name_of(self.path),
-            "offset (s)": f"{row['offset_s']:.4f}" if synced else "0" if first else "unknown",
-            "skew (ppm)": f"{row['skew_ppm']:.0f} +- {row['skew_expanded_uncertainty_ppm']:.0f}" if synced else "–",
-            "within (ms)": f"{1e3 * self.uncertainty_s:.2f}" if synced else "–",
-            "corr.": "–" if first else f"{row['correlation']:.4f}",
-            "from, to (s)": f"{start:.1f}, {stop:.1f}" if self.found else "–",
-            "gaps": str(row["gaps"]),
-        }
+        cells = {"recording": name_of(self.path), "offset (s)": "0" if first else "unknown", "at (s)": "–"}
+        cells |= {"skew (ppm)": "–", "within (ms)": "–", "corr.": "–" if first else f"{row['correlation']:.4f}"}
+        if self.found and not first:
+            cells["offset (s)"] = f"{row['offset_s']:.4f} +- {row['offset_expanded_uncertainty_s']:.4f}"
+            cells["at (s)"] = f"{row['at_s']:.2f}"
+            cells["skew (ppm)"] = f"{row['skew_ppm']:.0f} +- {row['skew_expanded_uncertainty_ppm']:.0f}"
+            cells["within (ms)"] = f"{1e3 * self.uncertainty_s:.2f}"
+        cells["from, to (s)"] = f"{row['start_s']:.2f}, {row['stop_s']:.2f}" if self.found else "–"
+        return cells | {"rows": str(row["rows"]), "gaps": str(row["gaps"])}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -75,6 +75,17 @@ COLUMNS = (
     ("end_inclination_deg", "end inclination (deg)"),
     ("drift_deg_per_min", "drift (deg/min)"),
 )
+FURTHER = (
+    ("mean_pitch_deg", "pitch mean (deg)"),
+    ("sd_pitch_deg", "pitch sd (deg)"),
+    ("range_pitch_error_deg", "pitch range (deg)"),
+    ("max_total_deg", "total max (deg)"),
+    ("rmse_total_before_lag_deg", "total rmse, lag left in (deg)"),
+    ("rmse_total_after_lag_deg", "total rmse, lag removed (deg)"),
+    ("valid_optics_file", "optics seen, share of the file"),
+    ("motion_s", "motion (s)"),
+    ("turn_rate_rms_dps", "rate rms (deg/s)"),
+)
 PITCH_DEFINED = (
     "Pitch defined: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
     "and near there pitch max may exceed the error in space"
@@ -163,7 +174,7 @@ class Validated(Result):
                 *_rivals(self),
                 *_compared(self.compared),
                 errors_section(self),
-                trials_section(result.trials, means if many else ()),
+                *trials_sections(result.trials, means if many else ()),
                 *_expected(result),
                 *_agreement(result),
                 _remarks(self),
@@ -572,12 +583,11 @@ def _answer(result: "Validation", method: Validated) -> str:
         parts += [f"with {removed[method.settings.offset]}" if done else "uncorrected"]
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     beside = [f"{one.source} leaves {one.result.median.rmse_total_deg:.2g} deg" for one in method.rivals]
-    beside = (
-        [f" In total {', '.join((*beside, f'{method.name} {figures.rmse_total_deg:.2g} deg'))}."] if beside else [""]
-    )
+    beside += [f"{method.name} {figures.rmse_total_deg:.2g} deg"]
+    total = f" In total {', '.join(beside)}." if method.rivals else ""
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
-        f"inclination over the motion{over}, {', '.join(parts)}.{beside[0]}"
+        f"inclination over the motion{over}, {', '.join(parts)}.{total}"
     )
 
 
@@ -620,20 +630,22 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f}"
 
 
-def trials_section(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> Section:
-    """Return the table of errors, one row a trial."""
-    rows = []
-    for name, figures in (*((trial.recording, trial.figures) for trial in trials), *more):
-        row = {"recording": name} | {head: f"{getattr(figures, key):.2f}" for key, head in COLUMNS}
-        shares = {"pitch defined (%)": figures.pitch_defined, "optics seen (%)": figures.valid_optics}
-        rows.append(row | {head: f"{100.0 * share:.1f}" for head, share in shares.items()})
+def trials_sections(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> tuple[Section, Section]:
+    """Return the tables of errors, one row a trial: those that are looked at first, and the others."""
+    named = (*((trial.recording, trial.figures) for trial in trials), *more)
+    rows, others = (
+        [{"recording": name} | {head: f"{getattr(x, key):.2f}" for key, head in columns} for name, x in named]
+        for columns in (COLUMNS, FURTHER)
+    )
+    for row, (_, x) in zip(rows, named, strict=True):
+        row |= {"pitch defined (%)": _percent(x.pitch_defined), "optics seen (%)": _percent(x.valid_optics)}
     text = (
         "Root-mean-square over the motion; end errors are medians over the first three seconds after it, or, of a recording that "
         "begins in motion, over its last three.",
         f"{PITCH_DEFINED}.",
         f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
     )
-    return rows_section("Errors", rows, text=text, on="page")
+    return rows_section("Errors", rows, text=text, on="page"), rows_section("Further errors", others, folded=True)
 
 
 def coverage_text(coverage: "Coverage") -> str:
@@ -723,10 +735,11 @@ def recordings_section(method: Validated, trials: "tuple[Trial, ...]") -> Sectio
             "lag found (ms)": f"{trial.lag.seconds * 1e3:.2f} +- {trial.lag.standard_uncertainty * 1e3:.2f}",
             "lag in the figures": "removed" if trial.lag_undone else "left in",
             "mounting (deg)": mounting,
-            "optics seen, whole file (%)": f"{100.0 * trial.figures.valid_optics_file:.1f}",
+            "optics seen, whole file (%)": _percent(trial.figures.valid_optics_file),
         }
         rows.append(row)
-    text = ("The motion, over which the errors count, is shaded in each figure of errors.",)
+    rests = (f"{trial.recording}: {trial.rest.finding.text}" for trial in trials if trial.rest)
+    text = ("The motion, over which the errors count, is shaded in each figure of errors.", *rests)
     return rows_section("Recordings", rows, text=text, on="page")
 
 

@@ -88,10 +88,10 @@ class OpticsSplit:
     def text(self) -> str:
         """The figures in one line."""
         tilt, optics, gyro = (value / RADIAN_PER_DEGREE for value in (self.tilt, self.optics, self.gyro))
-        low, high = (100.0 * end for end in self.interval)
+        share, error, low, high = (100.0 * one for one in (self.optics_share, self.standard_error, *self.interval))
         return (
             f"optics and gyroscopes differ by {tilt:.3f} deg rms of tilt per axis, {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz; by the "
-            f"accelerometers {low:.0f} to {high:.0f} % of its square is the optics' (95 %): "
+            f"accelerometers {share:.0f} +- {error:.1f} % of its square, {low:.0f} to {high:.0f} % (95 %), is the optics': "
             f"optics {optics:.3f}, gyroscopes {gyro:.3f} deg"
         )
 

@@ -218,11 +218,11 @@ class View:
         about, largest = AXES.index(step["axis"]), max(range(3), key=lambda k: abs(shown[k]))
         self.wrong = ""
         if abs(rate) >= LEAST_JUDGED and abs(shown[largest]) > 2.0 * abs(shown[about]):
-            self.wrong = f"The table turns about {step['axis']}, {AXES[largest]} of the device reads most: look how it is mounted."
-        elif abs(rate) >= LEAST_JUDGED and shown[about] * rate < 0.0:
             self.wrong = (
-                f"The device reads the turn about {step['axis']} in the opposite sense: look how it is mounted."
+                f"The table turns about {step['axis']}, {AXES[largest]} of the device reads most: check the mounting."
             )
+        elif abs(rate) >= LEAST_JUDGED and shown[about] * rate < 0.0:
+            self.wrong = f"The device reads the turn about {step['axis']} in the opposite sense: check the mounting."
         self.rates.append((now, rate / RADIAN_PER_DEGREE, shown[about]))
         if len(self.rates) > CURVE:
             del self.rates[1::2]
