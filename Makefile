@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: announce demo docs durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
+.PHONY: announce demo docs pictures durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
@@ -40,6 +40,10 @@ test-browser: $(INSTALLED)
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
 	  { echo "the bench is tested in chromium: install it"; exit 2; }
 	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser --durations=12
+
+# The bench's pictures of docs/bench.md, from a simulated phone and the practice device: commit what changed.
+pictures: $(INSTALLED)
+	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -k "zip or pointer"
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)

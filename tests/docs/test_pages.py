@@ -16,6 +16,8 @@ WITHOUT_BLOCKS = {
     "index.md",
     "accuracy.md",
     "accuracy-motion.md",
+    "bench-check.md",
+    "bench-safety.md",
     "cite.md",
     "glossary.md",
     "live.md",

@@ -3,11 +3,13 @@
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image, ImageOps
 from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.bench import BenchServer, bench_process
@@ -15,6 +17,7 @@ from undrift.commands.bench.guides import GAP, named
 
 CHROMIUM = shutil.which("chromium")
 SCREENS = os.environ.get("UNDRIFT_SCREENS")  # a folder for pictures of the pages; `make test-browser` names one
+PICTURES = os.environ.get("UNDRIFT_PICTURES")  # a folder for those of the manual; `make pictures` names docs/pictures
 WAIT_MS = 20_000
 expect.set_options(timeout=WAIT_MS)  # a page beside a busy machine answers late
 CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
@@ -85,6 +88,16 @@ def shoot(page: Page, name: str) -> None:
     """Keep a screenshot of the whole page, where they are wanted."""
     if SCREENS:
         page.screenshot(path=Path(SCREENS) / f"{name}.png", full_page=True)
+
+
+def picture(page: Page, name: str, top: int = 66) -> None:
+    """Keep what a wide screen shows of a page, from a height on, as a picture of docs/bench.md, where they are wanted."""
+    if PICTURES and page.viewport_size == {"width": 1280, "height": 800}:
+        page.evaluate("scrollTo(0, 0)")
+        whole = Image.open(BytesIO(page.screenshot(full_page=True))).crop((180, top, 1100, top + 720))
+        ImageOps.expand(whole, 2, "#9aa0a8").quantize(64, dither=Image.Dither.NONE).save(
+            Path(PICTURES) / f"bench-{name}.png", optimize=True
+        )
 
 
 def faults_of(page: Page) -> list[str]:

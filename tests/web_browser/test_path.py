@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from testkit.bench import BenchServer, environment_of
 from undrift.commands.bench.guides import ORDER, WAYS
-from web_browser.conftest import CAPTURE_MS, quick_and_real_time, shoot, turn_until_captured
+from web_browser.conftest import CAPTURE_MS, picture, quick_and_real_time, shoot, turn_until_captured
 
 COMMAND_MS = 90_000
 
@@ -21,8 +21,8 @@ class Pointer:
     def __init__(self, page: Page) -> None:
         self.page, self.clicks = page, 0
 
-    def click(self, name: str, role: str = "button") -> None:
-        self.page.get_by_role(role, name=name, exact=True).click(timeout=CAPTURE_MS)  # type: ignore[arg-type]
+    def click(self, name: str, role: str = "button", wait_ms: float = CAPTURE_MS) -> None:
+        self.page.get_by_role(role, name=name, exact=True).click(timeout=wait_ms)  # type: ignore[arg-type]
         self.clicks += 1
 
 
@@ -35,7 +35,7 @@ def captured(page: Page, name: str) -> None:
 def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     open_page: Callable[..., Page], bench_server: BenchServer
 ) -> None:
-    page, began = open_page("/"), time.monotonic()
+    page, began = open_page("/", width=1280, height=800), time.monotonic()
     hand, spans, again = Pointer(page), dict[str, float](), 0
     hand.click("Use the practice device")
     expect(page.locator(".bench-device")).to_contain_text("Device: SIM-", timeout=CAPTURE_MS)
@@ -44,6 +44,7 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
         if number:
             hand.click(f"{face} up")
         captured(page, f"{face} up")
+    picture(page, "faces")
     spans["six faces"] = time.monotonic() - began
     hand.click("Continue to turns by hand", "link")
     for way in WAYS:
@@ -75,6 +76,7 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     spans["certificate"] = time.monotonic() - began
     assert download.value.path().read_bytes().startswith(b"%PDF")
     shoot(page, "result-with-certificate")
+    picture(page, "result")
     (about,) = bench_server.folder.glob("jobs/*/.bench.json")
     certified = json.loads(about.read_text())["later"][-1]
     assert certified["statement"]["laboratory"] == "Lab of room 2"

@@ -13,7 +13,7 @@ import undrift
 from testkit.printing_board import ACCEL_LSB_PER_G, GYRO_LSB_PER_DPS, PrintingBoard, sketch_line
 from undrift.record import FACES
 from undrift.sim.motion.motion import unit_vector
-from web_browser.conftest import faults_of, shoot, state_serial
+from web_browser.conftest import faults_of, picture, shoot, state_serial
 from web_browser.test_path import Pointer
 from web_browser.test_recordings import COMMAND_MS
 
@@ -46,8 +46,11 @@ def test_from_the_zip_of_a_phone_to_a_corrected_file(
     page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: problems.append(str(error)))
     hand, began = Pointer(page), time.monotonic()
+    picture(page, "readings")
     page.get_by_label("Choose files").set_input_files(phone_zip(tmp_path))
     hand.clicks += 2  # the chooser, and the file in it
+    page.get_by_text("|a| at rest").wait_for()
+    picture(page, "check", top=560)
     hand.click("Calibrate from it", "link")
     state_serial(page, "phone of room 2")
     hand.click("Calibrate")
@@ -63,6 +66,7 @@ def test_from_the_zip_of_a_phone_to_a_corrected_file(
     hand.clicks += 1
     assert download.value.path().stat().st_size > 10_000
     shoot(page, f"phone-corrected-{width}-{scheme}")
+    picture(page, "use")
     page.mouse.move(0, 0)
     problems += faults_of(page)
     print(
@@ -113,5 +117,34 @@ def test_from_a_board_at_a_serial_port_to_a_calibration(open_page: Callable[...,
     page.mouse.move(0, 0)
     problems += faults_of(page)
     print(f"\n{hand.clicks} clicks, {time.monotonic() - began:.0f} s from a serial port to a calibration")
+    assert problems == []
+    assert hand.clicks == 6
+
+
+def test_from_the_first_page_to_a_calibration_by_the_emulated_table(open_page: Callable[..., Page]) -> None:
+    page, problems = open_page("/", width=1280, height=800), list[str]()
+    page.set_default_timeout(2.0 * COMMAND_MS)  # of a run of 15 min at 100 times the speed
+    page.on("console", lambda message: problems.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    hand, began = Pointer(page), time.monotonic()
+    hand.click("Run the rate table", "link")
+    state_serial(page, "unit 17")
+    page.get_by_label("Speed of the emulated table").select_option("100")
+    hand.click("Use the emulated table")
+    expect(page.get_by_text("The emulated operator mounts the device.")).to_be_visible()
+    hand.click("Start")
+    expect(page.get_by_role("button", name="Emergency stop")).to_be_visible()
+    expect(page.locator(".bench-main")).to_contain_text("deg/s about x")
+    shoot(page, "table-running-1280")
+    problems += faults_of(page)
+    hand.click("Calibrate", wait_ms=2.0 * COMMAND_MS)
+    page.wait_for_url("**/calibrate")
+    expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
+    expect(page.get_by_role("region", name="Verdict")).to_contain_text("Device unit 17")
+    shoot(page, "table-calibrated-1280")
+    page.mouse.move(0, 0)
+    problems += faults_of(page)
+    hand.clicks += 2  # the list of speeds and its last
+    print(f"\n{hand.clicks} clicks, {time.monotonic() - began:.0f} s from the first page to a calibration by the table")
     assert problems == []
     assert hand.clicks == 6

@@ -74,16 +74,6 @@ def page(visit: "Visit") -> None:
     """Build the page of the first step: which device it is, and its readings."""
     identity(visit)
     _cards(visit)
-    parts.text("h2", "Record with the bench")
-    with ui.element("div").classes("cards"):
-        for way in parts.texts()["ways"]:  # what is at hand, the recording that it takes, and where it is made
-            with parts.section(way["have"], "card"):
-                drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
-                ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
-                parts.text("h3", way["have"])
-                parts.text("p", way["record"])
-                parts.text("p", way["gives"], "soft")
-                parts.next_step(way["next"], way["path"])
 
 
 def identity(visit: "Visit") -> None:
@@ -102,7 +92,7 @@ def identity(visit: "Visit") -> None:
 
 
 def _cards(visit: "Visit") -> None:
-    """Add the three ways to readings: files, a device that sends, the practice device."""
+    """Add the three ways to readings: files, a device that sends, the practice device; and those that the bench records."""
     with ui.element("div").classes("cards"):
         with parts.section("Drop files", "card"):
             parts.text("h3", "Drop files")
@@ -115,6 +105,16 @@ def _cards(visit: "Visit") -> None:
             parts.text("h3", "Practice device")
             parts.text("p", "A simulated sensor that you turn with buttons.")
             parts.button("Use the practice device", partial(visit.connect, parts.PRACTICE))
+    parts.text("h2", "Record with the bench")
+    with ui.element("div").classes("cards"):
+        for way in parts.texts()["ways"]:  # what is at hand, the recording that it takes, and where it is made
+            with parts.section(way["have"], "card"):
+                drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
+                ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
+                parts.text("h3", way["have"])
+                parts.text("p", way["record"])
+                parts.text("p", way["gives"], "soft")
+                parts.next_step(way["next"], way["path"])
 
 
 def connect_form(visit: "Visit", *, practice: bool = True) -> None:
