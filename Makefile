@@ -4,13 +4,13 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: announce demo docs pictures durations test test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
+.PHONY: announce demo docs pictures durations test machine test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
 announce:
-	@echo "make test: about 7,450 tests, 25 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
+	@echo "make test: about 7,000 tests, 8 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
 	@echo "are installed first, some minutes, and kernels are compiled once."
 
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
@@ -23,7 +23,12 @@ COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
 WAIT = --tx 2*popen//env:TEST_POOL=wait
 BROWSER = --tx 1*popen//env:TEST_POOL=browser
 
-test: announce $(INSTALLED)
+test: announce $(INSTALLED) machine
+	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
+	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --durations=12
+
+# What the tests want of the machine besides Python.
+machine:
 	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
 	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
 	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
@@ -32,25 +37,21 @@ test: announce $(INSTALLED)
 	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
 	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
 	  echo "no PostgreSQL: the registry is tested on SQLite alone"
-	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --durations=12
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
-test-browser: $(INSTALLED)
-	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
-	  { echo "the bench is tested in chromium: install it"; exit 2; }
-	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser --durations=12
+test-browser: $(INSTALLED) machine
+	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser -m "long or not long" --durations=12
 
 # The bench's pictures of docs/bench.md, from a simulated phone and the practice device: commit what changed.
 pictures: $(INSTALLED)
-	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -k "zip or pointer"
+	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -m "long or not long" -k "zip or pointer"
 
 # The order of the tests, by what each takes: commit the file that changes.
 durations: $(INSTALLED)
 	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --write-durations
 
-# The same Monte Carlo runs with larger cohorts.
-test-long: $(INSTALLED)
+# What `make test` leaves out: whole ways and large sizes of what it shows in small (tests/long.json), larger cohorts.
+test-long: $(INSTALLED) machine
 	$(BIN)/python -m pytest tests -m long --timeout=0 -n 2 --durations=12
 
 # Linters, types, layers and house rules at once; each is printed as it ends.

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from testkit.pools import Pools, of_another_pool, take_what_is_left, write_durations
+from testkit.pools import Pools, mark_long, of_another_pool, take_what_is_left, write_durations
 from testkit.remembered import put_everywhere, remembered, run_folder
 
 os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlite")  # never that of a person
@@ -36,6 +36,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Pools:
 
 def pytest_configure() -> None:
     take_what_is_left()
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest leaves out what `-m` does not name
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    mark_long(items)
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:

@@ -7,7 +7,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from testkit.pools import ALONE_S, DURATIONS, POOL, pool_of
+from testkit.pools import ALONE_S, DURATIONS, LONG, POOL, pool_of
 from testkit.remembered import folder_made_once, remembered
 
 TESTS = Path(__file__).parent
@@ -77,6 +77,12 @@ def test_what_is_alone_in_the_list_of_durations_takes_long():
     taken = json.loads(DURATIONS.read_text())
     assert min(seconds for name, seconds in taken.items() if "::" in name) >= ALONE_S
     assert pool_of(TESTS / "web_browser" / "test_pages.py") == "browser"
+
+
+def test_what_is_listed_as_long_is_there():
+    for test in json.loads(LONG.read_text()):
+        module, _, name = test.partition("::")
+        assert f"def {name.partition('[')[0]}(" in (TESTS.parent / module).read_text(), test
 
 
 def _noted(number: int, path: Path) -> int:

@@ -7,6 +7,9 @@ once: processes that compute take what the others leave of the processor, or emu
 
 What is handed out is a module, whose tests share fixtures, or a single test that takes ``ALONE_S`` or more of itself.
 tests/durations.json has what each took; `make durations` writes it anew. Order is all that hangs on it.
+
+tests/long.json lists the tests that `make test-long` runs and `make test` does not, each with its processor seconds: whole ways and
+large sizes of what smaller tests show too.
 """
 
 import json
@@ -24,6 +27,7 @@ from xdist.workermanage import WorkerController
 POOL = "TEST_POOL"
 TESTS = Path(__file__).parents[1]
 DURATIONS = TESTS / "durations.json"
+LONG = TESTS / "long.json"
 ALONE_S = 4.0
 FOLDERS = {"rig": "wait", "bench": "wait", "web": "wait", "live": "wait", "web_browser": "browser"}
 
@@ -46,6 +50,14 @@ def of_another_pool(path: Path) -> bool:
     """Whether a module is not for this process."""
     own = os.environ.get(POOL)
     return own is not None and path.name.startswith("test_") and path.suffix == ".py" and pool_of(path) != own
+
+
+def mark_long(items: Iterable[pytest.Item]) -> None:
+    """Mark as ``long`` the tests that LONG lists."""
+    listed = json.loads(LONG.read_text())
+    for item in items:
+        if item.nodeid in listed:
+            item.add_marker("long")
 
 
 def read_durations(path: Path = DURATIONS) -> dict[str, float]:
