@@ -18,6 +18,7 @@ from testkit.bench import BenchServer, bench_process
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
 from undrift.io.session import read_map
+from undrift.model import Calibration
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from web_browser.conftest import faults_of, shoot, state_serial, step
@@ -27,13 +28,19 @@ WAYS = [(1280, 800, "light"), (390, 844, "dark")]
 
 
 @pytest.fixture(scope="module")
-def turned() -> Record:
-    """A device in physical units that rests on six faces, turned in between."""
+def calibrated() -> tuple[Record, Calibration]:
+    """A device that rests on six faces, turned in between, in counts; and its calibration."""
     rng = np.random.default_rng(7)
     device = undrift.random_device(rng)
     made = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     (record,) = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records
-    return replace(undrift.correct(record, made), state="raw", frame="s")
+    return record, made
+
+
+@pytest.fixture(scope="module")
+def turned(calibrated: tuple[Record, Calibration]) -> Record:
+    """The same in physical units."""
+    return replace(undrift.correct(*calibrated), state="raw", frame="s")
 
 
 def dropped(page: Page, path: Path) -> list[str]:
@@ -111,7 +118,7 @@ def test_a_stretch_is_zoomed_to_and_left_out_of_what_is_calibrated(
 def test_the_device_turns_as_the_recording_says(open_page: Callable[..., Page], tmp_path: Path, turned: Record) -> None:
     write_parquet(turned, tmp_path / "turns.parquet")
     page = open_page("/check", width=1280, height=800)
-    complaints, words = dropped(page, tmp_path / "turns.parquet"), page.locator(".panel-device .soft")
+    complaints, words = dropped(page, tmp_path / "turns.parquet"), page.locator(".panel-device .soft").first
     expect(words).to_have_text("Device with +x up, 0 deg off")
     drawing = page.locator(".panel-device svg").first.inner_html()
     page.get_by_role("button", name="Play").click()
@@ -119,10 +126,45 @@ def test_the_device_turns_as_the_recording_says(open_page: Callable[..., Page], 
     assert page.locator(".panel-device svg").first.inner_html() != drawing
     page.get_by_role("button", name="Stop").click()
     for seconds, face in ((19.0, "+y"), (35.0, "+z"), (43.0, "-z")):  # the rests of the recording
-        box = page.locator(".u-over").first.bounding_box()
-        assert box is not None
-        page.locator(".u-over").first.hover(position={"x": seconds / 99.99 * box["width"], "y": 30})
+        point_at(page, seconds)
         expect(words).to_have_text(re.compile(re.escape(f"Device with {face} up, 0 deg")))
+    assert complaints == []
+
+
+def point_at(page: Page, seconds: float) -> None:
+    """Point at a time of the whole trace."""
+    box = page.locator(".u-over").first.bounding_box()
+    assert box is not None
+    page.locator(".u-over").first.hover(position={"x": seconds / 99.99 * box["width"], "y": 30})
+
+
+@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+def test_counts_turn_too_and_what_is_left_out_shows_nothing(
+    open_page: Callable[..., Page], tmp_path: Path, calibrated: tuple[Record, Calibration], width: int, height: int,
+    scheme: str,
+) -> None:  # fmt: skip
+    write_parquet(calibrated[0], tmp_path / "counts.parquet")
+    page = open_page("/check", width=width, height=height, color_scheme=scheme)
+    complaints, lies = dropped(page, tmp_path / "counts.parquet"), page.locator(".panel-device .soft").first
+    rough = "The readings have no physical unit: gravity gives the drawing their scale, so it is rough."
+    expect(page.get_by_text(rough)).to_be_visible()
+    for seconds, face in ((3.0, "+x"), (19.0, "+y"), (35.0, "+z"), (43.0, "-z")):  # the rests of the recording
+        point_at(page, seconds)
+        expect(lies).to_have_text(re.compile(re.escape(f"Device with {face} up, ") + "[012] deg off"))
+    assert chosen(page) == [pytest.approx(30.0, abs=1.0), pytest.approx(50.0, abs=1.0)]
+    page.get_by_role("button", name="Leave it out").click()
+    expect(page.get_by_text("Nothing is drawn in a gap; its heading begins anew after one.")).to_be_visible()
+    expect(page.locator(".panel-state")).to_have_text("0.00 to 99.99 s. 10 rests on 5 faces, 8 turns")
+    for seconds, face in ((19.0, "+y"), (40.0, ""), (61.0, "+x")):
+        point_at(page, seconds)
+        if face:
+            expect(lies).to_be_visible()
+            expect(lies).to_have_text(re.compile(re.escape(f"Device with {face} up, ") + "[012] deg off"))
+        else:
+            expect(lies).to_be_hidden()
+    shoot(page, f"check-counts-{width}")
+    page.mouse.move(0, 0)
+    assert faults_of(page) == []
     assert complaints == []
 
 
@@ -172,7 +214,7 @@ def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
     table = np.column_stack((turned.time * 1e3, np.asarray(turned.gyro) / RADIAN_PER_DEGREE, opposite))
     np.savetxt(tmp_path / "log.csv", table, "%.6f", ",", header="Time,gx,gy,gz,ax,ay,az", comments="")
     page = open_page("/check", width=width, height=height, color_scheme=scheme)
-    complaints, lies = dropped(page, tmp_path / "log.csv"), page.locator(".panel-device .soft")
+    complaints, lies = dropped(page, tmp_path / "log.csv"), page.locator(".panel-device .soft").first
     page.get_by_label("Unit of the gyroscopes").select_option("dps")
     page.get_by_label("Unit of the accelerometers").select_option("g")
     disagree = page.get_by_text("accelerometer column x is (they read turns about +x, -y, -z")

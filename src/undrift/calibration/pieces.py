@@ -33,7 +33,7 @@ from undrift.segments import LeftOut, TurnSearch, find_still, left_out
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 _SATURATED = "gyroscope saturated"
-_TURNED_DEG = 5.0  # a move by less is no turn worth a mark
+_TURNED_DEG, _TURNED_SHARE = 5.0, 0.02  # a move by less is no turn worth a mark; in counts: this share of the largest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,15 +134,15 @@ def _turns(number: int, record: Record, search: TurnSearch, made: Calibration | 
         inside = any(turn.start < other.stop and other.start < turn.stop for other in search.rotations)
         if inside and method in ("", "multi-position", "known-rotation"):
             continue  # part of a move, which is drawn
-        unit = "deg/s" if physical else record.gyro_unit
-        label = f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {unit}"
+        about = f"{rate['xyz'.index(turn.axis or 'x')]:.0f} {'deg/s' if physical else record.gyro_unit}"
+        label = f"{turn.axis} {about}"
         why = "no stated rate" if method else ""
         yield Piece(kind="turn", start=turn.start, stop=turn.stop, recording=number, label=label, why=why)
     windows = () if record.gyro is None else tuple(record.gyro[turn.start : turn.stop] for turn in search.rotations)
-    stuck = stuck_windows(windows)
+    stuck, sizes = stuck_windows(windows), np.linalg.norm(search.rotation_angle, axis=1) * factor
+    least = _TURNED_DEG if physical else _TURNED_SHARE * sizes.max(initial=0.0)
     for turn, angle, spoilt in zip(search.rotations, search.rotation_angle * factor, stuck, strict=True):
-        size = float(np.linalg.norm(angle))
-        if physical and size < _TURNED_DEG:
+        if np.linalg.norm(angle) < least:
             continue
         along = angle[np.argmax(np.abs(angle))]
         label = f"{turn.axis} {along:.0f} deg" if turn.axis and physical else turn.axis or ""

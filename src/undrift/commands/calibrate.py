@@ -31,7 +31,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
-    from undrift.calibration.live_motion import ElementKnown
     from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
     from undrift.model import Calibration, TriadModel
@@ -95,10 +94,13 @@ class Calibrated(Result):
         follows = recording is not None and NAMES["accel"] not in lacking
         shown, more = calibration_summary(made), dict[str, Any](registered=self.registered) if self.registered else {}
         if self.in_motion is not None:
-            figures, known = _motion_figures(self, self.in_motion), elements_known(made, self.in_motion)
-            added = _motion_section(figures), _field_section(figures), _known_section(known)
+            figures, elements = _motion_figures(self, self.in_motion), elements_known(made, self.in_motion)
+            rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in elements)
+            heads = "element", "axis", "uncertainty"
+            by_element = Section(title="Known to, 95 %", columns=heads, rows=rows, folded=True)
+            added = _motion_section(figures), _field_section(figures), by_element
             shown = replace(shown, sections=(*shown.sections, *added))
-            more |= {"motion": figures, "elements": [asdict(one) for one in known]}
+            more |= {"motion": figures, "elements": [asdict(one) for one in elements]}
             more |= {"live": self.live} if self.live else {}
         return replace(
             shown,
@@ -173,7 +175,6 @@ def calibrate(
     """
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.observe import CalibrateSettings
-    from undrift.io.store import write_calibration
 
     live.check(files, output)
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
@@ -182,8 +183,8 @@ def calibrate(
     if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
-    else:
-        _check_pieces(prior, magnetometer)
+    elif prior is not None or magnetometer:
+        raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
@@ -197,24 +198,19 @@ def calibrate(
         (made, in_motion), seen = by_motion(session), None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
-    made = _kept_part(made, kind)
+    part = () if kind is None else ((PART, kind),)
+    made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
         figure=figure, live=collected, registered=registering.add(made, source=output))  # fmt: skip
     if output is not None:
-        write_calibration(made, output)
+        at("undrift.io.store:write_calibration")(made, output)
     _draw(calibrated, figure)
     return calibrated
 
 
 def _of_part(session: "Session", kind: str | None) -> "Session":
     return session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
-
-
-def _kept_part(made: "Calibration", kind: str | None) -> "Calibration":
-    """Return a calibration that names the part of its device, where it is stated."""
-    of, origin = () if kind is None else ((PART, kind),), made.provenance
-    return replace(made, provenance=replace(origin, settings=(*origin.settings, *of)))
 
 
 def _draw(calibrated: Calibrated, figure: Path | None) -> None:
@@ -224,17 +220,6 @@ def _draw(calibrated: Calibrated, figure: Path | None) -> None:
     how = {"title": f"{name_of(calibrated.files[0])}{': used' * used}", "used": used}
     of = (calibrated.session.records, calibrated.pieces)
     Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
-
-
-def _known_section(known: "Sequence[ElementKnown]") -> Section:
-    """Return how far motion and prior know each element."""
-    rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in known)
-    return Section(title="Known to, 95 %", columns=("element", "axis", "uncertainty"), rows=rows, folded=True)
-
-
-def _check_pieces(prior: Path | None, magnetometer: bool) -> None:
-    if prior is not None or magnetometer:
-        raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
 
 
 def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
@@ -414,7 +399,10 @@ def judge_pieces(
 
     from undrift.correction.correct import correct_whole
 
-    records = [correct_whole(_calibrated(record, made), made, policy="hold").record for record in session.records]
+    # a triad that the calibration has no model of is left out: its unit may be counts
+    lacking: dict[str, Any] = {} if made.gyro else {"gyro": None, "gyro_unit": "rad/s"}
+    lacking |= {} if made.accel else {"accel": None, "accel_unit": "m/s2"}
+    records = [correct_whole(replace(each, **lacking), made, policy="hold").record for each in session.records]
     rates = {(turn.recording, turn.start): turn for turn in session.turns if turn.turn_rate is not None}
     unknown, judged = np.full(3, np.nan), []
     for piece in (piece for piece in pieces if not piece.why):
@@ -425,12 +413,6 @@ def judge_pieces(
         stated = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
         judged.append(CorrectedPiece(piece=piece, accel=accel, gyro=gyro, stated=stated))
     return records, judged
-
-
-def _calibrated(record: "Record", made: "Calibration") -> "Record":
-    """Leave out a triad that the calibration has no model of: its unit may be counts."""
-    left: dict[str, Any] = {} if made.gyro else {"gyro": None, "gyro_unit": "rad/s"}
-    return replace(record, **left | ({} if made.accel else {"accel": None, "accel_unit": "m/s2"}))
 
 
 def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatArray":

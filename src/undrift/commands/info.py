@@ -1,7 +1,6 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -74,6 +73,7 @@ _SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
     ("gyro", "rate", "deg/s", RADIAN_PER_DEGREE),
     ("accel", "accel", "g", STANDARD_GRAVITY),
 )
+LEAST_DRAWN = 0.1  # of a recording: shorter pieces between gaps show no orientation
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
@@ -314,7 +314,6 @@ def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
 
     from undrift.calibration.pieces import pieces_of
     from undrift.files import write_together
-    from undrift.orientation import OrientSettings, orient_unchecked
 
     record, pieces = seen.session.records[0], pieces_of(seen.session, seen=seen)[0]
     table = np.full(
@@ -330,10 +329,7 @@ def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
         table[name] = values
         means = [float(np.linalg.norm(values[still.start : still.stop].mean(axis=0))) for still in seen.stills]
         at_rest |= {name: float(np.median(means))} if means else {}
-    with suppress(InputError):  # counts, gaps or one sensor alone show none
-        posed = orient_unchecked(record, settings=OrientSettings(offset="still" if seen.stills else "none"))
-        first = int(record.time.searchsorted(posed.time[0]))
-        table["q_nb"][first : first + len(posed.time)] = posed.q_nb
+    table["q_nb"], words = _lying(record, seen.stills)
 
     def write(part: Path) -> None:
         with part.open("wb") as file:
@@ -341,12 +337,70 @@ def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
 
     write_together({path: write}, table.nbytes)
     spans = [(one.kind, one.label, one.why, *_span(record, one)) for one in pieces]
-    return {
-        "span_s": (float(record.time[0]), float(record.time[-1])),
-        "stretches": spans,
-        "units": units,
-        "at_rest": at_rest,
-    }
+    span = float(record.time[0]), float(record.time[-1])
+    return {"span_s": span, "stretches": spans, "units": units, "at_rest": at_rest, "lying": words}
+
+
+def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str]":
+    """Return how the device lay, (N, 4), NaN where nothing shows it, and what a person should know of it."""
+    import numpy as np
+
+    from undrift.arrays import runs
+    from undrift.orientation import LONGEST_HOLE_S, filtered
+
+    q_nb = np.full((len(record), 4), np.nan)
+    counts = not (is_physical(record.gyro_unit) and is_physical(record.accel_unit))
+    record = record if counts else record.in_si()
+    if record.gyro is None or record.accel is None:
+        return q_nb, ""
+    still = [record.gyro[one.start : one.stop].mean(axis=0) for one in rests]
+    gyro, words, follows_s = record.gyro - (np.median(still, axis=0) if rests else 0.0), "", 3.0
+    if counts:  # the filter takes its tilt from the accelerometers: a rough scale is enough
+        if not rests or (scaled := _by_gravity(record, gyro, rests)) is None:
+            return q_nb, ""
+        scale, accel = scaled
+        drawn = (
+            "gravity gives the drawing their scale, so it is rough"
+            if scale
+            else "the drawing shows tilt alone, and is rough"
+        )
+        words, gyro, follows_s = (
+            f"The readings have no physical unit: {drawn}.",
+            scale * gyro,
+            follows_s if scale else 0.3,
+        )
+        record = replace(record, accel=STANDARD_GRAVITY * accel, accel_unit="m/s2")
+    whole = np.isfinite(np.hstack((gyro, np.asarray(record.accel)))).all(axis=1)
+    whole[1:] &= np.diff(record.time) <= max(LONGEST_HOLE_S, 5.0 / record.sample_rate_hz)
+    for start, stop in (pieces := runs(whole)):
+        if stop - start >= LEAST_DRAWN * len(record):
+            piece = record.part(start, stop), gyro[start:stop], RADIAN_PER_DEGREE
+            q_nb[start:stop], _ = filtered(*piece, magnetometer=False, acc_s=follows_s)
+    return q_nb, words + " Nothing is drawn in a gap; its heading begins anew after one." * (len(pieces) > 1)
+
+
+def _by_gravity(record: "Record", gyro: "FloatArray", rests: "Sequence[Still]") -> "tuple[float, FloatArray] | None":
+    """Return the scale of gyroscopes, rad/s (0: not shown), and the specific force, g, of readings in counts; None: not shown."""
+    import numpy as np
+
+    accel = np.asarray(record.accel)
+    means = np.array([accel[one.start : one.stop].mean(axis=0) for one in rests])
+    centre, middle = np.zeros(3), means.mean(axis=0)
+    # rests on several sides lie on a sphere: its centre is what the device reads of no force
+    if len(means) > 3 and np.linalg.svd(means - middle, compute_uv=False)[-1] > 0.2 * np.nanmax(np.abs(accel - middle)):
+        design = np.column_stack((2.0 * means, np.ones(len(means))))
+        centre = np.linalg.lstsq(design, (means**2).sum(axis=1), rcond=None)[0][:3]
+    elif np.nanmin(accel) >= 0.0:  # it reads some thousands of no force
+        return None
+    force = (accel - centre) / np.median(np.linalg.norm(means - centre, axis=1))
+    size = max(1, round(0.2 * record.sample_rate_hz))
+    count = len(force) // size
+    turned, seen = (values[: count * size].reshape(count, size, 3).mean(axis=1) for values in (gyro, force))
+    # df/dt = f x w: what is read of it against what turns
+    change, turn = np.diff(seen, axis=0), np.cross(seen[1:] + seen[:-1], turned[1:] + turned[:-1]) / 4.0
+    dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
+    shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
+    return dot / squares * record.sample_rate_hz / size if shown else 0.0, force
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:

@@ -130,14 +130,11 @@ class MotionWatch:
         """Yield lines: words, and below them each group of elements: name, what is wanted, bars and what is reached."""
         yield f"{self.words}\n"
         for three in (self.elements[k : k + 3] for k in range(0, len(self.elements), 3)):
-            cells = (f"{one.axis} {_bar(one)} {one.uncertainty:.2g}" for one in three)
+            full = (min(BARS, int(BARS * one.wanted / one.uncertainty)) for one in three)
+            bars = ("█" * count + "·" * (BARS - count) for count in full)
+            cells = (f"{one.axis} {bar} {one.uncertainty:.2g}" for one, bar in zip(three, bars, strict=True))
             head = f"{three[0].name} {three[0].wanted:.2g} {three[0].unit}"
             yield f"{head:34}" + "  ".join(f"{cell:12}" for cell in cells)
-
-
-def _bar(one: "ElementKnown") -> str:
-    full = min(BARS, int(BARS * one.wanted / one.uncertainty))
-    return "█" * full + "·" * (BARS - full)
 
 
 def collect(live: LiveMotion, output: Path | None, place: Place, fit: Fit, screen: Screen) -> dict[str, Any]:

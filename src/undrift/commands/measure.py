@@ -59,13 +59,7 @@ class Measured(Result):
         count = max(len(one.values) for one in self.measures) if self.measures else 0
         times = f", {count} times" if count > 1 and self.task != "5xSTS" else ""
         times = f", {self.shown.strides} strides" if self.shown.strides else times
-        heads = (
-            "measure",
-            "mean +- standard uncertainty",
-            "smallest change between visits",
-            "least to greatest",
-            "from",
-        )
+        heads = "measure", "mean +- standard uncertainty", "smallest change between visits", "least to greatest", "from"
         table: list[tuple[str, ...]] = [heads, *map(_row, self.measures)]
         head, *rows = [(*one[:3], *one[3 if count > 1 else 4 :]) for one in table]
         sections = [Section(title="Measures", columns=head, rows=tuple(rows), words=True), *_halving(first)]

@@ -8,7 +8,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +23,6 @@ from undrift.errors import InputError, LinkError, UndriftError
 if TYPE_CHECKING:
     from undrift.commands.bench.guides import Guide
     from undrift.commands.bench.source import Status
-    from undrift.live.transports import Source
     from undrift.record import Record
 
 LOOK_S = 0.2  # between two looks at the device, host s
@@ -237,8 +236,11 @@ class _Recording:
         self.began = datetime.now(UTC).isoformat(timespec="milliseconds")
         self.file = output if output.name.endswith(".csv") else output.with_name(f"{output.name}.csv")
         screen.over("")
-        notes = (f"  note: {note}" for note in self.notes)
-        screen.say(f"Recording {_about(self.source.recorder.source)}. Ctrl-C ends it.", *notes)
+        notes, source = (f"  note: {note}" for note in self.notes), self.source.recorder.source
+        sent, triads = source.description, {name.partition("_")[0] for name in source.description.measured}
+        units = {"gyro": sent.gyro_unit, "accel": sent.accel_unit, "mag": "uT", "temp": "degC"}
+        channels = ", ".join(f"{name} in {unit}" for name, unit in units.items() if name in triads)
+        screen.say(f"Recording {source.name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
 
     def run(self, guides: Guides, duration_s: float) -> "tuple[Record, Status]":
         """Record until it ends, and make the file; what ends it early is raised, and says what there is."""
@@ -330,7 +332,11 @@ class _Recording:
                 guide.update(newest, now, source)
                 texts += [guide.light.text] if texts[-1:] != [guide.light.text] else []
             step = len(texts) if guides else int(status.file_s / LOG_S)
-            self.shown = "\n".join((*_asked(guide), _line(status, newest)))
+            self.shown = _line(status, newest)
+            if guide is not None:
+                left = "" if guide.light.left_s is None else f" {guide.light.left_s:.0f} s"
+                count = f"{guide.step.capitalize()}s: {len(guide.done)} of {len(guide.order)}"
+                self.shown = f"{count}\n{guide.light.text}{left}\n{self.shown}"
             self.screen.over(self.shown, step=step)
             if now - heard > LOST_S:
                 return "lost"
@@ -338,14 +344,6 @@ class _Recording:
                 return "guide"
             if status.file_error or status.file_s >= duration_s:
                 return "time"
-
-
-def _about(source: "Source") -> str:
-    """Return what a device sends, in words."""
-    sent, triads = source.description, {name.partition("_")[0] for name in source.description.measured}
-    units = {"gyro": sent.gyro_unit, "accel": sent.accel_unit, "mag": "uT", "temp": "degC"}
-    channels = ", ".join(f"{name} in {unit}" for name, unit in units.items() if name in triads)
-    return f"{source.name}: {channels}, {sent.rate:g} Hz"
 
 
 def _line(status: "Status", newest: "Record | None") -> str:
@@ -376,14 +374,6 @@ def _guides(name: str | None, folder: Path, place: Place) -> Guides:
     capture = Capture(folder, place.serial, gravity_m_s2=None if how == "standard" else gravity)
     kinds = {"six-faces": (SixFaces,), "turns": (SixFaces, Turns), "poses": (Poses,)}
     return [kind(capture) for kind in kinds.get(name or "", ())]
-
-
-def _asked(guide: "Guide | None") -> Iterator[str]:
-    """Yield what a guide asks for: how far it is, and what to do now."""
-    if guide is not None:
-        left = "" if guide.light.left_s is None else f" {guide.light.left_s:.0f} s"
-        yield f"{guide.step.capitalize()}s: {len(guide.done)} of {len(guide.order)}"
-        yield f"{guide.light.text}{left}"
 
 
 def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -> Summary:

@@ -82,9 +82,11 @@ def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
         f"seed {study.seed}, offset from {offset}; {OBJECTIVES[study.objective]} of the sagittal pitch is minimised, "
         f"{TIMINGS[study.timing]}."
     )
+    # what concerns the note stands beside its table
+    apart = {_name(t): [f for f in t.findings if t.note is None or f not in t.note.findings] for t in outcome.tasks}
     return (
         _answer(outcome),
-        *(_findings(task) for task in outcome.tasks),
+        *(Section(title=f"{name}: findings", findings=tuple(found)) for name, found in apart.items()),
         _table_1(outcome),
         _note(outcome),
         *(
@@ -205,12 +207,6 @@ def _answer(outcome: "StudyOutcome") -> Section:
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
-
-
-def _findings(task: "TaskOutcome") -> Section:
-    """Return what a person should know of a task; what concerns the note stands beside its table."""
-    of_note = () if task.note is None else task.note.findings
-    return Section(title=f"{_name(task)}: findings", findings=tuple(f for f in task.findings if f not in of_note))
 
 
 def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") -> Section:

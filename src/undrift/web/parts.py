@@ -139,13 +139,6 @@ def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
     bound(show)
 
 
-def scrolling(label: str, classes: str = "") -> Any:
-    """Add a part that scrolls sideways where the screen is narrow, by the keyboard too."""
-    made = ui.element("div").classes(f"scroll {classes}").props('tabindex="0" role="region"')
-    made.props["aria-label"] = label  # a serial number in it may hold anything
-    return made
-
-
 def section(label: str, classes: str = "") -> Any:
     """Add a part with a name of its own."""
     return ui.element("section").classes(classes).props(f'aria-label="{label}"')

@@ -427,6 +427,7 @@ def _trace(recordings: Recordings, one: StoredFile, about: Mapping[str, Any]) ->
     parts.text("p", proof_words(trace), "proof")
     url = f"/trace/{quote((one.folder / 'trace.npy').relative_to(recordings.bench.folder).as_posix())}"
     shown = {"url": url, "units": trace["units"], "length": last - first, "chosen": one.kind == "recording"}
+    shown["lying"] = trace.get("lying", "")  # an earlier bench did not ask
     shown["words"] = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     shown["stretches"] = [(*words, start - first, stop - first) for *words, start, stop in stretches]
     Panel(trace=shown).on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))

@@ -29,7 +29,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal, TypeAlias
 from urllib.parse import urlencode
 
 from undrift.base.options import asked, stated
@@ -55,6 +55,7 @@ FOLLOW_S = 0.1  # between two looks at what is new
 LEAST_JUDGED = 5.0 * RADIAN_PER_DEGREE  # rad/s of a turn: below it one reading may be noise [assumed]
 CURVE = 2000  # points that are kept of a temperature curve
 
+Process: TypeAlias = "subprocess.Popen[bytes]"
 State = Literal["starting", "running", "pausing", "paused", "stopping", "stopped", "failed", "done"]
 GOING: tuple[State, ...] = ("starting", "running", "pausing", "stopping")
 
@@ -153,9 +154,8 @@ class View:
     slope_c_per_min: float | None = None
     stable_since: float | None = None  # s since 1970, of the set-point that was reached last
     curve: list[Point] = field(default_factory=list)
-    rates: list[tuple[float, float, float]] = field(
-        default_factory=list
-    )  # s since 1970, commanded deg/s, read about that axis
+    # s since 1970, commanded deg/s, read about that axis
+    rates: list[tuple[float, float, float]] = field(default_factory=list)
     wrong: str = ""  # what the readings of a turn show that was not commanded
     pid: int | None = None  # of the command
     _rest: list[float] = field(default_factory=list)  # gyroscopes at the last rest
@@ -283,7 +283,7 @@ class RigRun:
         self.view = View()
         self._reader = ProgressReader(self.place / PROGRESS)
         self._journal = ProgressReader(folder / JOURNAL)
-        self._supervisor: subprocess.Popen[bytes] | None = None
+        self._supervisor: Process | None = None
         self._standing: dict[str, Any] = {}  # port, key and pid of the supervisor
         self._reading = threading.Lock()
 
@@ -320,13 +320,7 @@ class RigRun:
         self._standing = {}
         self.view = replace(self.view, state="starting", error="", confirmed=None)
         with (self.place / LOG).open("ab") as log:
-            self._supervisor = subprocess.Popen(
-                [sys.executable, "-m", "undrift.commands.bench.supervisor", str(self.folder)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
+            self._supervisor = apart("undrift.commands.bench.supervisor", str(self.folder), out=log, errors=log)
         last = time.monotonic() + START_S
         while not (self.place / STANDBY).exists():
             if self._supervisor.poll() is not None or time.monotonic() > last:
@@ -353,7 +347,9 @@ class RigRun:
             view.state = "failed"  # neither command nor supervisor is left, and no word of the end
             view.error = "the run was killed; its guard stops the table; look at the table, then go on"
         elif view.state == "failed" and not view.error:
-            view.error = self._error()
+            view.error = self._last_line()
+            with contextlib.suppress(OSError, ValueError):  # why the command ended, in its own line
+                view.error = str(json.loads((self.place / ANSWER).read_text())["error"]["text"])
         return view
 
     def is_going(self) -> bool:
@@ -418,17 +414,17 @@ class RigRun:
         elif isinstance(entry, dict) and entry.get("entry") == "withdrawn":
             self.view.done.discard(entry["step"])
 
-    def _error(self) -> str:
-        """Return why the command ended, in its own line."""
-        with contextlib.suppress(OSError, ValueError):
-            return str(json.loads((self.place / ANSWER).read_text())["error"]["text"])
-        return self._last_line()
-
     def _last_line(self) -> str:
         with contextlib.suppress(OSError):
             lines = [line for line in (self.place / LOG).read_text(errors="replace").splitlines() if line.strip()]
             return lines[-1].removeprefix("undrift: ") if lines else ""
         return ""
+
+
+def apart(module: str, *words: str, out: IO[bytes], errors: IO[bytes] | int = subprocess.DEVNULL) -> Process:
+    """Start a module of Python in a session of its own, which the end of this process does not touch."""
+    command, none = [sys.executable, "-m", module, *words], subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=none, stdout=out, stderr=errors, start_new_session=True)
 
 
 def is_locked(path: Path) -> bool:
@@ -481,7 +477,7 @@ class EmulatedTable:
 
     def __init__(self, folder: Path, words: Sequence[str] = ()) -> None:
         self._place, self.addresses = folder / "emulator.json", dict[str, str]()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
         self.words = tuple(words)
 
     def start(self) -> dict[str, str]:
@@ -497,13 +493,7 @@ class EmulatedTable:
         if not self.is_there():
             with self._place.open("wb") as out:
                 take_lock(out.fileno())  # its process inherits the lock with its stdout
-                self._process = subprocess.Popen(
-                    [sys.executable, "-m", "undrift", "rig", "emulate", "--json", "--idle-s", "60", *self.words],
-                    stdin=subprocess.DEVNULL,
-                    stdout=out,
-                    stderr=subprocess.DEVNULL,
-                    start_new_session=True,
-                )
+                self._process = apart("undrift", "rig", "emulate", "--json", "--idle-s", "60", *self.words, out=out)
             write_whole(started, f"{self._process.pid} {' '.join(self.words)}")
         last = time.monotonic() + START_S
         while time.monotonic() < last and self.is_there():

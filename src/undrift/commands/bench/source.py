@@ -260,7 +260,10 @@ class LiveDevice:
             return
         raw = came if not self._start else replace(came, time=came.time + self._start)
         corrected, (forward, up) = self._corrected(raw), self.axes
-        q = _oriented(self._orient, corrected or raw)
+        shown = corrected or raw
+        whole = shown.gyro is not None and shown.accel is not None
+        physical = is_physical(shown.gyro_unit) and is_physical(shown.accel_unit)
+        q = self._orient.push(shown) if whole and physical else None
         if q is None or (worn := self.mounting) is None:
             pitch = None if q is None else sagittal_pitch(q, forward=forward, up=up)
         else:
@@ -309,11 +312,3 @@ class LiveDevice:
                 self._file_error = str(error)
                 with suppress(UndriftError):
                     self.stop_writing()
-
-
-def _oriented(stream: OrientStream, record: Record) -> FloatArray | None:
-    """Return the orientation of readings that have both triads in physical units, (N, 4)."""
-    if record.gyro is None or record.accel is None:
-        return None
-    physical = is_physical(record.gyro_unit) and is_physical(record.accel_unit)
-    return stream.push(record) if physical else None

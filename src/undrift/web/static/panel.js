@@ -22,6 +22,8 @@ function load(url) {
   });
 }
 
+const height = () => innerWidth < 480 ? 170 : 220;
+
 function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
@@ -219,7 +221,7 @@ export default {
       if (this.trace) Object.assign(time, { label: "Time, s", values: undefined });
       const options = {
         width: Math.max(this.body.clientWidth, 120),
-        height: this.height(),
+        height: height(),
         legend: { show: false },
         cursor: this.trace ? { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: this.trace.url } } : { show: false },
         hooks: this.trace ? { drawClear: [(drawn) => this.bands(drawn)], setSelect: [(drawn) => this.take_stretch(drawn)], setCursor: [(drawn) => this.point(drawn)] } : {},
@@ -232,8 +234,7 @@ export default {
         options.series.push({ stroke: colour(shade), dash, width, scale, points: { show: false } });
         return this.entry(legend, line, { colour: shade, dash, width }, k);
       });
-      const made = { plot: new uPlot(options, [[], ...plot.lines.map(() => [])], picture), first, values, picture, title: plot.title };
-      made.lines = plot.lines;
+      const made = { plot: new uPlot(options, [[], ...plot.lines.map(() => [])], picture), first, values, picture, title: plot.title, lines: plot.lines };
       legend.addEventListener("click", (event) => {
         const button = event.target.closest("button");
         if (!button) return;
@@ -253,12 +254,9 @@ export default {
       legend.append(make("li", {}, button));
       return value;
     },
-    height() {
-      return innerWidth < 480 ? 170 : 220;
-    },
     fit() {
       const width = Math.max(this.body.clientWidth, 120);
-      for (const { plot } of this.charts) if (plot.width !== width) plot.setSize({ width, height: this.height() });
+      for (const { plot } of this.charts) if (plot.width !== width) plot.setSize({ width, height: height() });
     },
     // Draw again and again: fifteen times a second, or once where less motion is wanted.
     next() {
@@ -318,7 +316,7 @@ export default {
       const stretch = make("div", { role: "group", "aria-label": "Stretch", class: "panel-bar" }, startLabel, stopLabel, button("Zoom to it", chosen((a, b) => this.show(a, b))),
         button("Leave it out", send("leave")), button("Use it alone", send("alone")));
       this.device = make("section", { "aria-label": "Device as it lay", class: "panel-device", hidden: "" }, this.lying, make("div", {}, make("h3", {}, "Wrong axes?"),
-        make("p", {}, "Hold the device as it lay and turn it as you did, while the drawing does: play the trace, or point at it."), this.play));
+        make("p", {}, "Hold the device as it lay and turn it as you did, while the drawing does: play the trace, or point at it."), make("p", { class: "soft" }, this.trace.lying), this.play));
       this.$el.append(view, this.body, ...(this.trace.chosen ? [stretch] : []), this.device);
     },
     showAll() { this.show(0, this.trace.length); },
@@ -343,7 +341,7 @@ export default {
       const words = `${this.from.toFixed(2)} to ${this.to.toFixed(2)} s`, counts = this.trace.words;
       this.state.textContent = `${words}. ${counts}`;
       for (const { picture, title, plot } of this.charts) picture.setAttribute("aria-label", `${title}, ${words}. ${counts}`), plot.setSelect({ width: 0 }, false);
-      if (this.pose !== undefined && !this.lying.innerHTML) this.lie(0);
+      if (this.pose !== undefined && !this.lying.innerHTML) this.lie(this.columns[this.pose].findIndex((w) => w !== null));
     },
     // Rests, turns and what was no rest, behind the lines.
     bands(plot) {
@@ -373,10 +371,12 @@ export default {
       this.lie(row);
       for (const { first, lines, values } of this.charts) lines.forEach((line, k) => { values[k].textContent = shown(this.columns[first + k][row], line.unit); });
     },
-    // The device as it lay at a row.
+    // The device as it lay at a row; nothing is drawn where that is not known.
     lie(row) {
       const q = this.pose === undefined ? [null] : [0, 1, 2, 3].map((k) => this.columns[this.pose + k][row]);
-      if (q.includes(null) || q.includes(undefined)) return;
+      const known = q.every((part) => part !== null && part !== undefined);
+      this.lying.style.visibility = known ? "" : "hidden";
+      if (!known) return;
       this.lying.setAttribute("what", JSON.stringify(q));
       this.device.hidden = false;
     },
