@@ -53,9 +53,10 @@ async def _validated(case: Case, folder: Path, visit: Visit) -> None:
     held = await _dropped(case, folder, visit)
     (path,) = written_references(case, folder)
     reference = await visit.recordings.add(path)
-    markers, up = (*case.words, "", "")[:2]
+    form = visit.recordings.form
+    form.markers, form.reference_up = map(str, (*case.words, "", "")[:2])
     if not held.error:
-        await visit.recordings.validate(held, reference, markers=str(markers), up=str(up))
+        await visit.recordings.validate(held, reference)
 
 
 async def _calibrated(case: Case, folder: Path, visit: Visit) -> None:

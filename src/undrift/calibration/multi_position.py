@@ -31,7 +31,6 @@ from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- stills: where the sliding variance of the accelerometer is below a threshold
-#
 #     s2_k = |(var u_x, var u_y, var u_z)| over the window centred at k        sample variances, raw unit squared
 #
 # A turn about the vertical does not show in an accelerometer: where there are gyroscopes, a still is reduced to its core, in which
@@ -338,7 +337,8 @@ def fit_gyro_between_stills(
     rough = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
     felt: FloatArray = np.zeros((len(moves.before), 3))
     if by_turns is None:
-        prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / float(np.cbrt(abs(np.linalg.det(rough)))))
+        size = float(np.cbrt(abs(np.linalg.det(rough)) + 1e-18 * np.abs(rough).max() ** 3))
+        prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / size)
         moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
