@@ -45,7 +45,7 @@ LONG = {  # calls of commands that take longer than those of the table; later on
 WITHOUT = {
     "demo": "a page of the commands above, tests/commands/test_demo.py",
     "bench": "an address",
-    "registry prior": "of many devices, tests/registry/test_prior.py",
+    "registry prior": "of many devices",
     **dict.fromkeys(("rig emulate", "rig stop", "rig status", "rig check"), "addresses and states of a table"),
 }
 EXCEPT = {  # numbers of JSON that no reader needs as figures, and why
