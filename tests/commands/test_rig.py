@@ -259,7 +259,7 @@ def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):
     assert "power_cut" in listed
     for text in ("no_such", "stall:soon", "stall:-1", "stall:1:0", "stall:1:2:3"):
         assert run(["rig", "emulate", "--fault", text]) == 2
-        assert f"got '{text}'; undrift rig emulate --fault list explains them" in capsys.readouterr().err
+        assert f"got '{text}'; --fault list explains them" in capsys.readouterr().err
 
 
 def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path, monkeypatch):

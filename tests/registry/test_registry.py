@@ -118,7 +118,7 @@ def test_the_calibration_that_counts_is_the_newest_valid_at_date_and_temperature
         held.find("A17", on=day("2026-08-01"), temp_c=29.0)
     with pytest.raises(RegistryError, match="got entry 4: temperature not known") as told:
         held.find("B2", on=day("2026-08-01"), temp_c=20.0)
-    assert "--valid-temp-c" in str(told.value)
+    assert "`valid_temp_c`" in str(told.value)
     with pytest.raises(RegistryError, match="valid on 2025-12-31, got a first one of 2026-01-10"):
         held.find("A17", on=day("2025-12-31"))
     with pytest.raises(RegistryError, match=f"valid on 2028-01-01, got entry {ids[1]}, due on 2027-06-05"):

@@ -59,7 +59,7 @@ def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
             rig.turn(30.0 * DPS)
             time.sleep(0.2)
             for motor_on in (False, True):
-                with pytest.raises(RigFault, match=r"got moving: another program drives it.*undrift rig stop --rig"):
+                with pytest.raises(RigFault, match=r"got moving: another program.*undrift rig stop with `rig`"):
                     check_free(address, motor_on=motor_on)
             time.sleep(0.2)
             _, rate = emulator.axis_states(np.array([emulator.now()]), mean_s=1.0)

@@ -359,7 +359,7 @@ class Registry:
         spans = ", ".join(f"entry {one.id}: {span_text(one)}" for one in held)
         raise RegistryError(
             f"{serial}: wanted a calibration valid at {temp_c:.1f} degC, got {spans}; calibrate at that temperature, or state "
-            "where one is valid: undrift registry add FILE --supersedes ID --valid-temp-c LOW:HIGH"
+            "where one is valid: add its file to the registry again, with `supersedes` and `valid_temp_c` LOW:HIGH"
         )
 
     def due(self, before: datetime) -> list[Known]:

@@ -368,7 +368,7 @@ def check_free(address: str, settings: RigSettings = RigSettings(), *, motor_on:
     if state:
         raise RigFault(
             f"rig: wanted the table at {address} at rest with its motor off, got {state}: another program drives it, or left "
-            f"it so; wait for that, or say undrift rig stop --rig '{address}'"
+            f"it so; wait for that, or say undrift rig stop with `rig` '{address}'"
         )
 
 

@@ -85,7 +85,7 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         made.close()
         raise InputError(
-            f"bench: wanted to listen at {host}:{port}, got '{error.strerror or error}'; name another --port, or 0 for a free one"
+            f"bench: wanted to listen at {host}:{port}, got '{error.strerror or error}'; name another `port`, or 0 for a free one"
         ) from error
     return made
 

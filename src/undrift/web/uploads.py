@@ -70,7 +70,7 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
 
 
 def _too_large(name: str, largest_mb: float) -> str:
-    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; use the command line for it, or --upload-mb"
+    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; use the command line, or a larger limit"
 
 
 def safe_name(text: str, otherwise: str) -> str:

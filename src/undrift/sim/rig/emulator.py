@@ -370,7 +370,7 @@ def planned_fault(text: str) -> PlannedFault:
         pass
     raise InputError(
         f"fault: wanted NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S with a name out of {', '.join(ALL_FAULTS)}, got '{text}'; "
-        "undrift rig emulate --fault list explains them"
+        "`fault` list explains them"
     )
 
 
