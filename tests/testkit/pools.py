@@ -9,7 +9,7 @@ What is handed out is a module, whose tests share fixtures, or a single test tha
 tests/durations.json has what each took; `make durations` writes it anew. Order is all that hangs on it.
 
 tests/long.json lists the tests that `make test-long` runs and `make test` does not, each with its processor seconds: whole ways and
-large sizes of what smaller tests show too.
+large sizes of what smaller tests show too. `make mutants` has to catch all its faults by what is not listed.
 """
 
 import json
