@@ -112,19 +112,10 @@ def _served(speed: float) -> Iterator[tuple[int, str, Callable[[], Any]]]:
         undrift.write_calibration(undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), made)
         readings = undrift.simulate_trial("sit_to_stand", device, rng=rng).record
         sender = stack.enter_context(_sending(readings, speed))
-        words = [
-            sys.executable,
-            "-m",
-            "undrift",
-            "bench",
-            "--port",
-            "0",
-            "--no-browser",
-            "--json",
-            "--folder",
-            str(folder),
-        ]
-        server = stack.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))
+        words = f"-m undrift bench --port 0 --token none --no-browser --json --folder {folder}"
+        server = stack.enter_context(
+            subprocess.Popen([sys.executable, *words.split()], stdout=subprocess.PIPE, text=True)
+        )
         stack.callback(server.terminate)
         address = json.loads(server.stdout.readline())["address"]  # type: ignore[union-attr]
         browser = stack.enter_context(sync_playwright()).chromium.launch(
@@ -141,7 +132,7 @@ def _served(speed: float) -> Iterator[tuple[int, str, Callable[[], Any]]]:
         first.get_by_label("Address of the device").fill(sender)
         first.get_by_role("button", name="Connect", exact=True).click()
         first.locator(".panel-state", has_text="Live.").wait_for()
-        first.get_by_label("Calibration").select_option("load/calibration.json")
+        first.get_by_label("Calibration").select_option("load")
         first.locator("[aria-label*='corrected x']").first.wait_for()
         first.context.close()
         yield server.pid, address.replace("http", "ws") + "feed", page
