@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.c_rival import compiled, pointer
 from benchmarks.figure import Figure, stopwatch
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown
 
 N = 1_000_000
 FEW = 2_000  # samples for the rivals that take microseconds each

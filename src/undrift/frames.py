@@ -6,6 +6,10 @@
 
 ``R_bs`` maps a vector from s to b; ``q_nb`` is its quaternion (b to n), scalar first (w, x, y, z). A gyroscope reads the
 rate of b against n, seen in b. An accelerometer reads specific force: at rest the axis that points up reads +g.
+
+Strapdown carries q_nb over such a rate, exactly where it is constant on (k-1, k]::
+
+    q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
 """
 
 from typing import TYPE_CHECKING, Literal
@@ -13,6 +17,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -76,3 +81,63 @@ def signed(q: FloatArray) -> FloatArray:
     """Return quaternions (N, 4) without jumps of sign."""
     flips = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.asarray(q * np.append(1.0, np.cumprod(flips))[:, None])
+
+
+def integrate_strapdown(
+    gyro_b: FloatArray, time: FloatArray, q_nb: FloatArray, *, out: FloatArray | None = None
+) -> FloatArray:
+    """Integrate angular rate from an initial orientation.
+
+    Parameters
+    ----------
+    gyro_b : array, shape (N, 3)
+        Corrected rate, rad/s, frame b, no gaps.
+    time : array, shape (N,)
+        s, strictly increasing.
+    q_nb : array, shape (4,)
+        Orientation at the first sample, w-x-y-z.
+    out : array, shape (N, 4), optional
+        Where to write, float64 in C order; saves a fresh array.
+
+    Returns
+    -------
+    array, shape (N, 4)
+        q_nb at every sample, unit length.
+
+    Raises
+    ------
+    InputError
+        Shapes that disagree, or gaps in the rate.
+
+    References
+    ----------
+    .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", 1971: constant-axis case.
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> time = np.arange(101) / 100.0
+    >>> quarter = np.tile([0.0, 0.0, np.pi / 2], (101, 1))  # rad/s about z for 1 s
+    >>> q_nb = undrift.integrate_strapdown(quarter, time, np.array([1.0, 0.0, 0.0, 0.0]))
+    >>> float(np.degrees(2.0 * np.arctan2(q_nb[-1, 3], q_nb[-1, 0])).round(6))
+    90.0
+    """
+    from undrift.kernels.rotation import strapdown
+
+    if gyro_b.shape != (len(time), 3) or np.shape(q_nb) != (4,):
+        raise InputError(
+            f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
+        )
+    q = np.empty((len(time), 4)) if out is None else out
+    if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
+        raise InputError(
+            f"strapdown: wanted a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}; make it "
+            "with numpy.empty"
+        )
+    gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
+    strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
+    if not np.isfinite(q[-1]).all():  # a gap never leaves the product: the last sample shows any
+        raise InputError(
+            "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
+        )
+    return q

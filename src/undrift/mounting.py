@@ -37,9 +37,9 @@ from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.correction.consistency import check_triads
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Verdict, finding
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, BodyMounting
-from undrift.orientation import check_whole, filtered, initial_tilt, integrate_strapdown, shortest_rotation_up
+from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Still
 from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE as DEG

@@ -6,12 +6,8 @@ shortest rotation that takes f to n's z is, for f of length one::
     q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
 
 Its error is, to first order, the level part of the error of f over |f|, whose sources are those of correction/rest.py. It has two
-components, so that 95 % of errors lie within a circle of 1.73 (both alike) to 1.96 (one alone) standard uncertainties. Strapdown,
-exact for a rate that is constant on (k-1, k]::
-
-    q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
-
-Angles of q_nb = (w, x, y, z)::
+components, so that 95 % of errors lie within a circle of 1.73 (both alike) to 1.96 (one alone) standard uncertainties. Strapdown
+(frames.py) goes on from there. Angles of q_nb = (w, x, y, z)::
 
     inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z from the vertical
     heading     = 2 atan(z / w)                  turn about the vertical
@@ -51,7 +47,7 @@ from undrift.correction.rest import (
 )
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import StillSettings, find_still, unpadded
@@ -177,66 +173,6 @@ def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
         first_s=float(time[first]),
         last_s=float(time[last]),
     )
-
-
-def integrate_strapdown(
-    gyro_b: FloatArray, time: FloatArray, q_nb: FloatArray, *, out: FloatArray | None = None
-) -> FloatArray:
-    """Integrate angular rate from an initial orientation.
-
-    Parameters
-    ----------
-    gyro_b : array, shape (N, 3)
-        Corrected rate, rad/s, frame b, no gaps.
-    time : array, shape (N,)
-        s, strictly increasing.
-    q_nb : array, shape (4,)
-        Orientation at the first sample, w-x-y-z.
-    out : array, shape (N, 4), optional
-        Where to write, float64 in C order; saves a fresh array.
-
-    Returns
-    -------
-    array, shape (N, 4)
-        q_nb at every sample, unit length.
-
-    Raises
-    ------
-    InputError
-        Shapes that disagree, or gaps in the rate.
-
-    References
-    ----------
-    .. [1] J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", 1971: constant-axis case.
-
-    Examples
-    --------
-    >>> import numpy as np, undrift
-    >>> time = np.arange(101) / 100.0
-    >>> quarter = np.tile([0.0, 0.0, np.pi / 2], (101, 1))  # rad/s about z for 1 s
-    >>> q_nb = undrift.integrate_strapdown(quarter, time, np.array([1.0, 0.0, 0.0, 0.0]))
-    >>> float(np.degrees(2.0 * np.arctan2(q_nb[-1, 3], q_nb[-1, 0])).round(6))
-    90.0
-    """
-    from undrift.kernels.rotation import strapdown
-
-    if gyro_b.shape != (len(time), 3) or np.shape(q_nb) != (4,):
-        raise InputError(
-            f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
-        )
-    q = np.empty((len(time), 4)) if out is None else out
-    if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
-        raise InputError(
-            f"strapdown: wanted a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}; make it "
-            "with numpy.empty"
-        )
-    gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
-    strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
-    if not np.isfinite(q[-1]).all():  # a gap never leaves the product: the last sample shows any
-        raise InputError(
-            "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
-        )
-    return q
 
 
 # ---- Angles

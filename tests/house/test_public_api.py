@@ -72,15 +72,12 @@ def test_the_flow_is_there_and_the_names_are_few() -> None:
 
 
 def test_names_for_the_type_checker_are_the_names_that_are_loaded() -> None:
-    tree = ast.parse((ROOT / "src" / "undrift" / "__init__.py").read_text())
-    seen = {
-        alias.name: (node.module or "").removeprefix("undrift.")
-        for block in tree.body
-        if isinstance(block, ast.If)
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    tree = ast.parse((ROOT / "src" / "undrift" / "__init__.pyi").read_text())
+    nodes = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    assert all(
+        alias.asname == alias.name for node in nodes for alias in node.names
+    )  # else a type checker hides the name
+    seen = {alias.name: (node.module or "").removeprefix("undrift.") for node in nodes for alias in node.names}
     commands = {name: f"commands.{name}" for name in VERBS if name not in undrift._HOME}
     assert {name: module for name, module in seen.items() if name not in commands} == undrift._HOME
     assert {name: module for name, module in seen.items() if name in commands}.items() <= commands.items()

@@ -8,9 +8,8 @@ import pytest
 from testkit import twins
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
 from undrift.kernels.rotation import carried_means
-from undrift.orientation import integrate_strapdown
 
 COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

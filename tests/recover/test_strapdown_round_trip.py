@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.frames import quaternion_conjugate, quaternion_product
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
 from undrift.sim.motion.tasks import draw_task
 
 

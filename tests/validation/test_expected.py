@@ -10,8 +10,8 @@ from testkit.data import show
 from testkit.hand_turns import Device, make_recording
 from undrift.correction.motion import find_motion_offset
 from undrift.correction.rest import MOVED, RestOffset
+from undrift.frames import integrate_strapdown
 from undrift.model import TriadModel
-from undrift.orientation import integrate_strapdown
 from undrift.record import Record
 from undrift.validation.expected import ErrorPrior, OffsetSource, Strapdown, expected_errors
 from undrift.validation.trial import compare_orientations, validate_trial

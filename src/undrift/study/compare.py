@@ -24,9 +24,8 @@ from undrift.arrays import FloatArray, interpolated
 from undrift.correction.correct import correct_whole
 from undrift.drift.temperature import without_lag
 from undrift.errors import InputError, UndriftError
-from undrift.frames import quaternion_conjugate, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import NO_TABLES, Calibration, Triad
-from undrift.orientation import integrate_strapdown
 from undrift.record import Record, Reference
 from undrift.segments import find_turning
 from undrift.sim.device.effects import rounded

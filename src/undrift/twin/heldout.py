@@ -44,9 +44,17 @@ from undrift.calibration.reference import TURN_ON
 from undrift.calibration.reference_accel import pose_columns
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation, rotation_vector
+from undrift.frames import (
+    integrate_strapdown,
+    quaternion_conjugate,
+    quaternion_of,
+    quaternion_product,
+    rotate,
+    rotation,
+    rotation_vector,
+)
 from undrift.model import AXES, TriadModel
-from undrift.orientation import integrate_strapdown, sagittal_pitch
+from undrift.orientation import sagittal_pitch
 from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device

@@ -29,8 +29,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.findings import Finding, finding
-from undrift.frames import quaternion_conjugate, quaternion_product, rotation, rotation_vector
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotation, rotation_vector
 from undrift.twin.accel import Match, force_columns, lever_matrix, stretches
 from undrift.twin.fit import Prepared, Twin
 from undrift.units import RADIAN_PER_DEGREE

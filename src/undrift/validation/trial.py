@@ -40,6 +40,7 @@ from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import (
     cross,
+    integrate_strapdown,
     quaternion_conjugate,
     quaternion_of,
     quaternion_product,
@@ -55,7 +56,6 @@ from undrift.orientation import (
     heading_of,
     inclination_of,
     initial_tilt,
-    integrate_strapdown,
     sagittal_pitch,
     shortest_rotation_up,
 )

@@ -10,7 +10,7 @@ from testkit.motion_of_poses import motion_from_poses
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown
 from undrift.sim.device.effects import (
     Adc,
     Amplifier,

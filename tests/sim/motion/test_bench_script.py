@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.record import FACES
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.motion.bench import BenchSettings, bench_motion

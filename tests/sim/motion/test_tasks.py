@@ -5,8 +5,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.orientation import integrate_strapdown
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.motion.motion import Step, Sway, ViaPoint
 from undrift.sim.motion.tasks import Task, draw_task
 
