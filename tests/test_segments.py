@@ -144,6 +144,19 @@ def test_rotations_between_stills_carry_their_angle():
     np.testing.assert_allclose(turns.rotation_angle[:, 0], 8.0 / np.pi, rtol=0.01)
 
 
+@pytest.mark.parametrize("rests", [(), (Still(start=0, stop=40),)])
+def test_where_each_window_has_a_gap_no_turn_is_found(rests):
+    gyro = np.full((1000, 3), 0.2)
+    gyro[7::50] = np.nan
+    found = find_turns(Record(time=np.arange(1000) / 100.0, gyro=gyro), rests)
+    assert (found.plateaus, found.rotations, found.plateau_rate.shape, found.rotation_angle.shape) == (
+        (),
+        (),
+        (0, 3),
+        (0, 3),
+    )
+
+
 def test_turns_need_a_gyroscope():
     time = np.arange(500) / FS
     with pytest.raises(InputError, match="wanted a gyroscope, got a record without; map the gyro columns"):

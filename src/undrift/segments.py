@@ -783,10 +783,10 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
         raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")
     fs = record.sample_rate_hz
     mean, spread = sliding_moments(record.gyro, sample_count(_STEADY_S, fs), max(1, round(_AVERAGED_S * fs)))
-    seen = np.isfinite(spread)
-    floor = float(np.quantile(spread[seen], FLOOR_QUANTILE))
-    rest = [record.gyro[s.start : s.stop] for s in stills]
-    offset = np.nanmean(np.concatenate(rest), axis=0) if rest else np.median(mean[seen], axis=0)
+    seen, rest = np.isfinite(spread), [record.gyro[s.start : s.stop] for s in stills]
+    floor = float(np.quantile(spread[seen], FLOOR_QUANTILE)) if seen.any() else np.inf  # none: a gap in each window
+    usual = np.median(mean[seen], axis=0) if seen.any() else np.zeros(3)
+    offset = np.nanmean(np.concatenate(rest), axis=0) if rest else usual
     plateaus, rates = _plateaus(record, (mean, spread), (offset, floor), stills)
     rotations, angles = _rotations(record, stills, offset, _LEAST_FLOORS * floor)
     return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
