@@ -1,13 +1,15 @@
 """The page Live in a browser: the practice device drawn, corrected, recorded; a lost server comes back; two see the same."""
 
 import json
+import os
 import re
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import BrowserContext, Page, expect
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -131,6 +133,51 @@ def test_a_recording_goes_on_without_the_browser_and_is_what_the_device_sent(
     assert record.duration_s >= 2.4  # the page rounds
     assert np.diff(record.time).max() < 0.02  # nothing is missing
     assert list(bench_server.folder.glob("uploads/live-*/*.part")) == []
+
+
+def test_a_recording_outlives_a_bench_that_is_killed(
+    tmp_path: Path, new_context: Callable[..., BrowserContext]
+) -> None:
+    def opened(server: BenchServer, path: str, width: int = 1280) -> Page:
+        page = new_context(viewport={"width": width, "height": 844 if width < 400 else 800}).new_page()
+        page.set_default_timeout(COMMAND_MS)
+        page.goto(server.address + path)
+        return page
+
+    with TalkingDevice() as device:
+        device.leave_out = lambda k: k % 100 == 7
+        with bench_process(tmp_path / "bench") as server:
+            page = opened(server, "live")
+            page.get_by_label("Address of the device").fill(device.address)
+            page.get_by_role("button", name="Connect", exact=True).click()
+            page.get_by_role("button", name="Start recording").click()
+            expect(page.locator(".live-status")).to_contain_text(
+                re.compile(r"recording live-.*talker.parquet, [6-9] s")
+            )
+            page.goto(server.address + "check")
+            expect(page.locator(".bench-list li").first).to_contain_text("not finished")
+            os.kill(server.process.pid or 0, signal.SIGKILL)
+            server.process.join()
+    with bench_process(tmp_path / "bench") as server:
+        page = opened(server, "check")
+        listed = page.locator(".bench-list li")
+        expect(listed).to_have_count(1)
+        expect(page.get_by_role("heading", name="Files", exact=True)).to_be_visible()  # of the device that it was of
+        expect(listed).to_contain_text(re.compile(r"live-.*-talker\.parquet\.csv.*not finished"))
+        shoot(page, "live-killed-1280")
+        listed.locator(".choose").click()
+        expect(page.locator(".bench-main")).to_contain_text("samples at 200 Hz", timeout=COMMAND_MS)
+        expect(listed).not_to_contain_text("not finished")
+        assert faults_of(page) == []
+        shoot(page, "live-killed-read-1280")
+        shoot(opened(server, "check", 390), "live-killed-390")
+        record = undrift.read_record(*server.folder.glob("uploads/live-*/*.parquet.csv"))
+    print(f"\n{record.duration_s:.2f} s of a recording of 6 s or more are there after kill -9")
+    assert record.duration_s > 4.5
+    numbers = np.round((np.asarray(record.temp_c) - 25.0) * 1e4)  # the device counts in its temperature
+    lost = np.isnan(numbers)
+    assert np.array_equal(np.diff(np.flatnonzero(lost)), [100] * (lost.sum() - 1))
+    assert np.array_equal(numbers[~lost], (numbers[~lost][0] + np.arange(len(record)))[~lost])  # none is doubled
 
 
 def test_what_is_wrong_is_said_in_plain_words(open_page: Callable[..., Page]) -> None:

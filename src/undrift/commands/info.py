@@ -1,7 +1,7 @@
 """``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,14 +56,12 @@ class Proposal:
     def check(self, figure: Path | None, *, reads: Sequence[Path | None]) -> None:
         """Raise where a unit or gain has no map to stand in, or a figure is asked for beside one."""
         check_output(self.write_map, endings=(".toml",), reads=reads)
-        if self.write_map is None:
-            for name in ("gyro_unit", "accel_unit", "gyro_gain", "accel_gain"):
-                if getattr(self, name) is not None:
-                    option = f"--{name.replace('_', '-')}"
-                    raise InputError(
-                        f"{option}: wanted `write_map` beside it, got none; add `write_map` map.toml, or leave it out"
-                    )
-        elif figure is not None:
+        option = next((one.name for one in fields(self)[1:] if getattr(self, one.name) is not None), "")
+        if option and self.write_map is None:
+            raise InputError(
+                f"`{option}`: wanted `write_map` beside it, got none; add `write_map` map.toml, or leave it out"
+            )
+        if figure is not None and self.write_map is not None:
             raise InputError(
                 "`figure`: wanted it without `write_map`, got both; write the map first, then draw with `column_map`"
             )

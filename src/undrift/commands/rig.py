@@ -306,10 +306,9 @@ class _Shown:
             f"{_clock(left.total_s)}",
             *([f"{len(done)} dwells are on the disk already"] if done else []),
         )
-        answer = "yes" if yes else ""
         with suppress(EOFError):
-            answer = answer or self._screen.ask("Start? (y/N) ").strip().lower()
-        if answer not in ("y", "yes"):
+            yes = yes or self._screen.ask("Start? (y/N) ").strip().lower() in ("y", "yes")
+        if not yes:
             raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or `yes`")
         if self._file is not None:
             self._file.plan(programme, done, speed)
@@ -336,9 +335,7 @@ class Emulated(Result):
 
     def summary(self) -> Summary:
         """Return the addresses."""
-        earlier = (
-            {"hands": self.addresses["operator"]} if "rig" in self.addresses else {}
-        )  # its name in earlier releases
+        earlier = {"hands": self.addresses["operator"]} if "rig" in self.addresses else {}  # of earlier releases
         return Summary(
             title="An emulated bench",
             answer="\n".join(f"`{name}` '{address}'" for name, address in self.addresses.items()),

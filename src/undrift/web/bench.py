@@ -125,11 +125,13 @@ class Bench:
 
     async def disconnect(self) -> None:
         """Let go of the device."""
+        await asyncio.to_thread(self._let_go)
+
+    def _let_go(self) -> None:
         source, self.source = self.source, None
-        if source is not None:
-            file = await asyncio.to_thread(source.stop)
-            if file is not None:  # what was being recorded
-                self.library.file_at(file, self.device)
+        file = None if source is None else source.stop()
+        if file is not None and file.parents[1] == self.folder / "uploads":  # what was being recorded
+            self.library.file_at(file, self.device)
 
     @property
     def practice(self) -> Any:
@@ -244,8 +246,7 @@ class Bench:
     def close(self) -> None:
         """Let go of everything; the server ends."""
         self.table.close()
-        if self.source is not None:
-            self.source.stop()
+        self._let_go()
         self._practice.close()
 
 

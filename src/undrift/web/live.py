@@ -120,14 +120,15 @@ def _recorded(visit: "Visit") -> None:
             ui.link("correct it", "/use")
 
 
-def start_recording(bench: "Bench", source: LiveDevice) -> Path:
-    """Begin a file of raw readings in a folder of its own among the recordings."""
+def start_recording(bench: "Bench", source: LiveDevice) -> None:
+    """Begin a file of raw readings in a folder of its own among the recordings, listed from its start."""
     bench.library.check_room()
     name = f"live-{datetime.now():%Y-%m-%d-%H%M%S}-{safe_name(source.name, 'device')}"
     folder = bench.folder / "uploads" / name
     folder.mkdir(parents=True, exist_ok=True)
-    source.write_to(folder / f"{name}.parquet")
-    return folder / f"{name}.parquet"
+    stored = bench.library.file_at(source.write_to(folder / f"{name}.parquet"), bench.device)
+    stored.about = {"summary": "not finished; choose it to see what it holds"}
+    stored.save()
 
 
 def _files(visit: "Visit") -> tuple[Path, ...]:

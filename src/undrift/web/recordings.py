@@ -84,7 +84,7 @@ class Recordings:
     async def choose(self, stored: StoredFile) -> None:
         """Look at a file from now on; a calibration is used."""
         self.chosen, self.form.rate_hz, self.form.turn_deg = stored, "", ""
-        if not stored.about:
+        if not stored.kind:
             await self.look(stored)
         self.draft, self.shown = draft_of(stored.about.get("map") or ()) if stored.needs_map else {}, {}
         if stored.kind == "calibration":

@@ -195,7 +195,7 @@ def test_a_view_compares_the_turn_that_is_read_with_the_one_that_is_commanded():
         return view.wrong
 
     assert read(0, 100.0, 5.0, 5.0) == ""
-    assert read(1, 100.0, 5.0, 425.0) == "The table turns about x, z of the device reads most: check the mounting."
+    assert read(1, 100.0, 5.0, 425.0) == "The table turns about x, but z reads most: check the mounting."
     assert read(1, -320.0, 5.0, 5.0) == "The device reads the turn about x in the opposite sense: check the mounting."
     view.rates.clear()
     assert (read(1, 520.0, 5.0, 5.0), view.pose) == ("", ("-x", "-"))  # seen from above, on its other side

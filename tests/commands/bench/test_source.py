@@ -123,8 +123,12 @@ def test_a_file_holds_all_that_came_while_it_was_open(
         source.write_to(tmp_path / "other.parquet")
     eventually(lambda: source.status().file_s > 1.7, "three pieces of the file")
     assert not path.exists(), "a file appears whole"
+    so_far = read_record(tmp_path / "live.parquet.csv")  # what is there where the process is killed now
     assert source.stop_writing() == path
     assert source.stop_writing() is None
+    np.testing.assert_array_equal(so_far.gyro, read_record(path).gyro[: len(so_far)])
+    assert (so_far.device, so_far.gyro_unit, so_far.accel_unit) == ("talker", "dps", "m/s2")
+    assert so_far.duration_s > 0.9
     record, came = read_record(path), joined([one.raw for one in source.updates()])
     same = came.between(record.time[0], record.time[-1] + 1e-3)
     np.testing.assert_array_equal(record.gyro, same.gyro)
@@ -137,6 +141,7 @@ def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
     source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("undrift.io.parquet.ParquetWriter.write_every_s", 0.3)
+    monkeypatch.setattr("undrift.io.text.Appender.write_every_s", 0.3)
     write, calls = ParquetWriter.write, []
 
     def fill(self: ParquetWriter, record: Record) -> None:
@@ -149,7 +154,8 @@ def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
     source.write_to(tmp_path / "live.parquet")
     eventually(lambda: source.status().file is None, "the end of the file")
     assert source.status().file_error == "live.parquet: wanted room for 1 MB, got a full disk; make room"
-    assert len(read_record(tmp_path / "live.parquet")) == sum(calls[:2]), "what was written before is kept"
+    assert [one.name for one in sorted(tmp_path.iterdir())] == ["live.parquet.csv", "live.parquet.csv.json"]
+    assert len(read_record(tmp_path / "live.parquet.csv")) == sum(calls), "what was written before is kept"
     assert source.status().error == ""
     number = source.updates()[-1].number
     eventually(lambda: source.updates(number), "readings")

@@ -205,17 +205,18 @@ class Library:
         return device
 
     def file_at(self, path: Path, device: str = "") -> StoredFile:
-        """Return what stands at a path: known already, or new, before all others."""
-        stored = next((one for one in self.files if one.path == path), None)
+        """Return what stands at a path: new, before all others, or known, by the name that it had while it was recorded, too."""
+        stored = next((one for one in self.files if one.folder == path.parent), None)
         if stored is None:
             self.files.insert(0, stored := StoredFile(path=path, device=device))
-            stored.save()
+        elif stored.path != path:
+            stored.path, stored.about = path, {}
+        stored.save()
         return stored
 
     def name_of(self, path: Path) -> str:
         """Return what a calibration is called: by its job, or by the file that was sent."""
-        entries: list[Entry] = [*self.jobs, *self.files]
-        name = next((one.name for one in entries if one.folder == path.parent), "")
+        name = next((one.name for one in (*self.jobs, *self.files) if one.folder == path.parent), "")
         return name if name and path.name == "calibration.json" else f"{name}: {path.name}".removeprefix(": ")
 
     def rename(self, entry: Entry, title: str) -> None:

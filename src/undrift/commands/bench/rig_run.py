@@ -218,9 +218,7 @@ class View:
         about, largest = AXES.index(step["axis"]), max(range(3), key=lambda k: abs(shown[k]))
         self.wrong = ""
         if abs(rate) >= LEAST_JUDGED and abs(shown[largest]) > 2.0 * abs(shown[about]):
-            self.wrong = (
-                f"The table turns about {step['axis']}, {AXES[largest]} of the device reads most: check the mounting."
-            )
+            self.wrong = f"The table turns about {step['axis']}, but {AXES[largest]} reads most: check the mounting."
         elif abs(rate) >= LEAST_JUDGED and shown[about] * rate < 0.0:
             self.wrong = f"The device reads the turn about {step['axis']} in the opposite sense: check the mounting."
         self.rates.append((now, rate / RADIAN_PER_DEGREE, shown[about]))
@@ -332,25 +330,21 @@ class RigRun:
     def refresh(self) -> View:
         """Read what is new, and return what is known."""
         with self._reading:
-            return self._refresh()
-
-    def _refresh(self) -> View:
-        if self._supervisor is not None:
-            self._supervisor.poll()  # no zombie
-        going = self.is_going()
-        with contextlib.suppress(OSError, ValueError):
-            self._standing = json.loads((self.place / STANDBY).read_text())
-        self._reader.news(self.view.take)
-        self._journal.news(self._take_piece)
-        view = self.view
-        if not going and view.state in GOING and (self.place / PROGRESS).exists():
-            view.state = "failed"  # neither command nor supervisor is left, and no word of the end
-            view.error = "the run was killed; its guard stops the table; look at the table, then go on"
-        elif view.state == "failed" and not view.error:
-            view.error = self._last_line()
-            with contextlib.suppress(OSError, ValueError):  # why the command ended, in its own line
-                view.error = str(json.loads((self.place / ANSWER).read_text())["error"]["text"])
-        return view
+            if self._supervisor is not None:
+                self._supervisor.poll()  # no zombie
+            going, view = self.is_going(), self.view
+            with contextlib.suppress(OSError, ValueError):
+                self._standing = json.loads((self.place / STANDBY).read_text())
+            self._reader.news(view.take)
+            self._journal.news(self._take_piece)
+            if not going and view.state in GOING and (self.place / PROGRESS).exists():
+                view.state = "failed"  # neither command nor supervisor is left, and no word of the end
+                view.error = "the run was killed; its guard stops the table; look at the table, then go on"
+            elif view.state == "failed" and not view.error:
+                view.error = self._last_line()
+                with contextlib.suppress(OSError, ValueError):  # why the command ended, in its own line
+                    view.error = str(json.loads((self.place / ANSWER).read_text())["error"]["text"])
+            return view
 
     def is_going(self) -> bool:
         """Return whether the command or its supervisor lives."""
@@ -455,18 +449,13 @@ def begin_run(folder: Path, protocol: str, order: RunOrder) -> RigRun:
 def find_run(root: Path) -> RigRun | None:
     """Return the run in a folder of jobs that goes on; without one the newest that did not come to its end."""
     orders = sorted(root.glob(f"*/{PLACE}/{ORDER}"), key=lambda path: path.stat().st_mtime, reverse=True)
-    found = []
+    runs = list[RigRun]()
     for path in orders:
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
-            run = RigRun(path.parents[1] / SESSION)
-            if run.is_going():
-                run.refresh()
-                return run
-            found.append(run)
-    for run in found[:1]:
-        if run.refresh().state not in ("done", "starting"):
-            return run
-    return None
+            runs.append(RigRun(path.parents[1] / SESSION))
+    run = next((one for one in runs if one.is_going()), runs[0] if runs else None)
+    over = run is not None and run.refresh().state in ("done", "starting") and not run.is_going()
+    return None if over else run
 
 
 # ---- What is emulated where there is none: a table, in another process that stays while a run needs it; a device to practise with.
@@ -488,14 +477,11 @@ class EmulatedTable:
             os.kill(int(pid), signal.SIGTERM)  # it has another speed
             while self.is_there() and time.monotonic() < last:
                 time.sleep(0.05)
-        if self.addresses and self.is_there():
-            return self.addresses
         if not self.is_there():
             with self._place.open("wb") as out:
                 take_lock(out.fileno())  # its process inherits the lock with its stdout
                 self._process = apart("undrift", "rig", "emulate", "--json", "--idle-s", "60", *self.words, out=out)
             write_whole(started, f"{self._process.pid} {' '.join(self.words)}")
-        last = time.monotonic() + START_S
         while time.monotonic() < last and self.is_there():
             with contextlib.suppress(ValueError, OSError):
                 held = json.loads(self._place.read_text())

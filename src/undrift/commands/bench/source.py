@@ -5,11 +5,12 @@ the last rest, kept for two minutes, written to a file while one is open. Time g
 """
 
 import itertools
+import json
 import math
 import threading
 import time
 from collections import deque
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,9 +19,11 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.correct import Corrector
 from undrift.errors import InputError, UndriftError
+from undrift.files import write_whole
+from undrift.io.columns import native_columns
 from undrift.io.parquet import ParquetWriter
 from undrift.io.store import read_calibration
-from undrift.io.text import Appender
+from undrift.io.text import Appender, sidecar_of, statement_of
 from undrift.live.log import described_address
 from undrift.live.recorder import Recorder, RecorderSettings
 from undrift.live.transports import source_at
@@ -97,8 +100,8 @@ class LiveDevice:
         self.mounting: BodyMounting | None = None  # of the calibration; sides that are set overrule it
         self.axes: tuple[Face, Face] = "+x", "+z"  # forward and up on the upright segment: they define the pitch
         self._correction = self._notes = ""
-        self._writer: ParquetWriter | Appender | None = None
-        self._unwritten: list[Record] = []
+        self.file: Path | None = None  # that is being written
+        self._unwritten = dict[Appender | ParquetWriter, list[Record]]()
         self._file_start, self._file_error = math.nan, ""
 
     @property
@@ -148,7 +151,7 @@ class LiveDevice:
     def status(self) -> Status:
         """Return how it is doing."""
         with self._lock:
-            rate, description, writer = math.nan, self.recorder.source.description, self._writer
+            rate, description, file = math.nan, self.recorder.source.description, self.file
             if len(self._counted) > 1 and time.monotonic() - self._heard < STALE_S:
                 (t0, n0), (t1, n1) = self._counted[0], self._counted[-1]
                 rate = (n1 - n0) / (t1 - t0) / description.clock_speed
@@ -166,9 +169,9 @@ class LiveDevice:
                 rested_s=math.nan if rested is None else self._last - rested,
                 correction=self._correction,
                 notes=self._notes,
-                file=None if writer is None else writer.path,
+                file=file,
                 file_error=self._file_error,
-                file_s=0.0 if writer is None else max(self._last - self._file_start, 0.0),
+                file_s=0.0 if file is None else max(self._last - self._file_start, 0.0),
             )
 
     def set_calibration(self, calibration: Calibration | None) -> None:
@@ -194,28 +197,36 @@ class LiveDevice:
         sagittal_pitch(np.array([1.0, 0.0, 0.0, 0.0]), forward=forward, up=up)  # refuses what are no two axes
         self.axes, self.mounting = (forward, up), None
 
-    def write_to(self, path: Path) -> None:
-        """Write the raw readings from now on, to a CSV that grows or a Parquet file that appears when the writing is stopped."""
+    def write_to(self, path: Path) -> Path:
+        """Write the raw readings from now on, to a CSV that grows and is returned; a Parquet file takes its place at the end."""
         with self._file_lock:
-            if self._writer is not None:
-                raise InputError(f"record: wanted to start, got {self._writer.path.name} still open; stop it first")
-            writer = Appender(path) if path.suffix == ".csv" else ParquetWriter(path)
-            self._writer, self._unwritten, self._file_error = writer, [], ""
-            self._file_start = max(self._last, 0.0)
+            if self.file is not None:
+                raise InputError(f"record: wanted to start, got {self.file.name} still open; stop it first")
+            log = Appender(path if path.suffix == ".csv" else path.with_name(f"{path.name}.csv"))
+            self.file, self._unwritten = path, {log: []} | ({} if log.path == path else {ParquetWriter(path): []})
+            self._file_start, self._file_error = max(self._last, 0.0), ""
+            return log.path
 
     def stop_writing(self) -> Path | None:
         """Finish the file; None where there was nothing to write."""
         with self._file_lock:
-            writer, held = self._writer, self._unwritten
-            if writer is None:
+            if (path := self.file) is None:
                 return None
             try:
-                with writer:
-                    if held:
-                        writer.write(joined(held))
+                with ExitStack() as stack:
+                    for writer in self._unwritten:
+                        stack.enter_context(writer)
+                    for writer, unwritten in self._unwritten.items():
+                        if unwritten:
+                            _write(writer, unwritten, self.file)
             finally:
-                self._writer, self._unwritten = None, []  # only now: who sees no writer finds the file
-            return writer.path if writer.path.exists() else None
+                log = next(iter(self._unwritten)).path
+                self.file, self._unwritten = None, {}  # only now: who sees no writer finds the file
+            if not path.exists():
+                return None
+            for one in {log, sidecar_of(log)} - {path, sidecar_of(path)}:
+                one.unlink()
+            return path
 
     def _fresh(self) -> Recorder:
         settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S, gather_s=GATHER_S)
@@ -279,7 +290,7 @@ class LiveDevice:
             self._kept.append(Update(number=self._number, raw=raw, corrected=corrected, q_nb=q, pitch=pitch))
             while self._kept[0].raw.time[-1] < self._last - KEEP_S:
                 self._kept.popleft()
-        self._write(raw)
+        self._append(raw)
 
     def _corrected(self, raw: Record) -> Record | None:
         corrector, done, notes = self._corrector, None, ""
@@ -298,17 +309,25 @@ class LiveDevice:
                 self._corrector, self._correction, self._notes = corrector if done else None, words, notes
         return None if done is None else done.record
 
-    def _write(self, raw: Record) -> None:
+    def _append(self, raw: Record) -> None:
         with self._file_lock:
-            if self._writer is None:
-                return
-            self._unwritten.append(raw)
-            if raw.time[-1] - self._unwritten[0].time[0] < self._writer.write_every_s:
-                return
-            held, self._unwritten = self._unwritten, []
             try:
-                self._writer.write(joined(held))
-            except UndriftError as error:  # a full disk: what was written is finished
+                for writer, unwritten in self._unwritten.items():
+                    unwritten.append(raw)
+                    if raw.time[-1] - unwritten[0].time[0] >= writer.write_every_s:
+                        _write(writer, unwritten, self.file)
+            except UndriftError as error:  # a full disk: what was written is in the CSV
                 self._file_error = str(error)
-                with suppress(UndriftError):
-                    self.stop_writing()
+                for writer in self._unwritten:
+                    writer.__exit__(type(error), error, None)
+                self.file, self._unwritten = None, {}
+
+
+def _write(writer: Appender | ParquetWriter, unwritten: list[Record], file: Path | None) -> None:
+    """Write what a writer has not written yet; the CSV of another file states beside it what it holds."""
+    record, beside = joined(unwritten), sidecar_of(writer.path)
+    if writer.path != file and not beside.exists():
+        stated = statement_of(record, writer.path, native_columns(record)[0])
+        write_whole(beside, json.dumps(stated | {"samples": None}) + "\n")
+    writer.write(record)
+    unwritten.clear()
