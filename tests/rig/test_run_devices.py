@@ -45,7 +45,7 @@ class Failing(Device):
 
 
 def run_two(emulator, path, *, first=None, second=None, resume=False, programme=PLAN, protocol=SHORT, chamber=None):
-    hands = Hands()
+    hands, shown = Hands(), []
     devices = [Failing(emulator, hands, 1 + k, **(how or {})) for k, how in enumerate((first, second))]
     with (
         RunFolder(path / "a", protocol, resume=resume) as own,
@@ -58,12 +58,13 @@ def run_two(emulator, path, *, first=None, second=None, resume=False, programme=
             programme,
             bench,
             own,
-            report=lambda progress: None,
+            report=lambda progress: shown.append(progress.live),
             serial="first",
             gravity_m_s2=STANDARD_GRAVITY,
             settings=RunSettings(device_lag_s=0.0),
             others=[beside],
         )
+    assert any(live.endswith((" of first", " of second")) for live in shown), "whose readings are shown"
     return result, hands, devices
 
 

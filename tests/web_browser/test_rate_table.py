@@ -79,7 +79,7 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
     expect(page.locator(".bench-main")).to_contain_text(
         re.compile(r"step \d+ of 36: [+-]\d+ deg/s about x"), timeout=RUN_MS
     )
-    trace = page.get_by_role("img", name=re.compile("Turn rate of the device, scaled from .* measured .* commanded"))
+    trace = page.get_by_role("img", name=re.compile("Turn rate of SIM.*, scaled from .* measured .* commanded"))
     expect(trace).to_be_visible(timeout=RUN_MS)
     expect(page.get_by_role("img", name=re.compile(r"Box with \+x up"))).to_be_visible()
     expect(page.get_by_text("check the mounting")).to_have_count(0)

@@ -461,9 +461,8 @@ class _Run:
 
     def _records(self, devices: Sequence[Mounted]) -> dict[Mounted, Record]:
         """Return what devices read until now."""
-        if len(devices) > 1:  # one that does not answer must not lengthen the others' dwells
-            for device in devices:
-                device.readings.end()
+        for device in devices:  # at once: one that does not answer must not lengthen the others' dwells
+            device.readings.end()
         return self._sound(devices, lambda device: device.readings.stop())
 
     def _read(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved]:
@@ -473,8 +472,7 @@ class _Run:
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
         devices = [*self._sound(devices, lambda device: device.readings.start())]
-        positions: list[Position] = []
-        looked = clock.now()
+        looked, positions = clock.now(), list[Position]()
         stop = looked + step.dwell_s
         while clock.now() < stop or len(positions) < 3:
             if clock.now() - looked > max(AIR_POLL_S, 0.1 * clock.speed):
@@ -482,7 +480,9 @@ class _Run:
                 looked = clock.now()
             clock.wait(every_s)  # before each alike, so that the delays of the link are alike
             positions.append(rig.position())
-            self._say(phase, devices[0].readings.latest() if len(devices) == 1 else f"{len(devices)} devices")
+            latest = self._sound(devices, lambda one: f"{one.readings.latest()} of {one.serial or 'the device'}")
+            devices = [*latest]
+            self._say(phase, next(iter(latest.values()), ""))
         records = self._records(devices)
         self._check_fault()
         return records, achieved_turn_rate(positions)

@@ -340,8 +340,7 @@ def run_part(bench: "Bench", run: RigRun, after: Callable[[], None]) -> None:
         parts.error_line(lambda: view.wrong if run.may_move else "")
         with ui.element("div").classes("worn"):
             parts.drawing("box", lambda: run.view.pose if run.view.pose[0] else ["+z"])
-            trace = "Turn rate of the device, scaled", "deg/s", "min"
-            parts.drawing("lines", lambda: [*trace, run.view.trace()], "curve")
+            parts.drawing("lines", lambda: [*run.view.trace()], "curve")
         if run.may_move:
             with parts.row():
                 if view.state == "running":

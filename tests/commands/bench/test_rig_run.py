@@ -188,7 +188,7 @@ def test_a_view_compares_the_turn_that_is_read_with_the_one_that_is_commanded():
     view.take({"event": "plan", "time": 1.0, "steps": steps, "done": [], "speed": 1.0})
 
     def read(number, x, y, z):
-        live = f"count 7  gyro_x {x}  gyro_y {y}  gyro_z {z}"
+        live = f"count 7  gyro_x {x}  gyro_y {y}  gyro_z {z} of A17"
         known = {"left_s": 9.0, "slope_c_per_min": None, "air_c": None, "device_c": None}
         phase = "dwelling" if number else "resting"
         view.take({"event": "at", "time": 60.0 * number, "phase": phase, "number": number, "live": live, **known})
@@ -200,7 +200,8 @@ def test_a_view_compares_the_turn_that_is_read_with_the_one_that_is_commanded():
     view.rates.clear()
     assert (read(1, 520.0, 5.0, 5.0), view.pose) == ("", ("-x", "-"))  # seen from above, on its other side
     assert (read(2, -740.0, 5.0, 5.0), view.pose) == ("", ("-x", "+"))
-    (_, _, measured), (_, _, commanded) = view.trace()
+    title, *_, ((_, _, measured), (_, _, commanded)) = view.trace()
+    assert title == "Turn rate of A17, scaled"
     np.testing.assert_allclose(commanded, [[0.0, 30.0], [1.0, -60.0]])
     np.testing.assert_allclose(measured, commanded)
 

@@ -156,6 +156,7 @@ class View:
     curve: list[Point] = field(default_factory=list)
     # s since 1970, commanded deg/s, read about that axis
     rates: list[tuple[float, float, float]] = field(default_factory=list)
+    whose: str = "the device"  # rates were read: its serial number
     wrong: str = ""  # what the readings of a turn show that was not commanded
     pid: int | None = None  # of the command
     _rest: list[float] = field(default_factory=list)  # gyroscopes at the last rest
@@ -190,21 +191,20 @@ class View:
         rate = (step.get("turn_rate") or 0.0) * (1.0 if (up := str(step.get("up") or "")).startswith("+") else -1.0)
         return up, "+" if rate > 0.0 else "-" if rate < 0.0 else ""
 
-    def trace(self) -> list[list[object]]:
-        """Return commanded and measured turn rates over minutes, the latter in units of the former by its own slope."""
+    def trace(self) -> list[object]:
+        """Return a drawing: commanded and measured turn rates over minutes, the latter in units of the former by its own slope."""
         points = self.rates[:: max(1, len(self.rates) // 300)]
         squares = sum(rate * rate for _, rate, _ in points)
         gain = sum(rate * reading for _, rate, reading in points) / squares if squares else 0.0
-        over = [
-            ((time - points[0][0]) * self.speed / 60.0, rate, reading / (gain or math.nan))
-            for time, rate, reading in points
-        ]
-        measured = [[at, reading] for at, _, reading in over if math.isfinite(reading)]
-        return [["measured", "none", measured], ["commanded", "6 5", [[at, rate] for at, rate, _ in over]]]
+        over = [((time - points[0][0]) * self.speed / 60.0, rate, reading) for time, rate, reading in points]
+        measured = ["measured", "none", [[at, reading / gain] for at, _, reading in over if gain]]
+        commanded = ["commanded", "6 5", [[at, rate] for at, rate, _ in over]]
+        return [f"Turn rate of {self.whose}, scaled", "deg/s", "min", [measured, commanded]]
 
     def _measure(self, now: float, step: dict[str, Any], live: str) -> None:
         """Compare what the gyroscopes read, less the last rest, with the turn that is commanded."""
-        words = live.split()
+        readings, _, whose = live.partition(" of ")
+        words = readings.split()
         read = dict(zip(words[::2], words[1::2], strict=False))
         if not {"gyro_x", "gyro_y", "gyro_z"} <= read.keys():
             return
@@ -221,6 +221,7 @@ class View:
             self.wrong = f"The table turns about {step['axis']}, but {AXES[largest]} reads most: check the mounting."
         elif abs(rate) >= LEAST_JUDGED and shown[about] * rate < 0.0:
             self.wrong = f"The device reads the turn about {step['axis']} in the opposite sense: check the mounting."
+        self.whose = whose or self.whose
         self.rates.append((now, rate / RADIAN_PER_DEGREE, shown[about]))
         if len(self.rates) > CURVE:
             del self.rates[1::2]
