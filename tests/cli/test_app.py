@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -129,6 +130,22 @@ def test_without_a_command_the_help_is_shown_in_80_columns(undrift):
     assert [row.split()[0] for row in rows] == [*program.COMMANDS, "--version"]
     assert max(map(len, rows)) <= 80
     assert undrift.good("--version").out == f"{__version__}\n"
+
+
+@pytest.mark.parametrize("command", ["measure", "correct", "rig run"])
+def test_sentences_of_a_help_fill_its_lines(undrift, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "100")
+    shown = undrift.good(*command.split(), "--help").out.partition("─ Parameters ")[2].splitlines()[1:]
+    rows = [row.strip("│").rstrip() for row in shown if row.startswith("│")]
+    begin = min(len(row) - len(row.lstrip()) for row in rows if row.startswith(" " * 12))  # of rows that go on
+    width = len(shown[0]) - 3 - begin
+    early = [
+        row
+        for row, after in pairwise(rows)
+        if not after[:begin].strip() and len(row) - begin + 1 + len(after.split()[0]) <= width
+    ]
+    assert len(rows) > 20
+    assert early == []
 
 
 def test_main_exits_with_the_code(undrift, monkeypatch):

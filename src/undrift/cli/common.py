@@ -157,7 +157,8 @@ class ProgressBar:
         self._bar.update(self._task, description=self._what, completed=share)
 
     def _tell(self) -> None:
-        while not self._stop.wait(float(os.environ.get(SAID_EVERY, SAID_EVERY_S))):
+        stated = os.environ.get(SAID_EVERY, "")
+        while not self._stop.wait(float(stated) if stated.replace(".", "", 1).isdigit() else SAID_EVERY_S):
             passed_s, share = time.monotonic() - self._began_s, self._share
             left = "time left not known yet"
             if share > 0.0:
