@@ -151,10 +151,11 @@ customElements.define("undrift-drawing", class extends HTMLElement {
   }
 });
 
-const pressed = (words, act, name) => {
+const pressed = (words, act, name, down) => {
   const button = document.createElement("button");
   Object.assign(button, { type: "button", textContent: words });
   if (name) button.setAttribute("aria-label", name);
+  if (down !== undefined) button.ariaPressed = String(down);
   button.addEventListener("click", (event) => { if (event.detail < 2) act(); });  // the second click of a double click would undo the first
   return button;
 };
@@ -170,12 +171,11 @@ customElements.define("undrift-table", class extends HTMLElement {
     for (const words of heads) head.append(part("th", words, { scope: "col" }));
     for (const cells of rows) {
       const row = body.insertRow();
-      for (const [words, className = "", buttons = []] of cells.map((cell) => [cell].flat(1))) {
-        const cell = row.cells.length ? part("td", words, { className }) : part("th", words, { className, scope: "row" });
+      for (const [k, [words, className = "", buttons = []]] of cells.map((cell) => [cell].flat(1)).entries()) {
+        const cell = k ? part("td", words, { className }) : part("th", words, { className, scope: "row" });
+        cell.dataset.head = heads[k];  // of a card, which a row is on a narrow screen
         for (const [label, key, name, down] of buttons) {
-          const button = pressed(label, () => this.dispatchEvent(new CustomEvent("press", { detail: key })), name);
-          if (down !== undefined) button.ariaPressed = String(down);
-          cell.append(button);
+          cell.append(pressed(label, () => this.dispatchEvent(new CustomEvent("press", { detail: key })), name, down));
         }
         row.append(cell);
       }
@@ -207,9 +207,8 @@ customElements.define("undrift-list", class extends HTMLElement {
     for (const [key, name, about, chosen] of rows) {
       const item = document.createElement("li"), words = document.createElement("span");
       Object.assign(words, { className: "soft", textContent: about });
-      const choose = pressed(name, () => this.send("choose", key));
+      const choose = pressed(name, () => this.send("choose", key), "", chosen);
       choose.className = "choose";
-      choose.setAttribute("aria-pressed", String(chosen));
       const remove = () => { if (confirm(`Delete ${name} and what was made of it? This cannot be undone.`)) this.send("remove", key); };
       item.append(choose, words, pressed("Rename", () => this.ask(item, key, name), `Rename ${name}`), pressed("Delete", remove, `Delete ${name}`));
       list.append(item);

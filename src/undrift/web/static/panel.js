@@ -159,19 +159,14 @@ export default {
         this.time.push(last + 1e-6);
         for (const column of this.columns) column.push(null);
       }
-      const half = envelope && rows > 1 ? (held[1] - held[0]) / 2 : 0;
-      for (let row = 0; row < rows; row++) {
-        this.time.push(start + held[row]);
-        if (envelope) this.time.push(start + held[row] + half);
-      }
-      this.columns.forEach((column, k) => {
-        const least = rows * (1 + k), most = rows * (1 + this.columns.length + k);
-        for (let row = 0; row < rows; row++) {
-          const value = held[least + row];
+      const blocks = envelope ? 2 : 1, half = rows > 1 ? (held[1] - held[0]) / 2 : 0; // the least ones, then the greatest
+      for (let row = 0; row < rows; row++) for (let block = 0; block < blocks; block++) {
+        this.time.push(start + held[row] + block * half);
+        this.columns.forEach((column, k) => {
+          const value = held[rows * (1 + k + block * this.columns.length) + row];
           column.push(Number.isNaN(value) ? null : value);
-          if (envelope) column.push(Number.isNaN(held[most + row]) ? null : held[most + row]);
-        }
-      });
+        });
+      }
       const old = this.place(this.time[this.time.length - 1] - KEPT_S);
       if (old > 1000 && !this.trace) {
         this.time.splice(0, old);
