@@ -115,6 +115,40 @@ def test_a_stretch_is_zoomed_to_and_left_out_of_what_is_calibrated(
     assert complaints == []
 
 
+def test_a_finger_drags_a_stretch_sideways_and_scrolls_the_page_up_and_down(
+    open_page: Callable[..., Page], tmp_path: Path, turned: Record
+) -> None:
+    write_parquet(turned, tmp_path / "turns.parquet")
+    page = open_page("/check", width=390, height=844, has_touch=True, is_mobile=True)
+    complaints, over = dropped(page, tmp_path / "turns.parquet"), page.locator(".u-over").first
+    over.scroll_into_view_if_needed()
+    touches = page.context.new_cdp_session(page)
+
+    def drag(*shares: tuple[float, float]) -> None:
+        box = over.bounding_box()
+        assert box is not None
+        (x0, y0), (x1, y1) = ((box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in shares)
+        for k in range(11):
+            at = {"x": x0 + 0.1 * k * (x1 - x0), "y": y0 + 0.1 * k * (y1 - y0)}
+            kind = "touchStart" if k == 0 else "touchMove"
+            touches.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [at]})
+        touches.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    ends = [page.get_by_label(name) for name in ("Stretch from, s", "to, s")]
+    drag((0.3, 0.4), (0.5, 0.4))
+    expect(ends[1]).not_to_have_value("")
+    start, stop = (float(end.input_value()) for end in ends)
+    assert (start, stop) == (pytest.approx(30.0, abs=1.0), pytest.approx(50.0, abs=1.0))
+    shoot(page, "check-touched-390")
+    before = page.evaluate("scrollY")
+    drag((0.7, 0.9), (0.71, 0.1))
+    page.wait_for_function("before => scrollY > before + 30", arg=before)
+    assert [float(end.input_value()) for end in ends] == [start, stop]
+    page.get_by_role("button", name="Leave it out").tap()
+    expect(page.get_by_text(f"Left out: {start:.2f} to {stop:.2f} s.")).to_be_visible()
+    assert complaints == []
+
+
 def test_the_device_turns_as_the_recording_says(open_page: Callable[..., Page], tmp_path: Path, turned: Record) -> None:
     write_parquet(turned, tmp_path / "turns.parquet")
     page = open_page("/check", width=1280, height=800)

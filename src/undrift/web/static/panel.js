@@ -219,7 +219,7 @@ export default {
         height: height(),
         legend: { show: false },
         cursor: this.trace ? { y: false, points: { show: false }, drag: { x: true, y: false, setScale: false }, sync: { key: this.trace.url } } : { show: false },
-        hooks: this.trace ? { drawClear: [(drawn) => this.bands(drawn)], setSelect: [(drawn) => this.take_stretch(drawn)], setCursor: [(drawn) => this.point(drawn)] } : {},
+        hooks: this.trace ? { drawClear: [(drawn) => this.bands(drawn)], setSelect: [(drawn) => this.take_stretch(drawn)], setCursor: [(drawn) => this.point(drawn)], ready: [(drawn) => this.touch(drawn)] } : {},
         scales: { x: { time: false, auto: false, range: () => this.trace ? [this.from, this.to] : [-this.seconds, 0] }, ...scales },
         axes: [{ values: (_, splits) => splits.map((t) => Math.abs(t)), ...time }, ...axes],
         series: [{}],
@@ -356,6 +356,12 @@ export default {
         if (ctx.measureText(words).width < x1 - x0 - 4) ctx.fillText(words, x0 + 3, kind === "turn" ? bbox.top + bbox.height - 9 : bbox.top + 15 * devicePixelRatio);
       }
       ctx.restore();
+    },
+    // uPlot hears a mouse alone: a finger that moves sideways is one; up and down it scrolls the page.
+    touch({ over }) {
+      for (const [name, mouse] of Object.entries({ pointerdown: "mousedown", pointermove: "mousemove", pointerup: "mouseup", pointercancel: "mouseup" })) over.addEventListener(name, (event) => {
+        if (event.pointerType !== "mouse") over.dispatchEvent(new MouseEvent(mouse, { bubbles: true, clientX: event.clientX, clientY: event.clientY, movementX: 1 }));
+      });
     },
     take_stretch({ select, posToVal }) {
       if (select.width > 2) [select.left, select.left + select.width].forEach((at, k) => { this.ends[k].value = posToVal(at, "x").toFixed(2); });
