@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
 import undrift
@@ -104,10 +105,27 @@ def test_files_and_jobs_outlive_a_bench_that_is_killed(
         assert faults_of(page) == []
 
 
-def test_a_full_folder_refuses_a_file_in_one_line(tmp_path: Path, new_context: Callable[..., BrowserContext]) -> None:
-    with bench_process(tmp_path / "bench", "--quota-gb", "0.00001") as server:
-        page = new_context().new_page()
+LARGE = (
+    "upload: wanted at most 0.05 MB, got more in walk.csv; send a part of it, or ask whoever starts the bench to raise the "
+    "largest file that it takes"
+)
+
+
+@pytest.mark.parametrize(
+    ("option", "limit", "rows", "refusal"),
+    [
+        ("--quota-gb", "0.00001", 5000, "wanted at most 1e-05 GB in it, got 3e-05 GB; delete files"),
+        ("--upload-mb", "0.05", 10_000, LARGE),
+        ("--upload-mb", "0.05", 10_000_000, LARGE),  # which the bench refuses before all of it was sent
+    ],
+)
+def test_a_full_folder_and_a_large_file_are_refused_in_one_line(
+    tmp_path: Path, new_context: Callable[..., BrowserContext], option: str, limit: str, rows: int, refusal: str
+) -> None:
+    with bench_process(tmp_path / "bench", option, limit) as server:
+        page = new_context(viewport={"width": 390, "height": 844}).new_page()
         page.goto(server.address + "check")
-        (tmp_path / "walk.csv").write_text("1,2,3\n" * 5000)
+        (tmp_path / "walk.csv").write_text("1,2,3\n" * rows)
         page.get_by_label("Choose files").set_input_files(tmp_path / "walk.csv")
-        expect(page.locator(".bench-main")).to_contain_text("wanted at most 1e-05 GB in it, got 3e-05 GB; delete files")
+        expect(page.locator(".bench-main")).to_contain_text(refusal)
+        shoot(page, f"refused{option}-390")

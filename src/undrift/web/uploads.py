@@ -70,7 +70,8 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
 
 
 def _too_large(name: str, largest_mb: float) -> str:
-    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; use the command line, or a larger limit"
+    asking = "send a part of it, or ask whoever starts the bench to raise the largest file that it takes"
+    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; {asking}"
 
 
 def safe_name(text: str, otherwise: str) -> str:
