@@ -50,7 +50,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import StillSettings, find_still, unpadded
+from undrift.segments import StillSettings, find_still, sphere_of, unpadded
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -681,6 +681,29 @@ def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int
     undone = np.vstack((np.zeros(3), -gyro[anchor:0:-1]))  # the step that led to sample k, backwards, leads to k - 1
     q[: anchor + 1] = integrate_strapdown(undone, -time[anchor::-1], q_nb)[::-1]
     return q
+
+
+def scale_by_gravity(record: Record, gyro: FloatArray, rests: Sequence[Still]) -> tuple[float, FloatArray] | None:
+    """Return the scale of gyroscopes, rad/s a code, and the specific force, g, of a record in counts; None: gravity is not shown.
+
+    A scale of 0 is not shown: gravity f turns with the device, df/dt = f x w, and what is read of f does not follow what turns.
+    """
+    accel = np.asarray(record.accel)
+    means = np.array([accel[one.start : one.stop].mean(axis=0) for one in rests])
+    middle, centre = means.mean(axis=0), np.zeros_like(means[0])
+    # rests on several sides lie on a sphere: its centre is what the device reads of no force
+    if len(means) > 3 and np.linalg.svd(means - middle, compute_uv=False)[-1] > 0.2 * np.nanmax(np.abs(accel - middle)):
+        centre, _ = sphere_of(means)
+    elif np.nanmin(accel) >= 0.0:  # it reads some thousands of no force
+        return None
+    force = (accel - centre) / np.median(np.linalg.norm(means - centre, axis=1))
+    size = max(1, round(0.2 * record.sample_rate_hz))
+    count = len(force) // size
+    turned, seen = (values[: count * size].reshape(count, size, 3).mean(axis=1) for values in (gyro, force))
+    change, turn = np.diff(seen, axis=0), np.cross(seen[1:] + seen[:-1], turned[1:] + turned[:-1]) / 4.0
+    dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
+    shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
+    return dot / squares * record.sample_rate_hz / size if shown else 0.0, force
 
 
 # ---- A stream

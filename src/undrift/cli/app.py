@@ -21,6 +21,7 @@ from undrift.files import is_full
 if TYPE_CHECKING:
     from cyclopts import App
     from cyclopts.help import HelpPanel
+    from cyclopts.help.protocols import HelpFormatter
     from rich.console import Console, ConsoleOptions
 
 INTERRUPTED, STOPPED = 130, "stopped; nothing was left half written"
@@ -140,15 +141,19 @@ def _check_names(arguments: Sequence[str]) -> None:
             raise InputError(f"{shown}: wanted a name in UTF-8, got other bytes; rename the file or folder")
 
 
-def _flowing(console: "Console", options: "ConsoleOptions", panel: "HelpPanel") -> None:
-    """Print a panel of help whose sentences fill the terminal's lines; docstrings break theirs elsewhere."""
-    from cyclopts.help.formatters import DefaultFormatter
+def _formatter() -> "HelpFormatter":
+    """Return what prints help with sentences that fill the terminal's lines; docstrings break theirs elsewhere."""
+    from cyclopts.help import DefaultFormatter
     from rich.text import Text
 
-    for entry in panel.entries:
-        if isinstance(text := getattr(entry.description, "primary_renderable", None), Text):
-            text.plain = text.plain.replace("\n", " ")
-    DefaultFormatter()(console, options, panel)
+    class Flowing(DefaultFormatter):
+        def __call__(self, console: "Console", options: "ConsoleOptions", panel: "HelpPanel") -> None:
+            for entry in panel.entries:
+                if isinstance(text := getattr(entry.description, "primary_renderable", None), Text):
+                    text.plain = text.plain.replace("\n", " ")
+            super().__call__(console, options, panel)
+
+    return Flowing()
 
 
 def command_line() -> "App":
@@ -161,7 +166,7 @@ def command_line() -> "App":
         version=__version__,
         version_flags=["--version", "-V"],
         help_format="plaintext",
-        help_formatter=_flowing,
+        help_formatter=_formatter(),
         result_action="return_value",
         suppress_keyboard_interrupt=False,
         default_parameter=Parameter(negative=(), json_list=False, json_dict=False),  # "[1] walk.csv" is a name

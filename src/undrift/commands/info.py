@@ -344,7 +344,7 @@ def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str
     import numpy as np
 
     from undrift.arrays import runs
-    from undrift.orientation import LONGEST_HOLE_S, filtered
+    from undrift.orientation import LONGEST_HOLE_S, filtered, scale_by_gravity
 
     q_nb = np.full((len(record), 4), np.nan)
     counts = not (is_physical(record.gyro_unit) and is_physical(record.accel_unit))
@@ -354,7 +354,7 @@ def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str
     still = [record.gyro[one.start : one.stop].mean(axis=0) for one in rests]
     gyro, words, follows_s = record.gyro - (np.median(still, axis=0) if rests else 0.0), "", 3.0
     if counts:  # the filter takes its tilt from the accelerometers: a rough scale is enough
-        if not rests or (scaled := _by_gravity(record, gyro, rests)) is None:
+        if not rests or (scaled := scale_by_gravity(record, gyro, rests)) is None:
             return q_nb, ""
         scale, accel = scaled
         drawn = (
@@ -375,30 +375,6 @@ def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str
             piece = record.part(start, stop), gyro[start:stop], RADIAN_PER_DEGREE
             q_nb[start:stop], _ = filtered(*piece, magnetometer=False, acc_s=follows_s)
     return q_nb, words + " Nothing is drawn in a gap; its heading begins anew after one." * (len(pieces) > 1)
-
-
-def _by_gravity(record: "Record", gyro: "FloatArray", rests: "Sequence[Still]") -> "tuple[float, FloatArray] | None":
-    """Return the scale of gyroscopes, rad/s (0: not shown), and the specific force, g, of readings in counts; None: not shown."""
-    import numpy as np
-
-    accel = np.asarray(record.accel)
-    means = np.array([accel[one.start : one.stop].mean(axis=0) for one in rests])
-    centre, middle = np.zeros(3), means.mean(axis=0)
-    # rests on several sides lie on a sphere: its centre is what the device reads of no force
-    if len(means) > 3 and np.linalg.svd(means - middle, compute_uv=False)[-1] > 0.2 * np.nanmax(np.abs(accel - middle)):
-        design = np.column_stack((2.0 * means, np.ones(len(means))))
-        centre = np.linalg.lstsq(design, (means**2).sum(axis=1), rcond=None)[0][:3]
-    elif np.nanmin(accel) >= 0.0:  # it reads some thousands of no force
-        return None
-    force = (accel - centre) / np.median(np.linalg.norm(means - centre, axis=1))
-    size = max(1, round(0.2 * record.sample_rate_hz))
-    count = len(force) // size
-    turned, seen = (values[: count * size].reshape(count, size, 3).mean(axis=1) for values in (gyro, force))
-    # df/dt = f x w: what is read of it against what turns
-    change, turn = np.diff(seen, axis=0), np.cross(seen[1:] + seen[:-1], turned[1:] + turned[:-1]) / 4.0
-    dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
-    shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
-    return dot / squares * record.sample_rate_hz / size if shown else 0.0, force
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:
