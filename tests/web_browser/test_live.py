@@ -180,6 +180,33 @@ def test_a_recording_outlives_a_bench_that_is_killed(
     assert np.array_equal(numbers[~lost], (numbers[~lost][0] + np.arange(len(record)))[~lost])  # none is doubled
 
 
+def turned_over(k: int) -> str:
+    """Return reading k, 200 a second, of a device that rests with z up for 5 s, then with y up, again and again."""
+    seconds = k / 200.0 % 12.0
+    turns = seconds % 6.0 >= 5.0
+    angle = min(max(seconds - 5.0, 0.0), 1.0) - max(seconds - 11.0, 0.0)  # in quarters of a turn about x
+    rate = 90.0 * turns * (1.0 if seconds < 6.0 else -1.0)
+    up, other = 9.81 * np.cos(0.5 * np.pi * angle), 9.81 * np.sin(0.5 * np.pi * angle)
+    noise = 0.01 * np.sin(k * np.array([1.0, 2.0, 3.0]))
+    return f"{rate + noise[0]:.4f},{noise[1]:.4f},{noise[2]:.4f},{noise[2]:.4f},{other:.4f},{up:.4f},25.0"
+
+
+def test_the_device_is_drawn_as_it_lies_once_a_rest_has_shown_it(open_page: Callable[..., Page]) -> None:
+    page = open_page("/live", width=390)
+    drawn = page.locator("undrift-drawing[kind=body]")
+    expect(drawn).to_be_hidden()
+    with TalkingDevice(numbers=turned_over) as device:
+        page.get_by_label("Address of the device").fill(device.address)
+        page.get_by_role("button", name="Connect", exact=True).click()
+        for up in ("z", "y", "z"):
+            picture = page.get_by_role("img", name=re.compile(rf"Device with \+{up} up, [01] deg off"))
+            expect(picture).to_be_visible(timeout=COMMAND_MS)
+        shoot(page, "live-body-390")
+        assert faults_of(page) == []
+        page.set_viewport_size({"width": 1280, "height": 800})
+        shoot(page, "live-body-1280")
+
+
 def test_what_is_wrong_is_said_in_plain_words(open_page: Callable[..., Page]) -> None:
     page = open_page("/live")
     expect(page.locator(".panel-state")).to_have_text("No device connected.")

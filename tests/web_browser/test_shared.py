@@ -118,6 +118,7 @@ LARGE = (
         ("--upload-mb", "0.05", 10_000, LARGE),
         ("--upload-mb", "0.05", 10_000_000, LARGE),  # which the bench refuses before all of it was sent
     ],
+    ids=["folder", "file", "before it was sent"],
 )
 def test_a_full_folder_and_a_large_file_are_refused_in_one_line(
     tmp_path: Path, new_context: Callable[..., BrowserContext], option: str, limit: str, rows: int, refusal: str

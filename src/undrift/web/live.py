@@ -44,22 +44,29 @@ def page(visit: "Visit") -> None:
                 await asyncio.to_thread(source.use, visit.calibration)
             visit.corrected = wanted
 
-    def label() -> str:
-        return "Start recording" if bench.source is None or bench.source.status().file is None else "Stop recording"
-
     parts.text("p", lambda: "" if bench.source is None else status_line(bench.source.status()), "live-status")
     parts.error_line(lambda: " ".join(_wrong(bench)))
-    step = parts.next_step(label, lambda: start_or_stop(visit))
+    label = "Start recording", "Stop recording"
+    step = parts.next_step(lambda: label[bool(bench.source and bench.source.file)], lambda: start_or_stop(visit))
     parts.shown_if(step, lambda: bench.source is not None and bench.motion.watch is None)
     hint = parts.text("p", "Connect a device below. The practice device is a simulated sensor.")
     parts.shown_if(hint, lambda: bench.source is None)
     parts.redrawn(lambda: _remarks(bench), lambda: parts.remarks_list(_remarks(bench)))
     parts.redrawn(lambda: recordings.chosen and recordings.chosen.path, lambda: _recorded(visit))
     parts.shown_if(Panel(), lambda: bench.motion.watch is None)  # what to do next is at hand
+    body = parts.drawing("body", lambda: _lying(bench) or [1, 0, 0, 0], "worn")
+    parts.shown_if(body, lambda: bool(_lying(bench)))
     _motion(visit)
     parts.redrawn(lambda: _files(visit), lambda: _settings(visit))
     connect_form(visit)
     parts.bound(use)
+
+
+def _lying(bench: "Bench") -> list[float]:
+    """Return how the device lies now, as a quaternion since its last rest; nothing where that is unknown."""
+    updates = [] if bench.source is None else bench.source.updates()
+    q = updates[-1].q_nb[-1].tolist() if updates and updates[-1].q_nb is not None else [math.nan]
+    return [] if math.isnan(q[0]) else [round(part, 3) for part in q]
 
 
 def status_line(status: Status) -> str:
@@ -98,12 +105,10 @@ def _remarks(bench: "Bench") -> list[Remark]:
 async def start_or_stop(visit: "Visit") -> None:
     """Begin a recording, or finish the one that is going on and add it to the files."""
     bench, source = visit.bench, visit.bench.source
-    if source is None:
-        return
     try:
-        if source.status().file is None:
+        if source is not None and source.file is None:
             await asyncio.to_thread(start_recording, bench, source)
-        elif (path := await asyncio.to_thread(source.stop_writing)) is not None:
+        elif source is not None and (path := await asyncio.to_thread(source.stop_writing)) is not None:
             await visit.recordings.add(path)
     except (UndriftError, OSError) as error:
         raise InputError(without_folders(str(error), bench.folder)) from error
