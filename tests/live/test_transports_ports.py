@@ -11,11 +11,13 @@ from undrift.errors import LinkError
 from undrift.live.transports import ble_devices, lsl_streams, serial_ports
 
 
-def test_ports_of_usb_stand_first(monkeypatch: pytest.MonkeyPatch):
+def test_ports_of_boards_stand_first_then_those_of_usb(monkeypatch: pytest.MonkeyPatch):
+    modem = SimpleNamespace(device="/dev/ttyACM0", description="modem", vid=0x12D1)
     built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None)
     boards = [SimpleNamespace(device=f"/dev/ttyUSB{k}", description=f"board {k}", vid=0x2341) for k in (1, 0)]
-    monkeypatch.setattr(list_ports, "comports", lambda: [built_in, *boards])
-    assert serial_ports() == [("/dev/ttyUSB0", "board 0"), ("/dev/ttyUSB1", "board 1"), ("/dev/ttyS0", "built in")]
+    monkeypatch.setattr(list_ports, "comports", lambda: [built_in, modem, *boards])
+    usb = [("/dev/ttyUSB0", "board 0"), ("/dev/ttyUSB1", "board 1"), ("/dev/ttyACM0", "modem")]
+    assert serial_ports() == [*usb, ("/dev/ttyS0", "built in")]
 
 
 def test_bluetooth_devices_with_a_name_stand_first_within_a_loop_too(monkeypatch: pytest.MonkeyPatch):

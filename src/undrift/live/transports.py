@@ -41,6 +41,8 @@ MOST_WAITING = 100_000  # Bluetooth notifications
 RESOLVE_S = 5.0
 SCAN_S = 3.0  # for devices and streams that are listed
 QUIET = "[log]\nlevel = -2\n"
+# USB vendors of microcontroller boards, and of the chips by which they or a card of a rate table are connected
+BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A, 0x2886, 0x2A03, 0x2E8A, 0x303A}
 LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a person wrote
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
@@ -102,8 +104,7 @@ class SocketPort:
     """Bytes over a socket."""
 
     def __init__(self, connection: socket.socket, datagrams: bool = False) -> None:
-        self.datagrams = datagrams
-        self._socket = connection
+        self.datagrams, self._socket = datagrams, connection
 
     def receive(self, wait_s: float) -> bytes:
         """Return what has come."""
@@ -183,10 +184,9 @@ class BlePort:
 
     def __init__(self, make: Callable[[Callable[[Any], None]], Any], characteristic: str) -> None:
         self._values: queue.Queue[bytes | None] = queue.Queue(MOST_WAITING)
-        self._loop = asyncio.new_event_loop()
+        self._loop, self._lost = asyncio.new_event_loop(), False
         self._thread = threading.Thread(target=self._loop.run_forever, name="ble", daemon=True)
         self._thread.start()
-        self._lost = False
         try:
             self._client = self._await(self._begin(make, characteristic))
         except BaseException as error:
@@ -260,9 +260,9 @@ def host_and_port(place: str) -> tuple[str, int]:
 
 
 def serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this computer, and what is behind each; those of USB first."""
+    """Return the serial ports of this computer, and what is behind each; boards first, then all others of USB."""
     ports = package_of("serial.tools.list_ports", "pyserial", "serial port").comports()
-    found = sorted(ports, key=lambda port: (port.vid is None, port.device))
+    found = sorted(ports, key=lambda port: (port.vid is None, port.vid not in BOARDS, port.device))
     return [(port.device, port.description if port.vid is not None else "built in") for port in found]
 
 
