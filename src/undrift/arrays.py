@@ -14,20 +14,20 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int64]
 
 
-def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str) -> FloatArray:
-    """Copy into a read-only float64 array of a stated shape."""
+def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = np.float64) -> NDArray[Any]:
+    """Return a read-only array of a stated shape: a copy, unless it is one already that nothing else writes to."""
+    own = isinstance(x, np.ndarray) and x.flags.owndata and not x.flags.writeable
     try:
-        array = np.array(x, dtype=np.float64, order="C")
+        array = np.array(x, dtype=kind, order="C", copy=None if own else True)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: wanted numbers, got {type(x).__name__}; {error}") from error
     if array.ndim != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        raise InputError(
-            f"{name}: wanted shape {wanted}, got {array.shape}; time is axis 0", wanted=shape, got=array.shape
-        )
-    if np.isinf(array).any():
+        advice = "time is axis 0" if kind is np.float64 else "one mark for each node"
+        raise InputError(f"{name}: wanted shape {wanted}, got {array.shape}; {advice}", wanted=shape, got=array.shape)
+    if kind is np.float64 and np.isinf(array).any():
         raise InputError(f"{name}: wanted finite numbers or NaN for a gap, got infinity; repair the file")
     array.flags.writeable = False
     return array
@@ -97,19 +97,11 @@ def freeze(value: Any, **lengths: int) -> None:
             isinstance(given, list) and not given and not wanted[0]
         ):  # no rows, of a file: a list does not say how long they are
             given = np.zeros((0, *(n or 0 for n in wanted[1:])))
-        array: NDArray[Any] = frozen(given, wanted, what) if kind is float else _frozen_marks(given, wanted, what, kind)
+        array = frozen(given, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}
         if shape.rising and (len(array) < 2 or not (np.diff(array) > 0.0).all()):
             raise InputError(f"{what}: wanted two or more increasing nodes, got {len(array)}; sort and merge them")
         object.__setattr__(value, name, array)
-
-
-def _frozen_marks(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: type) -> NDArray[Any]:
-    array: NDArray[Any] = np.array(x, dtype=np.int64 if kind is int else kind)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
-        raise InputError(f"{name}: wanted shape {shape}, got {array.shape}; one mark for each node")
-    array.flags.writeable = False
-    return array
 
 
 @cache

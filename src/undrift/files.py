@@ -3,6 +3,7 @@
 import errno
 import gzip
 import hashlib
+import math
 import os
 import re
 import shutil
@@ -11,12 +12,12 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError
 
-GIGABYTE = 10**9
 _HIDDEN, _LOCK = ".undrift-", ".lock"
 _GZIP = b"\x1f\x8b"
 _RATIO = 200  # A gzip that unpacks to more than so many times its size ...
@@ -34,9 +35,14 @@ class ReadLimits:
     start_s: float = 60.0  # Processor time of a parser for a file of any size ...
     megabyte_s: float = 1.0  # ... and for each megabyte of it
 
+    @property
+    def room(self) -> float:
+        """Bytes that a file may take."""
+        return math.inf if self.trust else self.memory_gb * 1e9
+
     def holds(self, size: int) -> bool:
         """Tell whether a text of some bytes can be parsed within the memory, whatever it holds."""
-        return self.trust or _PARSED * size <= self.memory_gb * GIGABYTE
+        return _PARSED * size <= self.room
 
     def over(self, path: Path) -> str:
         """Say that a file takes more memory than this."""
@@ -47,6 +53,13 @@ class ReadLimits:
 
 
 LIMITS = ReadLimits()
+WATCH: ContextVar[Callable[[Path, float], None]] = ContextVar("WATCH")  # who is to hear how far a file is read
+
+
+def read_so_far(path: Path, share: float) -> None:
+    """Say which share of a file is read, 0 to 1, to whoever waits for it."""
+    if watch := WATCH.get(None):
+        watch(path, share)
 
 
 def data_folder() -> Path:
@@ -80,7 +93,7 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     path = checked_file(path)
     try:
         if not is_gzip(path):
-            if limit < 0 and not LIMITS.trust and path.stat().st_size > LIMITS.memory_gb * GIGABYTE:
+            if limit < 0 and path.stat().st_size > LIMITS.room:
                 raise FileFormatError(LIMITS.over(path))
             with path.open("rb") as handle:
                 return handle.read(limit)
@@ -112,7 +125,7 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
     content, size = bytearray(), path.stat().st_size
     while block := packed.read(_BLOCK):
         content += block
-        if len(content) > LIMITS.memory_gb * GIGABYTE:
+        if len(content) > LIMITS.room:
             raise FileFormatError(LIMITS.over(path))
         if len(content) > max(_RATIO * size, _SMALL):
             raise FileFormatError(
@@ -120,6 +133,12 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
                 "recording, or read it with `trust`"
             )
     return bytes(content)
+
+
+def bytes_in(path: Path) -> int:
+    """Return the bytes of a file, or of all files of a folder."""
+    files = path.rglob("*") if path.is_dir() else (path,)
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def first_line(error: BaseException) -> str:

@@ -84,10 +84,8 @@ ROUNDING = 1e-9  # of a number in text
 def read_rate_log(path: str | Path) -> RateLog:
     """Read a log: a header, a column of TIMES, and one of RATES or ANGLES; comma, semicolon or tab between them."""
     first = open_text(path).head.splitlines()[0].decode("utf-8", "replace")
-    layout = TextLayout(
-        delimiter=max(",;\t", key=first.count), decimal="." if first.count(";") == 0 else _decimal(path)
-    )
-    text = open_text(path, layout)
+    decimal = "." if first.count(";") == 0 else _decimal(path)
+    text = open_text(path, TextLayout(delimiter=max(",;\t", key=first.count), decimal=decimal))
     held = [name.strip() for name in text.names]
     named = [[name for name in held if name in table] for table in (TIMES, {**RATES, **ANGLES})]
     if any(len(names) != 1 for names in named):
@@ -101,20 +99,16 @@ def read_rate_log(path: str | Path) -> RateLog:
     whole = np.isfinite(time) & np.isfinite(value)
     time, value = time[whole] * TIMES[when], value[whole] * ({**RATES, **ANGLES}[what])
     if len(time) < 30 or not (np.diff(time) > 0.0).all():
-        wrong = (
-            "got fewer" if len(time) < 30 else f"got one that does not after {time[np.argmin(np.diff(time) > 0.0)]:g} s"
-        )
-        raise FileFormatError(f"{path}: wanted 30 rows or more whose time goes forward, {wrong}; mend the log")
+        wrong = "fewer" if len(time) < 30 else f"one that does not after {time[np.argmin(np.diff(time) > 0.0)]:g} s"
+        raise FileFormatError(f"{path}: wanted 30 rows or more whose time goes forward, got {wrong}; mend the log")
     apart = np.diff(np.unique(value))
     apart = apart[apart > ROUNDING * np.abs(value).max()]
     step = float(apart.min()) if len(apart) else 0.0
-    if what in ANGLES:
-        value = np.unwrap(value) if value.min() > -1e-9 - np.pi and value.max() < 2.0 * np.pi + 1e-9 else value
-        return RateLog(name=str(path), time=time, angle=value, resolution=step, has_angle=True)
-    area = 0.5 * (value[1:] + value[:-1]) * np.diff(time)
-    return RateLog(
-        name=str(path), time=time, angle=np.concatenate(([0.0], np.cumsum(area))), resolution=step, has_angle=False
-    )
+    if what in RATES:
+        value = np.concatenate(([0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time))))
+    elif value.min() > -1e-9 - np.pi and value.max() < 2.0 * np.pi + 1e-9:
+        value = np.unwrap(value)
+    return RateLog(name=str(path), time=time, angle=value, resolution=step, has_angle=what in ANGLES)
 
 
 def _decimal(path: str | Path) -> str:
@@ -151,9 +145,8 @@ def _scores(
     time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_s: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the best correlation, a score of each shift, and the shifts, s: among equals the widest overlap is best."""
-    best = 0.0
-    score: FloatArray = np.zeros(1)
-    lags: FloatArray = np.zeros(1)
+    nothing: FloatArray = np.zeros(1)
+    best, score, lags = 0.0, nothing, nothing
     for centre in (True, False):
         shifts, correlation, overlap = lag_correlation(time, gyro, rates, longest_s, centre=centre)
         here = np.nan_to_num(correlation) * np.sqrt(overlap / max(overlap.max(), 1.0))

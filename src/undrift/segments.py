@@ -182,10 +182,7 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
             "record for longer, or find still phases with a shorter window_s"
         )
     triads: list[_Moments] = []
-    for is_gyro, values, unit in (
-        (True, record.gyro, record.gyro_unit),
-        (False, record.accel, record.accel_unit),
-    ):
+    for is_gyro, values, unit in ((True, record.gyro, record.gyro_unit), (False, record.accel, record.accel_unit)):
         if values is not None:
             mean, spread = sliding_moments(values, window, smooth)
             triads.append(
@@ -793,10 +790,7 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
 
 
 def _plateaus(
-    record: Record,
-    moments: tuple[FloatArray, FloatArray],
-    rest: tuple[FloatArray, float],
-    stills: Sequence[Still],
+    record: Record, moments: tuple[FloatArray, FloatArray], rest: tuple[FloatArray, float], stills: Sequence[Still]
 ) -> tuple[tuple[Turn, ...], FloatArray]:
     (mean, spread), (offset, floor), gyro = moments, rest, np.asarray(record.gyro)
     rate, shortest = mean - offset, sample_count(_STEADY_S, record.sample_rate_hz)

@@ -5,6 +5,7 @@ import gzip
 import os
 import time
 import zipfile
+from contextvars import copy_context
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ import pytest
 import undrift
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.files import LIMITS, read_bytes
+from undrift.files import LIMITS, WATCH, read_bytes, read_so_far
 from undrift.io import box
 from undrift.io.box import boxed, boxed_parts, one_box
-from undrift.io.formats import read_markers, read_record
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import read_counted, read_markers, read_record
 from undrift.io.inspect import describe
 from undrift.io.session import read_map
 from undrift.io.store import read_calibration
@@ -150,6 +152,27 @@ def test_arrays_come_in_parts_from_another_process_and_it_ends_with_the_caller(f
         os.kill(child, 0)
 
 
+@boxed()
+def by_thirds(path):
+    for third in range(1, 4):
+        read_so_far(path, third / 3)
+    return os.getpid()
+
+
+@needs_fork
+def test_how_far_a_box_has_read_is_heard_outside(file):
+    heard = []
+
+    def read():
+        WATCH.set(lambda path, share: heard.append((os.getpid(), path, share)))
+        with one_box():
+            return [by_thirds(file), by_thirds(file)]
+
+    read_by = copy_context().run(read)
+    assert os.getpid() not in read_by
+    assert heard == [(os.getpid(), file, third / 3) for third in (1, 2, 3)] * 2
+
+
 @needs_fork
 def test_one_box_reads_file_after_file_and_ends_with_its_block(file):
     with one_box():
@@ -246,20 +269,35 @@ def test_a_packed_file_that_swells_is_refused(tmp_path, limits):
 
 
 @needs_fork
-def test_a_large_table_of_text_is_read_in_a_box_and_bit_by_bit(tmp_path, limits, monkeypatch):
+def test_a_large_table_of_text_with_a_bad_row_is_read_in_a_box_and_bit_by_bit(tmp_path, limits, monkeypatch):
     head = "time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n"
-    path = tmp_path / "r.csv"
-    path.write_text(head + "".join(f"{k / 100},{k / 7},2,3\n" for k in range(2000)))
+    path, settings = tmp_path / "r.csv", ReadSettings(drop_bad_rows=True)
+    path.write_text(head + "".join(f"{k / 100},{k / 7},2,3\n" for k in range(2000)) + "20,1,2\n")
     made = []
     monkeypatch.setattr(box, "_Box", lambda *given, kind=box._Box: made.append(given) or kind(*given))
-    small = read_record(path)
+    small = read_counted(path, settings=settings)
     assert not made
     limits.memory_gb = 31.9 * path.stat().st_size / 1e9
     monkeypatch.setattr(box, "_set_limits", lambda *given: None)
-    large = read_record(path)
+    large = read_counted(path, settings=settings)
     assert len(made) == 1
-    assert np.array_equal(small.gyro, large.gyro)
-    assert np.array_equal(small.time, large.time)
+    assert small.dropped_rows == large.dropped_rows == 1
+    assert np.array_equal(small.record.gyro, large.record.gyro)
+    assert np.array_equal(small.record.time, large.record.time)
+
+
+def test_a_table_of_text_that_takes_more_memory_than_it_may_is_refused(tmp_path, limits):
+    path = tmp_path / "r.csv"
+    path.write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n" + "".join(f"{k},1,2,3\n" for k in range(10_000)))
+    limits.memory_gb = (
+        32e4 / 1e9
+    )  # of four columns of 8 bytes, and less than half of what any text of this size might take
+    assert len(read_record(path)) == 10_000
+    limits.memory_gb = 31e4 / 1e9
+    with pytest.raises(FileFormatError, match=r"r.csv: wanted a file that reads within 0.00031 GB of memory"):
+        read_record(path)
+    limits.trust = True
+    assert len(read_record(path)) == 10_000
 
 
 @pytest.mark.parametrize(

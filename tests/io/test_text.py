@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from contextvars import copy_context
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from hypothesis import given
 
 from testkit.strategies import assert_same, few, one_line, records
 from undrift.errors import FileFormatError, InputError
+from undrift.files import WATCH
+from undrift.io import text
 from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.text import Appender, read_csv, write_csv
 from undrift.record import Record
@@ -41,6 +44,61 @@ def test_a_first_row_of_readings_is_no_header_and_is_not_lost(tmp_path):
     assert len(numbered.record) == 34
     with pytest.raises(InputError, match="wanted column 't', got '0', '1', '2', '3'"):
         read_csv(put(tmp_path, "\n".join(rows())), XYZ)
+
+
+@pytest.fixture
+def pieces(monkeypatch):
+    """Texts are parsed 64 bytes at a time; the sizes of the pieces."""
+    sizes, parsed = [], text._parsed
+    monkeypatch.setattr(text, "_PIECE", 64)
+    monkeypatch.setattr(
+        text, "_parsed", lambda *given, **how: sizes.append(len(bytes(given[1]))) or parsed(*given, **how)
+    )
+    return sizes
+
+
+@pytest.mark.parametrize("name", ["r.csv", "r.csv.gz"])
+def test_a_text_in_pieces_reads_as_in_one(tmp_path, pieces, monkeypatch, name):
+    lines = [f'"{row}"'.replace(",", '","') if k % 3 else row for k, row in enumerate(rows(40))]
+    content = "\n".join(["\ufefft,x,y,z", *lines[:20], *[""] * 100, *lines[20:]]).encode()
+    path = put(tmp_path, gzip.compress(content) if name.endswith("gz") else content, name)
+    several = read_csv(path, XYZ).record
+    assert len(pieces) > 10
+    assert max(pieces) <= 64
+    monkeypatch.setattr(text, "_PIECE", 1 << 24)
+    assert_same(read_csv(path, XYZ).record, several)
+    assert len(several) == 40
+
+
+def test_columns_beside_may_change_from_piece_to_piece(tmp_path, pieces):
+    for beside in (["1"] * 20 + ["2.5"] * 20, [""] * 20 + ["2"] * 20, ["1"] * 20 + ["words"] * 20):
+        lines = [f"{row},{cell}" for row, cell in zip(rows(40), beside, strict=True)]
+        found = read_csv(put(tmp_path, table(lines, header="t,x,y,z,note")), XYZ)
+        assert (len(found.record), found.dropped_rows) == (40, 0)
+
+
+@pytest.mark.parametrize("bad", ["0.2,0.1,0.1", '0.2,"0.1,0.1,0.1', "0.2,0.1,?,0.1"])
+def test_a_bad_row_of_a_later_piece_is_named_by_its_place(tmp_path, pieces, bad):
+    path = put(tmp_path, table([*rows(30), bad, *rows(40)[31:]]))
+    with pytest.raises(FileFormatError, match="in data row 31 "):
+        read_csv(path, XYZ)
+    assert read_csv(path, replace(XYZ, layout=TextLayout(drop_bad_rows=True))).dropped_rows == 1
+
+
+def test_lines_longer_than_a_piece_and_lines_that_end_with_cr_alone_are_read(tmp_path, pieces):
+    wide = table([f"{row},{'w' * 100}" for row in rows()], header="t,x,y,z,note")
+    assert len(read_csv(put(tmp_path, wide), XYZ).record) == 8
+    assert len(read_csv(put(tmp_path, table(rows()).replace("\n", "\r")), XYZ).record) == 8
+
+
+def test_a_text_tells_how_far_it_is_read(tmp_path, pieces):
+    path, heard = put(tmp_path, table(rows(40))), []
+    copy_context().run(lambda: (WATCH.set(lambda *so_far: heard.append(so_far)), read_csv(path, XYZ)))
+    shares = [share for _, share in heard]
+    assert {one for one, _ in heard} == {path}
+    assert len(shares) > 10
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
 
 
 @few

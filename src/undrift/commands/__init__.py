@@ -15,8 +15,10 @@ Open ``orient.py`` first: it is the shortest complete one. Nothing here imports 
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeAlias
 
@@ -85,3 +87,23 @@ def silent(_what: str, _share: float) -> None:
 def part_of(progress: Progress, start: float, stop: float) -> Progress:
     """Return how a part of a verb, from one share of the whole to another, says how far it is."""
     return lambda what, share: progress(what, start + share * (stop - start))
+
+
+@contextmanager
+def reading(progress: Progress, stop: float, *files: Path) -> Iterator[None]:
+    """Say how far files are read while a block reads them, from nothing to a share of the whole."""
+    from undrift.files import WATCH, bytes_in
+
+    whole, shares = sum(map(bytes_in, files)), dict[Path, float]()
+
+    def watch(path: Path, share: float) -> None:
+        shares[path] = max(share, shares.get(path, 0.0))
+        done = sum(share * bytes_in(path) for path, share in shares.items())
+        progress(f"reading {path.name}", stop * min(1.0, done / whole))
+
+    progress(f"reading {files[0].name}" if len(files) == 1 else "reading", 0.0)
+    token = WATCH.set(watch)
+    try:
+        yield
+    finally:
+        WATCH.reset(token)

@@ -19,7 +19,7 @@ from cyclopts import Parameter
 from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
-from undrift.commands import Progress, Screen, silent
+from undrift.commands import Progress, Screen, reading, silent
 from undrift.commands.certificate import answer_sentence, departures_words, uncertainty_section
 from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
@@ -191,8 +191,8 @@ def calibrate(
     by_motion = motion_fit(prior, identify_adc=adc == "auto", magnetometer=magnetometer)
     if collected := collect(live, output, place, by_motion, screen):
         files, opening = (Path(collected["recording"]),), replace(opening, gaps="keep")
-    progress("reading", 0.0)
-    session = _of_part(session_of(files, place, opening), kind)
+    with reading(progress, 0.5, *files):
+        session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)
     if calibrate_from == "motion" or collected:
         (made, in_motion), seen = by_motion(session), None

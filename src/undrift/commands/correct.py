@@ -1,5 +1,6 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at
-from undrift.commands import Progress, part_of, silent
+from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import (
     NamedRest,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Record
 
+READ = 0.8  # of a recording that is corrected once it is read as a whole
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
@@ -305,8 +307,13 @@ def _correct_one(
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
     beyond: tuple[Beyond, ...] = ()
     whole, total = not part.name.endswith(".parquet"), parquet_rows(record) if detect(record) == "parquet" else None
-    progress(record.name, 0.0)
-    with nullcontext() if whole else ParquetWriter(part) as writer:
+    with (
+        reading(progress, READ, record),
+        nullcontext() if whole else ParquetWriter(part) as writer,
+        ThreadPoolExecutor(1) as pool,  # writes a chunk while the next one is corrected
+    ):
+        write = writer.write if writer else partial(write_record_as, path=part, made_by=made_by(record))
+        written: Future[Any] = pool.submit(bool)
         for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
             for one in find_saturated(chunk):
@@ -317,14 +324,13 @@ def _correct_one(
                     check_force(done.record)
                     suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
                 suspicions += tuple(one for one in done.findings if one.code == "correct.device")
-            if writer is None:
-                write_record_as(done.record, part, made_by(record))
-            else:
-                writer.write(done.record)
+            written.result()
+            written = pool.submit(write, done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
             found = find_beyond(done.record, model)
             beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
-            progress(record.name, stream.state.samples / total if total else 0.0)
+            progress(record.name, stream.state.samples / total if total else READ)
+        written.result()
     suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
     warnings = (*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text))
     return CorrectedFile(
@@ -345,17 +351,16 @@ def _offset_left(
     """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
     from undrift.correction.correct import offset_left
     from undrift.correction.rest import find_rest_offset_in, known_rest_offset, moved_by
+    from undrift.io.columns import naming
     from undrift.record import joined
 
-    try:
+    with naming(record):
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
         corrected = (corrector.push_checked(part).record for part in parts)
         if offset == "rest":
             return replace(find_rest_offset_in(corrected, stretch), moved=moved_by(model.gyro))
         whole = joined(list(corrected))
         return offset_left(whole, offset, known_rest_offset(whole, stretch), model.gyro)
-    except InputError as error:
-        raise InputError(f"{record}: {error}", **error.numbers) from error
 
 
 def _provenance(

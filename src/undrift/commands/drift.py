@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
-from undrift.commands import Progress, part_of, silent
+from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.files import Opening, check_figure, check_output, ends_of, recording_of, thermal_session
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
@@ -125,8 +125,8 @@ def _fitted(
 
     read, bare, stated = list[Session](), list[Session](), list[Session]()
     for k, path in enumerate(sessions):
-        progress(f"reading {path.name}", 0.4 * k / len(sessions))
-        read.append(thermal_session(path, opening, model))
+        with reading(part_of(progress, 0.4 * k / len(sessions), 0.4), 1.0 / (len(sessions) - k), path):
+            read.append(thermal_session(path, opening, model))
         (stated if detect(path) == "session" or read[-1].means else bare).append(read[-1])
     check_once(read)
     together = [*stated, *one_power_on(bare)]  # bare recordings are one where their clock runs on

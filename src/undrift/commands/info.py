@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import OptionalOutput, Picture, Up, options, verb
 from undrift.base.summary import Drawing, Section, Summary, at, figure_of
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.commands.mount import sides_of
@@ -112,9 +112,9 @@ def info(
     check_output(trace, endings=(".npy",), reads=(file, opening.column_map))
     if output is not None:
         raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
-    progress(f"reading {file.name}", 0.0)
     proposal.check(figure, reads=(file, opening.column_map))
-    found, opening = _described(file, opening, reference_up)
+    with reading(progress, 0.8, file):
+        found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
     session = (found := _set_points(found, opening)).session
@@ -314,9 +314,8 @@ def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
     from undrift.files import write_together
 
     record, pieces = seen.session.records[0], pieces_of(seen.session, seen=seen)[0]
-    table = np.full(
-        len(record), np.nan, dtype=[("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]
-    )
+    kinds = [("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]
+    table = np.full(len(record), np.nan, dtype=kinds)
     table["time"], units, at_rest = record.time, dict[str, str](), dict[str, float]()
     for name, quantity, unit, size in _SHOWN:
         if (values := getattr(record, name)) is None:
@@ -357,16 +356,10 @@ def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str
         if not rests or (scaled := scale_by_gravity(record, gyro, rests)) is None:
             return q_nb, ""
         scale, accel = scaled
-        drawn = (
-            "gravity gives the drawing their scale, so it is rough"
-            if scale
-            else "the drawing shows tilt alone, and is rough"
-        )
-        words, gyro, follows_s = (
-            f"The readings have no physical unit: {drawn}.",
-            scale * gyro,
-            follows_s if scale else 0.3,
-        )
+        drawn = "gravity gives the drawing their scale, so it is rough"
+        if not scale:
+            drawn, follows_s = "the drawing shows tilt alone, and is rough", 0.3
+        words, gyro = f"The readings have no physical unit: {drawn}.", scale * gyro
         record = replace(record, accel=STANDARD_GRAVITY * accel, accel_unit="m/s2")
     whole = np.isfinite(np.hstack((gyro, np.asarray(record.accel)))).all(axis=1)
     whole[1:] &= np.diff(record.time) <= max(LONGEST_HOLE_S, 5.0 / record.sample_rate_hz)

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Files, OptionalOutput, Picture, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, rows_section
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.files import Opening, check_figure, check_output, dates_of, thermal_session
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -66,8 +66,8 @@ def learn(
     model = read_calibration(calibration)
     opening, sessions = opening.like(model, calibration), []
     for k, path in enumerate(recordings):
-        progress(f"reading {path.name}", 0.8 * k / len(recordings))
-        sessions.append(thermal_session(path, opening, model))
+        with reading(part_of(progress, 0.8 * k / len(recordings), 0.8), 1.0 / (len(recordings) - k), path):
+            sessions.append(thermal_session(path, opening, model))
     progress("finding rests", 0.8)
     fit = learn_drift(sessions, model, dates=dates, settings=LearnSettings(power_on_s=power_on_s))
     if changed:

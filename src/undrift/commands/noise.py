@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from undrift.base.options import OptionalOutput, Picture, verb
 from undrift.base.summary import PICTURES, Drawing, Result, Summary, figure_of, table_section
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, reading, silent
 from undrift.commands.certificate import ANSWERED_S, COVERAGE
 from undrift.commands.data_sheet import PART, sheet_of, sheet_words
 from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
@@ -145,11 +145,11 @@ def noise(
     reads = (record, calibration, opening.column_map)
     check_figure(figure, reads=reads)
     check_output(output, endings=(*PICTURES, *YAML), reads=reads)
-    progress("reading", 0.0)
     model = None if calibration is None else read_calibration(calibration)
     kind = kind or (model.provenance.text(PART) if model else "")
     _ = kind and sheet_of(kind)  # refused before the work
-    readings = opening.like(model, calibration).read(record)
+    with reading(progress, 0.3, record):
+        readings = opening.like(model, calibration).read(record)
     since = None if power_on_s is None else float(power_on_s - readings.time[0])
     if start_s is not None or stop_s is not None:
         readings = _between(readings, start_s, stop_s)

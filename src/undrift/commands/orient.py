@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from undrift import __version__
 from undrift.base.options import Flag, Output, Picture, Side, verb
 from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, interval, number, rows_section, today
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
 
@@ -188,8 +188,8 @@ def orient(
     check_output(pdf, endings=(".pdf",), reads=reads)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     model = None if calibration is None else read_calibration(calibration)
-    progress(f"reading {record.name}", 0.0)
-    readings = opening.like(model, calibration).read(record)
+    with reading(progress, 0.4, record):
+        readings = opening.like(model, calibration).read(record)
     progress("integrating", 0.4)
     settings = OrientSettings(
         method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward or "+x",

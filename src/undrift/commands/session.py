@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Section, Summary
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, reading, silent
 from undrift.commands.files import Opening, Place, check_folder, named_columns, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -56,8 +56,10 @@ def new(
         raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
     if (output / NAME).exists():
         raise InputError(f"{output / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
-    progress("reading and looking for rests and turns", 0.0)
-    found, steady = find_pieces(_bare(files, place, opening), CalibrateSettings(turn_angle_deg=turn_deg))
+    with reading(progress, 0.5, *files):
+        bare = _bare(files, place, opening)
+    progress("looking for rests and turns", 0.5)
+    found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
     log = None if rates is None else _logged(rates, found, rates_offset_s)
     if log is not None:
         found, steady = replace(found, turns=()), ()

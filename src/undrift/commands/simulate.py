@@ -99,13 +99,8 @@ def simulate(
     model, rate_hz = device_at(device, rng, draw=draw), sample_rate_hz or 100.0
     progress(f"simulating {motion}", 0.0)
     if days is not None or motion == DAILY or motion.startswith(THERMAL):
-        unused: dict[str, object] = {
-            "temp_c": temp_c,
-            "markers": markers,
-            "reference_up": reference_up,
-            "cutoff_hz": cutoff_hz,
-        }
-        unused |= {"truth": truth, "stamps": None if stamps == "device" else stamps}
+        unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
+        unused |= {"cutoff_hz": cutoff_hz, "truth": truth, "stamps": None if stamps == "device" else stamps}
         _check_unused(motion, days, [name for name, value in unused.items() if value is not None], power_on_s)
         if motion == DAILY:
             answer = _daily(model, output, 10 if days is None else days, sample_rate_hz, rng, progress)

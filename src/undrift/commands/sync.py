@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from undrift.base.options import Files, OptionalOutput, verb
 from undrift.base.summary import Result, Summary, figure_of, rows_section
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.correct import targets_of
 from undrift.commands.files import Opening, Optics, name_of
 from undrift.errors import AlignmentError, InputError
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from undrift.record import Record, Reference
     from undrift.sync import SharedMotion
 
+READ = 0.3  # of the work
 LEAST_MS = 0.01  # that is shown: copies of one recording agree to the last bit
 CERTAIN_S = 1e-3  # a larger expanded uncertainty is a finding
 TEXT = "offset: its stamp less that of the first clock, at the middle of what both have seen; within: at most in all of that, 95 %"
@@ -152,9 +153,10 @@ def sync(
     if len(paths) < 2:
         raise InputError(f"sync: wanted two recordings or more, got {len(paths)}; name those of one motion")
     targets = None if output is None else targets_of(paths, output, (opening.column_map, optics.reference_map))
-    progress("reading", 0.0)
-    held: list[Record | Reference] = [*map(opening.read, records), *optics.read(optics.reference)]
-    placed = _placed([SyncedFile(path=path, held=one) for path, one in zip(paths, held, strict=True)], progress)
+    with reading(progress, READ, *paths):
+        held: list[Record | Reference] = [*map(opening.read, records), *optics.read(optics.reference)]
+    synced = [SyncedFile(path=path, held=one) for path, one in zip(paths, held, strict=True)]
+    placed = _placed(synced, part_of(progress, READ, 1.0))
     files = [replace(file, held=with_gaps(file.held)) for file in placed]
     if output is None or targets is None:
         return Synced(files=tuple(files))

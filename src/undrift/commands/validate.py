@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
 from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
-from undrift.commands import Progress, part_of, silent
+from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import is_plain_folder, of_folder
 from undrift.commands.files import (
     Opening,
@@ -145,14 +145,9 @@ class Validated(Result):
             | _validation_json(one.result)
             for one in self.rivals
         ]
-        return (
-            _validation_json(self.result)
-            | named
-            | asked
-            | self.gravity
-            | ({"compared": asdict(self.compared)} if self.compared else {})
-            | ({"against": rivals} if rivals else {})
-        )
+        beside: dict[str, Any] = {"compared": asdict(self.compared)} if self.compared else {}
+        beside |= {"against": rivals} if rivals else {}
+        return _validation_json(self.result) | named | asked | self.gravity | beside
 
     def summary(self) -> Summary:
         """Return the errors of each recording, and what was done to get them."""
@@ -373,9 +368,9 @@ def validate(
         power_on_s=applying.power_on_s, policy=applying.policy, lag=LagSettings(longest_lag_s=max_lag_s),
         align="level" if optics.of_cluster() and not calibrate_from else "auto",
     )  # fmt: skip
-    progress("reading", 0.0)
-    records, session = recordings_of(records, opening, place)
-    pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
+    with reading(progress, READ, *dict.fromkeys((*records, *optics.reference))):
+        records, session = recordings_of(records, opening, place)
+        pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
     fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
     progress("aligning and integrating" if fit is None else "fitting to all recordings", READ)
     steps = part_of(progress, READ if fit is None else ALL_FITTED, JUDGED if comparing.compare else 1.0)
@@ -472,15 +467,9 @@ def _judged(
     if fit is not None:
         place, session = where
         gravity_m_s2, source = place.gravity() if session is None else (session.gravity_m_s2, session.gravity_source)
-        model = calibrate_to_references(
-            records,
-            held,
-            adc=settings.adc,
-            settings=fit,
-            lag_settings=settings.lag,
-            gravity_m_s2=None if source == "standard" else gravity_m_s2,
-            gravity_source=source,
-        )
+        there: Any = {"gravity_m_s2": None if source == "standard" else gravity_m_s2, "gravity_source": source}
+        how_fitted: Any = {"adc": settings.adc, "settings": fit, "lag_settings": settings.lag}
+        model = calibrate_to_references(records, held, **how_fitted, **there)
         model = replace(model, device=(place.serial if session is None else session.serial) or model.device)
     result = (
         validate_leave_one_out(pairs, settings=settings, fit_settings=fit, names=names, progress=progress)
@@ -660,10 +649,8 @@ def _expected(result: "Validation") -> tuple[Section, ...]:
     """Return observed and expected errors, deg, one row a trial: end total, then total over the motion."""
     if result.coverage is None:
         return ()
-    heads, rows = (
-        ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most"),
-        [],
-    )
+    heads = ("recording", "end total (deg)", "expected", "at most", "total rmse (deg)", "expected rmse", "rmse at most")
+    rows = list[tuple[str, ...]]()
     for trial in result.trials:
         if (made := trial.expected) is not None:
             end = (trial.figures.end_total_deg, made.end_total_deg, made.end_at_most_deg)
@@ -710,13 +697,8 @@ def method_section(method: Validated) -> Section:
         "the sensor's own and stays in the figures, a longer one is removed",
         "mounting": _ALIGNED[settings.align].format(above_deg=settings.align_above / RADIAN_PER_DEGREE),
     }
-    return Section(
-        title="Method",
-        columns=("step", "choice"),
-        rows=tuple(row for row in rows.items() if row[1]),
-        words=True,
-        on="page",
-    )
+    made_of = tuple(row for row in rows.items() if row[1])
+    return Section(title="Method", columns=("step", "choice"), rows=made_of, words=True, on="page")
 
 
 def recordings_section(method: Validated, trials: "tuple[Trial, ...]") -> Section:
@@ -728,16 +710,17 @@ def recordings_section(method: Validated, trials: "tuple[Trial, ...]") -> Sectio
         if trial.mounting is not None:
             angle_deg = trial.mounting.alignment.angle / RADIAN_PER_DEGREE
             mounting = f"{angle_deg:.1f}, {'removed' if trial.mounting.applied else 'left in'}"
-        row = {
-            "recording": file,
-            "reference": reference,
-            "motion (s)": f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
-            "lag found (ms)": f"{trial.lag.seconds * 1e3:.2f} +- {trial.lag.standard_uncertainty * 1e3:.2f}",
-            "lag in the figures": "removed" if trial.lag_undone else "left in",
-            "mounting (deg)": mounting,
-            "optics seen, whole file (%)": _percent(trial.figures.valid_optics_file),
-        }
-        rows.append(row)
+        rows.append(
+            {
+                "recording": file,
+                "reference": reference,
+                "motion (s)": f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}",
+                "lag found (ms)": f"{trial.lag.seconds * 1e3:.2f} +- {trial.lag.standard_uncertainty * 1e3:.2f}",
+                "lag in the figures": "removed" if trial.lag_undone else "left in",
+                "mounting (deg)": mounting,
+                "optics seen, whole file (%)": _percent(trial.figures.valid_optics_file),
+            }
+        )
     rests = (f"{trial.recording}: {trial.rest.finding.text}" for trial in trials if trial.rest)
     text = ("The motion, over which the errors count, is shaded in each figure of errors.", *rests)
     return rows_section("Recordings", rows, text=text, on="page")
@@ -776,9 +759,7 @@ def _adc(method: Validated) -> str:
         return "corrected where the codes show it; see the notes of the recording"
     if made.adc is None:
         return "unknown to the calibration: left in"
-    triads = (
-        ("gyroscope", made.adc.gyro_lsb, made.adc.gyro_rounding),
-        ("accelerometer", made.adc.accel_lsb, made.adc.accel_rounding),
-    )
-    words = [f"{name} {rounding.replace('_', ' ')}" for name, lsb, rounding in triads if lsb is not None]
+    names = ("gyroscope", "accelerometer")
+    rounded = [(name, one.rounding) for name, one in zip(names, made.triads, strict=True) if one.lsb is not None]
+    words = [f"{name} {rounding.replace('_', ' ')}" for name, rounding in rounded]
     return f"corrected by the calibration ({', '.join(words)})"

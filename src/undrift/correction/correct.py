@@ -26,7 +26,9 @@ subtract a thermometer's lag, follow a loop of hysteresis and find turns, which 
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
 
 import numpy as np
@@ -596,12 +598,7 @@ class Corrector:
         if not self.state.samples:
             carry = carry_at_start(float(chunk.time[0]), self._power_on_s, self._calibration, self._history)
         done = correct_planned(
-            chunk,
-            self._calibration,
-            self._plans[key],
-            policy=self._policy,
-            reference_span_c=self._span,
-            carry=carry,
+            chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
         )
         done = done if self._offset is None else re_zeroed(done, self._offset)
         self.state = CorrectorState(
@@ -618,7 +615,8 @@ class Corrector:
 def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
     """Read the next chunk in a second thread while the caller works on this one."""
     with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(next, chunks, None)
+        take = partial(next, chunks, None)
+        coming = pool.submit(copy_context().run, take)  # who watches the reading is known there too
         while (chunk := coming.result()) is not None:
-            coming = pool.submit(next, chunks, None)
+            coming = pool.submit(copy_context().run, take)
             yield chunk

@@ -31,7 +31,7 @@ import numpy as np
 
 from undrift import errors
 from undrift.errors import FileFormatError, InputError, UndriftError
-from undrift.files import GIGABYTE, LIMITS, checked_file, first_line
+from undrift.files import LIMITS, WATCH, bytes_in, checked_file, first_line, read_so_far
 
 with contextlib.suppress(ImportError):  # Windows has none, and no fork
     import resource
@@ -97,7 +97,7 @@ def _parts(
     """Yield what a reader yields; a call that can be sent goes into the box that stands, where there is one."""
     path = checked_file(file) if not Path(file).is_dir() else Path(file)
     if _inside or LIMITS.trust or not hasattr(os, "fork"):
-        with _foreseen(path):
+        with sound(path):
             yield from read()
         return
     for library in libraries:
@@ -133,20 +133,22 @@ def load(module: str, path: Path, extra: str = "io") -> Any:
 
 
 @contextlib.contextmanager
-def _foreseen(path: Path) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one line."""
+def sound(path: Path, kind: str = "") -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file of a kind into one line; of any kind, whatever is no error of the disk."""
     try:
         yield
     except MemoryError as error:
         raise FileFormatError(LIMITS.over(path)) from error
-    except (UndriftError, OSError):
-        raise
     except Exception as error:
-        if os.environ.get("UNDRIFT_TRACEBACK") == "1":
+        if (
+            isinstance(error, UndriftError if kind else UndriftError | OSError)
+            or os.environ.get("UNDRIFT_TRACEBACK") == "1"
+        ):
             raise
-        raise FileFormatError(
-            f"{path}: wanted a sound file, got a damaged one ({type(error).__name__}: {first_line(error)}); copy it again"
-        ) from error
+        wanted, got, why = f"a sound {kind} file", "a damaged or cut one", first_line(error)
+        if not kind:
+            wanted, got, why = "a sound file", "a damaged one", f"{type(error).__name__}: {why}"
+        raise FileFormatError(f"{path}: wanted {wanted}, got {got} ({why}); copy it again") from error
 
 
 # ---- the child
@@ -166,11 +168,12 @@ def _run(path: Path, read: Callable[[], Iterator[Any]], channel: socket.socket) 
         quiet = os.open(os.devnull, os.O_WRONLY)  # a library's own words, also those of its death
         os.dup2(quiet, 1)
         os.dup2(quiet, 2)
-        memory, first = _held() + int(LIMITS.memory_gb * GIGABYTE), True
+        WATCH.set(lambda path, share: _send(channel, (path, share), watch=True))
+        memory, first = _held() + int(LIMITS.room), True
         while True:
             _set_limits(path, memory)
             try:
-                with _foreseen(path):
+                with sound(path):
                     for part in read():
                         _send(channel, part)
                 _send(channel, None, end=True)
@@ -194,8 +197,7 @@ def _once(read: Callable[..., T], given: tuple[Any, ...], named: dict[str, Any])
 
 def _set_limits(path: Path, memory: int) -> None:
     """Limit this process to some bytes, and to the seconds of one file more than it has used."""
-    size = sum(p.stat().st_size for p in (path.rglob("*") if path.is_dir() else (path,)) if p.is_file())
-    seconds = round(time.process_time() + LIMITS.start_s + LIMITS.megabyte_s * size / 1e6)
+    seconds = round(time.process_time() + LIMITS.start_s + LIMITS.megabyte_s * bytes_in(path) / 1e6)
     limits = {resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0, resource.RLIMIT_DATA: memory}
     for kind, most in limits.items():
         hard = resource.getrlimit(kind)[1]
@@ -210,10 +212,10 @@ def _held() -> int:
     return 0
 
 
-def _send(channel: socket.socket, part: Any, error: BaseException | None = None, *, end: bool = False) -> None:
+def _send(channel: socket.socket, part: Any, error: BaseException | None = None, **kind: bool) -> None:
     """Send a value or an error: JSON, its arrays as they are in a file in memory, and that file's number."""
     raw = list[Any]()
-    tree = {"part": _tree(part, raw), "error": None if error is None else _error_tree(error, raw), "end": end}
+    tree = {"part": _tree(part, raw), "error": None if error is None else _error_tree(error, raw), **kind}
     head = json.dumps(tree).encode()
     memory: Any = getattr(os, "memfd_create", None)  # Linux alone has it
     with tempfile.TemporaryFile() if memory is None else os.fdopen(memory("undrift"), "w+b") as file:
@@ -256,6 +258,9 @@ def _tree(value: Any, raw: list[Any]) -> Any:
         return {"array": len(raw) - 1, "type": array.dtype.str, **about}
     if isinstance(value, Path):
         return {"path": os.fspath(value)}
+    if kind is bytes:
+        raw.append(memoryview(value))
+        return {"bytes": len(raw) - 1}
     if is_dataclass(value) and kind.__module__.startswith("undrift."):
         held = {item.name: _tree(getattr(value, item.name), raw) for item in fields(value)}
         return {"value": f"{kind.__module__}:{kind.__qualname__}", "fields": held}
@@ -295,8 +300,8 @@ def _value(tree: Any, raw: list[memoryview]) -> Any:
         array = array.T if tree["turned"] else array
         array.flags.writeable = not tree["kept"]
         return array if array.ndim else array[()]
-    if kind == "path":
-        return Path(held)
+    if kind in ("path", "bytes"):
+        return Path(held) if kind == "path" else bytes(raw[held])
     if kind == "column":
         import pyarrow as pa
 
@@ -353,12 +358,15 @@ class _Box:
             if not files:
                 return False
             tree, raw = _unpacked(files[0])
-            if tree["end"]:
+            if "end" in tree:
                 return True
             if tree["error"] is not None:
                 raise _error(tree["error"], raw)
             self._send(b"+")
-            yield _value(tree["part"], raw)
+            if "watch" in tree:
+                read_so_far(*_value(tree["part"], raw))
+            else:
+                yield _value(tree["part"], raw)
 
     def _send(self, data: bytes) -> None:
         with contextlib.suppress(ConnectionError):  # it has died: nothing will come

@@ -9,7 +9,8 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
@@ -245,10 +246,19 @@ class ReadSettings:
 READ_SETTINGS = ReadSettings()
 
 
+@contextmanager
+def naming(source: str | Path) -> Iterator[None]:
+    """Name the file in errors."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{source}: {error}" if source else str(error), **error.numbers) from error
+
+
 def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: str = "") -> ColumnMap:
     """Return the map of a file that uses undrift's own column names."""
     held: dict[str, Any] = {"time": "time_s" if "time_s" in names else None, "time_unit": "s"}
-    try:
+    with naming(source):
         for channel, suffixes in NATIVE.items():
             held[channel], held[f"{channel}_unit"] = _native_triple(names, channel, suffixes)
         if held["gyro"] is None and held["accel"] is None:
@@ -267,8 +277,6 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
         clock = settings.clock or "file"
         return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
-    except InputError as error:
-        raise InputError(f"{source}: {error}" if source else str(error)) from error
 
 
 def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> ColumnMap:
@@ -488,6 +496,8 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
     clock = _regular(table, time, keep, columns) if fitted else None
     time = time if clock is None else clock.time
     _check_rate(table, time, columns)
+    for one in (time, *values.values()):
+        one.flags.writeable = False  # a record takes them as they are
     temp = values.get("temp")
     record = Record(
         time=time,
@@ -517,12 +527,10 @@ def _regular(table: RawTable, time: FloatArray, keep: BoolArray | None, columns:
     """Fit a regular clock, by the device's counter where one is mapped; without a time column the counter shows the gaps."""
     counter = None if columns.counter is None else table.numbers(columns.counter)
     counter = counter if counter is None or keep is None else counter[keep]
-    try:
+    with naming(table.source):
         if columns.time is not None:
             return fit_clock(time, counter)
         return None if counter is None else fit_clock(unwrapped(counter) / (columns.sample_rate_hz or np.nan), counter)
-    except InputError as error:
-        raise type(error)(f"{table.source}: {error}", **error.numbers) from error
 
 
 def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArray:
@@ -695,7 +703,7 @@ def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, .
     ):
         if values is not None:
             names += [f"{channel}_{axis}_{NATIVE[channel][unit]}" for axis in AXES]
-            columns += [np.ascontiguousarray(values[:, k]) for k in range(3)]
+            columns += [*np.ascontiguousarray(values.T)]
     if record.temp_c is not None:
         names.append("temp_c")
         columns.append(record.temp_c)

@@ -36,7 +36,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import mat_arrays
-from undrift.io.box import boxed, load
+from undrift.io.box import boxed, load, sound
 from undrift.io.columns import AXES, ColumnMap, RawTable, ReadResult, ReadSettings, build_record
 from undrift.io.labelled import EPOCH_S
 from undrift.units import canonical_unit
@@ -84,19 +84,6 @@ def build(
     columns |= {"gaps": settings.gaps or "raise", "repair_time": settings.repair_time}
     table = RawTable(source=str(path), names=tuple(held), columns=tuple(held.values()))
     return replace(build_record(table, ColumnMap(time="time_s", time_unit="s", **columns)), notes=notes)
-
-
-@contextlib.contextmanager
-def sound(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one line."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        raise FileFormatError(
-            f"{path}: wanted a sound {kind} file, got a damaged or cut one ({first_line(error)}); copy it again"
-        ) from error
 
 
 # ---- XDF: chunks of streams, as LabRecorder writes them

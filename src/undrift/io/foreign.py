@@ -26,6 +26,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.findings import Finding, finding
+from undrift.io.columns import naming
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Calibration, Provenance, TriadModel, Verdict
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
@@ -365,7 +366,5 @@ def program_of(path: Path) -> str | None:
 
 def read_foreign(path: Path, program: str) -> Calibration:
     """Read the calibration of another program."""
-    try:
+    with naming(path):
         return PROGRAMS[program][1](read_bytes(path), path.stem)
-    except FileFormatError as error:
-        raise FileFormatError(f"{path}: {error}") from error

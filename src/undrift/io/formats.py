@@ -24,6 +24,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree
 from undrift.io import containers, makers
 from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
+from undrift.io.box import sound
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.kiel import is_kiel, read_kiel_imu, read_kiel_markers
@@ -83,11 +84,8 @@ def _suffix(path: Path) -> str:
 def _is_npz(path: Path, head: bytes) -> bool:
     if not head.startswith(b"PK\x03\x04"):
         return False
-    try:
-        with zipfile.ZipFile(path) as held:
-            return bool(held.namelist()) and all(name.endswith(".npy") for name in held.namelist())
-    except zipfile.BadZipFile as error:
-        raise FileFormatError(f"{path}: wanted a sound zip or npz file, got a damaged one; copy it again") from error
+    with sound(path, "zip or npz"), zipfile.ZipFile(path) as held:
+        return bool(held.namelist()) and all(name.endswith(".npy") for name in held.namelist())
 
 
 def _is_broad(path: Path, head: bytes) -> bool:

@@ -125,14 +125,8 @@ def _temperature(record: Record) -> Iterator[Finding]:
 def _sampling(time: FloatArray) -> Iterator[Finding]:
     stamps = host_stamps(time)
     if stamps is not None:
-        yield finding(
-            "recording.host_clock",
-            "warn",
-            low_ms=stamps.low_ms,
-            high_ms=stamps.high_ms,
-            jitter_ms=1e3 * stamps.fit.jitter_s,
-            **_clock_values(stamps.fit),
-        )
+        steps_ms = {"low_ms": stamps.low_ms, "high_ms": stamps.high_ms, "jitter_ms": 1e3 * stamps.fit.jitter_s}
+        yield finding("recording.host_clock", "warn", **steps_ms, **_clock_values(stamps.fit))
         return
     steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
@@ -152,12 +146,8 @@ def _sampling(time: FloatArray) -> Iterator[Finding]:
 
 
 def _clock_values(fit: ClockFit) -> dict[str, Any]:
-    return {
-        "sample_rate_hz": fit.sample_rate_hz,
-        "gaps": fit.gaps,
-        "missing": fit.missing,
-        "longest_s": fit.longest_step_s,
-    }
+    counts = {"gaps": fit.gaps, "missing": fit.missing}
+    return {"sample_rate_hz": fit.sample_rate_hz, **counts, "longest_s": fit.longest_step_s}
 
 
 def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
@@ -177,8 +167,6 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
     found = []
     for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
         for axis, column in () if values is None else zip(AXES, values.T, strict=True):
-            if np.isfinite(column).sum() < 2 * STUCK:
-                continue
             for limit, stuck in saturated_runs(column):
                 longest = (stuck[:, 1] - stuck[:, 0]).max()
                 item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
@@ -188,12 +176,19 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
-    for limit in (np.nanmax(column), np.nanmin(column)):
-        if np.count_nonzero(column == limit) >= STUCK:
-            stuck = runs(column == limit)
-            stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
-            if len(stuck) and _ends_range(column, float(limit), stuck):
-                yield float(limit), stuck
+    met = np.ascontiguousarray(
+        column[::STUCK]
+    )  # a stretch that is as long has one of these in it, and the same reading beside it
+    for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
+        limit = end.reduce(met)
+        at = STUCK * np.flatnonzero(met == limit)
+        beside = np.concatenate((at[at > 0] - 1, at[at + 1 < len(column)] + 1))
+        if not (column[beside] == limit).any() or end.reduce(column) != limit:
+            continue
+        stuck = runs(column == limit)
+        stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
+        if len(stuck) and np.isfinite(column).sum() >= 2 * STUCK and _ends_range(column, float(limit), stuck):
+            yield float(limit), stuck
 
 
 def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
@@ -345,12 +340,8 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
 def _of_records(*records: Record) -> dict[str, Any]:
     """Return what a description says of recordings: columns and units of the first, the rest of all."""
     first = records[0]
-    channels = {
-        "time": ("s", first.time),
-        "gyro": (first.gyro_unit, first.gyro),
-        "accel": (first.accel_unit, first.accel),
-    }
-    channels |= {"temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
+    channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
+    channels |= {"accel": (first.accel_unit, first.accel), "temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
     seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
     temp_c = np.concatenate(seen) if seen else np.empty(0)
     return {

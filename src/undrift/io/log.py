@@ -22,13 +22,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from undrift.errors import InputError
-from undrift.files import LIMITS, read_bytes
+from undrift.files import LIMITS, read_bytes, read_so_far
 from undrift.io.box import boxed
 from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, TextLayout, build_record, is_date, is_number
 from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, read_sheet, sheet_of, states_units
 from undrift.io.text import Text, parse_text
 
 _HEAD = 1 << 16
+_WATCHED = 1 << 16  # lines, between two words of how far a file is read
 _LEAST = 5  # readings of a log, and lines of one that may be of one
 _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
 _MOST_LINES = 24  # of one reading
@@ -102,10 +103,15 @@ class LineReader:
         return None
 
 
-def lines_of(content: bytes) -> Iterator[LogLine]:
-    """Yield the lines that hold numbers; the last only where it ends."""
+def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
+    """Yield the lines that hold numbers, of a file or its beginning; the last only where it ends."""
     text, reader = as_utf8(content).decode("utf-8", "replace"), LineReader()
-    yield from filter(None, map(reader.take, text[: text.rfind("\n") + 1].splitlines()))
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    for number, raw in enumerate(lines, 1):
+        if (line := reader.take(raw)) is not None:
+            yield line
+        if path is not None and number % _WATCHED == 0:
+            read_so_far(path, number / len(lines))
 
 
 def _stamp(line: str) -> tuple[float | None, str]:
@@ -127,9 +133,9 @@ def cycle_of(lines: Sequence[LogLine]) -> list[tuple[str, ...]]:
     return cycle if most >= _LEAST and len(cycle) <= _MOST_LINES else []
 
 
-def find_readings(content: bytes) -> SerialLog | None:
+def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
     """Return the readings of a log; None where no shape of a line comes again and again."""
-    every = list(lines_of(content))
+    every = list(lines_of(content, path))
     cycle = cycle_of(every)
     readings = list(readings_in(every, cycle))
     if len(readings) < _LEAST:
@@ -273,12 +279,12 @@ def read_readings(path: Path) -> SerialLog:
 
 @lru_cache(maxsize=1)  # a file is described, searched for labels and read
 def _readings_of(path: Path, size: int, _: int) -> SerialLog | None:
-    return find_readings(read_bytes(path)) if LIMITS.holds(size) else _boxed_readings(path)
+    return find_readings(read_bytes(path), path) if LIMITS.holds(size) else _boxed_readings(path)
 
 
 @boxed()
 def _boxed_readings(path: Path) -> SerialLog | None:
-    return find_readings(read_bytes(path))
+    return find_readings(read_bytes(path), path)
 
 
 def log_text(path: Path, log: SerialLog | None = None) -> Text:

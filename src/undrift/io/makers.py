@@ -46,6 +46,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import LIMITS, read_bytes, read_tree
+from undrift.io.box import sound
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -57,8 +58,9 @@ from undrift.io.columns import (
     build_record,
     date_of,
     in_seconds,
+    naming,
 )
-from undrift.io.containers import chosen, sound
+from undrift.io.containers import chosen
 from undrift.io.labelled import Label, Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet, unit_for, with_manual
 from undrift.io.mocap import Markers, Up, markers_of
 from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
@@ -473,10 +475,8 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
             f"{thermometer.path}: wanted temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the recording's clock, "
             f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
         )
-    try:
+    with naming(thermometer.path):
         return _with_temp(record, time, temp_c)
-    except InputError as error:
-        raise InputError(f"{thermometer.path}: {error}") from error
 
 
 # ---- BIDS-motion

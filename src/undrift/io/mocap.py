@@ -21,7 +21,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes
 from undrift.frames import signed
 from undrift.io.arrays import mat_arrays, open_hdf5, read_array
-from undrift.io.box import boxed, load
+from undrift.io.box import boxed, load, sound
+from undrift.io.columns import naming
 from undrift.record import Record, Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -155,10 +156,8 @@ def markers_of(
 ) -> Markers:
     """Return marker trajectories in the level frame; an axis that points up must be stated."""
     points = level_from(points, stated_up(path, up, why))
-    try:
+    with naming(path):
         return Markers(labels=unique_labels(labels), time=time, points=points, name=path.name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
@@ -245,16 +244,11 @@ def _load(path: Path) -> Any:
     ezc3d = load("ezc3d", path)
     content = read_bytes(path)
     analogs, plain = _check_size(content, path), path
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            if is_gzip(checked_file(path)):
-                plain = Path(folder) / "unpacked.c3d"
-                plain.write_bytes(content)
-            trial = ezc3d.c3d(str(plain))
-    except (OSError, RuntimeError, ValueError, IndexError, KeyError) as error:
-        raise FileFormatError(
-            f"{path}: wanted a sound C3D file, got a damaged one; {str(error).splitlines()[0]}"
-        ) from error
+    with sound(path, "C3D"), tempfile.TemporaryDirectory() as folder:
+        if is_gzip(checked_file(path)):
+            plain = Path(folder) / "unpacked.c3d"
+            plain.write_bytes(content)
+        trial = ezc3d.c3d(str(plain))
     # With another count of analog values points are read at other places
     if analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size:
         raise FileFormatError(

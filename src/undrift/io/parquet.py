@@ -19,7 +19,7 @@ from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line, unwritten
-from undrift.io.box import boxed, boxed_parts
+from undrift.io.box import boxed, boxed_parts, sound
 from undrift.io.columns import (
     FORMAT,
     KIND,
@@ -136,7 +136,8 @@ class ParquetWriter:
         if self._writer is None:
             with _room(self.path, 0):
                 self._sink = pa.OSFile(str(self._part), "wb")
-                self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, write_page_checksum=True)
+                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # others look up rows by time alone
+                self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
@@ -198,16 +199,8 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
 
 
 def _whole(path: str | Path, handle: Any) -> Any:
-    with _sound(path):
+    with sound(Path(path), "Parquet"):
         return handle.read()
-
-
-@contextmanager
-def _sound(path: str | Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise FileFormatError(f"{path}: wanted a sound Parquet file, got a damaged one; {first_line(error)}") from error
 
 
 def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
@@ -215,7 +208,7 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     import pyarrow as pa
 
     held, count = list[Any](), 0
-    with _sound(path):
+    with sound(Path(path), "Parquet"):
         for batch in handle.iter_batches(batch_size=rows):
             held.append(batch)
             count += batch.num_rows

@@ -33,7 +33,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
-from undrift.io.columns import Column, RawTable, TextLayout, is_number
+from undrift.io.columns import Column, RawTable, TextLayout, is_number, naming
 from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
@@ -359,7 +359,7 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
     lost = int((~keep).sum())
     levelled = np.array(_LEVELLED[columns.up])
     name = f"{path.name} ({lost} rows left out, whose time does not go forward)" if lost else path.name
-    try:
+    with naming(path):
         if columns.markers:
             points = np.stack([read(one)[keep] for one in columns.markers], axis=1)
             points *= si_factor(columns.markers_unit, "length")
@@ -379,8 +379,6 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
             moving=moving,
             name=name,
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 # ---- poses of named bodies: OpenSim and QTM
@@ -420,15 +418,13 @@ def reference_of(
     if np.isfinite(size).any() and not seen.any():
         raise FileFormatError(f"{path}: wanted unit quaternions, got length {np.nanmedian(size):.3g}; check the export")
     q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
-    try:
+    with naming(path):
         return Reference(
             time=time,
             q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
             position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
             name=f"{path.name} {name}".strip(),
         )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 # ---- OpenSim

@@ -59,7 +59,7 @@ from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
-from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim
+from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim, naming
 from undrift.io.formats import read_record, without
 from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
@@ -246,10 +246,8 @@ def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSe
             f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
             f"names only {', '.join(sorted(NATIVE_KEYS))}"
         )
-    try:
+    with naming(path):
         return _chosen(entry, choices, Path(path).parent)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def map_and_settings(file_map: FileMap | None, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:

@@ -13,7 +13,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError
-from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_tree, unwritten, write_together
+from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_so_far, read_tree, unwritten, write_together
 from undrift.io.box import boxed
 from undrift.io.columns import (
     FORMAT,
@@ -49,6 +49,8 @@ MARK = b"# undrift "
 Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD, _TAIL = 1 << 20, 1 << 14  # bytes at the start and at the end
+_PIECE = 1 << 24  # bytes that are parsed at a time
+_INK = re.compile(rb"\S")
 _NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
 
 
@@ -246,41 +248,54 @@ def _is_row(names: tuple[str, ...], decimal: str) -> bool:
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    """Parse the rows of a text table; in a box where they may take too much memory."""
-    small = LIMITS.holds(text.path.stat().st_size if text.content is None else len(text.content))
-    return _parse(text, wanted) if small else _parse_boxed(text.path, text, wanted)
-
-
-@boxed("pyarrow.csv")
-def _parse_boxed(_: Path, text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    return _parse(text, wanted)
-
-
-def _parse(text: Text, wanted: tuple[Column, ...]) -> RawTable:
+    """Parse the rows of a text table: piece by piece, or row by row where they do not parse so, in a box if they are many."""
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
-    if not any(line.strip() for line in text.head.splitlines()[text.skip :]):
+    start = sum(map(len, text.head.splitlines(keepends=True)[: text.skip]))
+    if not text.head[start:].strip():
         return RawTable(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
-    text = _without_cut_row(_with_closed_quotes(text))
+    size = text.path.stat().st_size if text.content is None else len(text.content)
     try:
-        parsed = _parsed(text, {str(i): pa.float64() for i in positions}, block_size=1 << 22)
-    except pa.ArrowInvalid:
-        return _parse_by_row(text, positions)
-    return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+        parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
+        if _without_cut_row(text) is text:
+            return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column beside that turns from numbers to words
+        pass
+    return _parse_by_row(text, positions) if LIMITS.holds(size) else _parse_boxed(text.path, text, positions)
+
+
+def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator[Any]:
+    """Yield the rows of a text from its byte ``start`` to ``size``, parsed some megabytes at a time."""
+    import pyarrow as pa
+
+    taken = 0
+    # one buffer for all: fresh memory costs as much as reading into it
+    buffer = bytearray(min(size, _PIECE if LIMITS.holds(_PIECE) else int(LIMITS.room) >> 6))
+    with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
+        handle.seek(start)
+        while end := handle.readinto(buffer):
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # what follows begins the next piece
+            if not end or (buffer.find(b'"', 0, end) >= 0 and _torn(bytes(buffer[:end]).split(b"\n"))):
+                raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
+            start = handle.seek(start + end)
+            if _INK.search(buffer, 0, end):
+                yield (table := _parsed(text, pa.py_buffer(buffer).slice(0, end), positions))
+                taken += table.nbytes
+            if taken > LIMITS.room:
+                raise FileFormatError(LIMITS.over(text.path))
+            read_so_far(text.path, start / size)
+
+
+def _torn(lines: list[bytes], start: int = 0) -> list[int]:
+    """Return the rows whose quotes do not close: Arrow would take all that follows into one cell."""
+    return [number for number, line in enumerate(lines) if number >= start and line.count(b'"') % 2]
 
 
 def _with_closed_quotes(text: Text) -> Text:
     """Return a text whose rows close the quotes they open: a cell that does not would take in all rows after it, unseen."""
-    if text.content is None:
-        with text.path.open("rb") as handle:
-            quoted = any(b'"' in block for block in iter(lambda: handle.read(_HEAD), b""))
-    else:
-        quoted = b'"' in text.content
-    if not quoted:
-        return text
     lines = (read_bytes(text.path) if text.content is None else text.content).split(b"\n")
-    torn = [i for i, line in enumerate(lines) if i >= text.skip and line.count(b'"') % 2]
+    torn = _torn(lines, text.skip)
     if torn and not text.layout.drop_bad_rows:
         raise FileFormatError(
             f"{text.path}: wanted quotes that close in their row, got {lines[torn[0]][:40].decode('utf-8', 'replace')!r} in "
@@ -315,17 +330,19 @@ def _without_cut_row(text: Text) -> Text:
     return replace(text, content=content[: content.rfind(b"\n") + 1] + b"?")
 
 
-def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading: Any) -> Any:
+def _parsed(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
+    """Parse rows of a text; cells of the columns ``numbers`` are numbers, without it all are bytes."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     names = [str(i) for i in range(len(text.names))]
+    floats = {str(i): pa.float64() for i in numbers or ()}
     return arrow_csv.read_csv(
-        pa.OSFile(str(text.path), "rb") if text.content is None else pa.BufferReader(text.content),
-        read_options=arrow_csv.ReadOptions(column_names=names, skip_rows=text.skip, **reading),
+        pa.BufferReader(rows),
+        read_options=arrow_csv.ReadOptions(column_names=names, **reading),
         parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter, invalid_row_handler=bad_row),
         convert_options=arrow_csv.ConvertOptions(
-            column_types=types,
+            column_types=dict.fromkeys(names, pa.binary()) if numbers is None else floats,
             null_values=EMPTY,
             strings_can_be_null=True,
             check_utf8=False,
@@ -334,14 +351,19 @@ def _parsed(text: Text, types: dict[str, Any], *, bad_row: Any = None, **reading
     )
 
 
+@boxed("pyarrow.csv")
+def _parse_boxed(_: Path, text: Text, positions: list[int]) -> RawTable:
+    return _parse_by_row(text, positions)
+
+
 def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     """Find the bad rows, and drop them or name the first."""
     import pyarrow as pa
     from pyarrow import compute as pc
 
+    text = _without_cut_row(_with_closed_quotes(text))
     content = text.content if text.content is not None else read_bytes(text.path)
-    # damaged bytes are named, not met by Arrow
-    text = replace(text, content=content.decode("utf-8", "replace").encode())
+    content = content.decode("utf-8", "replace").encode()  # damaged bytes are named, not met by Arrow
     ragged: list[Any] = []  # rows with another number of columns
 
     def skip(row: Any) -> str:
@@ -349,8 +371,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
         return "skip"
 
     try:
-        types = {str(i): pa.binary() for i in range(len(text.names))}
-        parsed = _parsed(text, types, bad_row=skip, use_threads=False)
+        parsed = _parsed(text, content, None, bad_row=skip, skip_rows=text.skip, use_threads=False)
     except pa.ArrowInvalid as error:
         raise FileFormatError(
             f"{text.path}: wanted rows of text, got something else: {str(error).splitlines()[0]}; check the file and the delimiter"

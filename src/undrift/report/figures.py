@@ -20,7 +20,7 @@ from undrift.arrays import FloatArray, runs
 from undrift.base.summary import PICTURES
 from undrift.errors import InputError
 from undrift.files import write_whole
-from undrift.io.inspect import STUCK, saturated_runs
+from undrift.io.inspect import saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE
@@ -355,7 +355,7 @@ def _draw_readings(panel: "Axes", time: FloatArray, values: FloatArray) -> dict[
     marks: dict[str, Any] = {}
     for k, column in enumerate(values.T):
         panel.plot(*envelope(time, column), linewidth=0.7, **axis_style(k, marked=True))
-        for limit, stuck in saturated_runs(column) if np.isfinite(column).sum() > 2 * STUCK else ():
+        for limit, stuck in saturated_runs(column):
             at = np.concatenate([np.arange(start, stop) for start, stop in stuck])
             panel.plot(time[at], np.full(len(at), limit), markersize=2.5, **style)
             marks["saturated"] = Line2D([], [], markersize=4.0, **style)
