@@ -13,6 +13,9 @@ from undrift.correction.correct import correct, correct_checked
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, Hysteresis, StaticDrift, WarmUp
+from undrift.record import Record
+from undrift.segments import find_still
+from undrift.units import RADIAN_PER_DEGREE
 
 
 @pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz", "c.mat"])
@@ -27,7 +30,7 @@ def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tm
     answer_of_page = f"{len(known)} samples are in rad/s and m/s2, none outside the temperatures of the calibration."
     assert (lines[0], lines[-2]) == (answer_of_page, f"Wrote {tmp_path / name}")
     assert lines[-1] == f"Next: undrift orient {tmp_path / name} -o {tmp_path / 'angles.csv'}"
-    assert " ".join(next(line for line in lines if "trial.parquet" in line).split()) == (
+    assert " ".join([line for line in lines if "trial.parquet" in line][1].split()) == (
         f"trial.parquet {name} {len(known)} 0 0 0"
     )
     assert "  warning: " not in answer.out
@@ -107,6 +110,69 @@ def test_a_recording_at_another_temperature_is_corrected_with_a_warning_on_stdou
     )
     assert "  warning: " in answer.out
     assert "degC" in answer.out
+
+
+def test_rests_are_stated_and_drawn_raw_beside_corrected(undrift, bench, tmp_path):
+    raw, done = read_record(bench / "trial.parquet"), read_record(bench / "corrected.parquet")
+    model = read_calibration(bench / "calibration.json")
+    words = ("correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv")
+    at_rest = undrift.good(*words, "--json").json()["recordings"][0]["at_rest"]
+    stills = find_still(done).stills
+    assert at_rest["rests"] == len(stills) > 1
+    for key, name, ideal, unit in (
+        ("accel_mg", "accel", model.gravity_m_s2, 9.80665e-3),
+        ("rate_dps", "gyro", 0.0, RADIAN_PER_DEGREE),
+    ):
+        triad = getattr(model, name)
+        assert triad.unit_in == "count"
+        read = (getattr(raw, name) - triad.offset.mean()) / triad.scale_factor.mean()
+        for prefix, values in (("raw_", read), ("", getattr(done, name))):
+            sizes = [np.linalg.norm(values[one.start : one.stop].mean(axis=0)) for one in stills]
+            expected = np.sqrt(np.mean((np.array(sizes) - ideal) ** 2)) / unit
+            assert at_rest[prefix + key] == pytest.approx(expected, rel=1e-6)
+    assert at_rest["raw_accel_mg"] > 10.0 * at_rest["accel_mg"]
+    assert at_rest["raw_rate_dps"] > 10.0 * at_rest["rate_dps"]
+    answer = undrift.good(*words, "--report", tmp_path / "r.html")
+    line = next(line for line in answer.out.splitlines() if " -> " in line and "trial.parquet" in line)
+    pairs = (f"{at_rest['raw_' + key]:.3g} -> {at_rest[key]:.3g}" for key in ("accel_mg", "rate_dps"))
+    assert line.split() == ["trial.parquet", str(len(stills)), *" ".join(pairs).split()]
+    assert "Each rest, raw and corrected" in (tmp_path / "r.html").read_text()
+
+
+def test_raw_readings_in_a_physical_unit_are_taken_in_it_and_without_rests_none_are_compared(undrift, bench, tmp_path):
+    model = read_calibration(bench / "calibration.json")
+    gyro, accel = (
+        replace(one, unit_in=unit, matrix=np.eye(3) * si, offset=np.full(3, 0.1))
+        for one, unit, si in ((model.gyro, "dps", RADIAN_PER_DEGREE), (model.accel, "g", 9.80665))
+    )
+    write_calibration(replace(model, gyro=gyro, accel=accel, adc=None), tmp_path / "c.json")
+    rng, time = np.random.default_rng(1), np.arange(2000) / 100.0
+    for name, moves in (("rest", 0.0), ("moves", 1.0)):
+        rates = 30.0 * moves * np.sin(time)[:, None] + rng.normal(0.0, 0.01, (2000, 3))
+        force = (
+            np.tile([0.0, 0.0, 1.1], (2000, 1))
+            + rng.normal(0.0, 1e-3, (2000, 3))
+            + moves * 0.3 * np.sin(9.0 * time)[:, None]
+        )
+        write_record(
+            Record(time=time, gyro=rates, accel=force, gyro_unit="dps", accel_unit="g"), tmp_path / f"{name}.csv"
+        )
+    words = (
+        "correct",
+        tmp_path / "rest.csv",
+        tmp_path / "moves.csv",
+        "--calibration",
+        tmp_path / "c.json",
+        "-o",
+        tmp_path / "o",
+    )
+    rest, moves = (row["at_rest"] for row in undrift.good(*words, "--json").json()["recordings"])
+    assert rest["rests"] == 1
+    assert rest["raw_accel_mg"] == pytest.approx(1e3 * (1.1 - model.gravity_m_s2 / 9.80665), abs=0.5)
+    assert rest["raw_rate_dps"] == pytest.approx(0.0, abs=0.002)
+    assert moves == {"rests": 0, "raw_accel_mg": None, "accel_mg": None, "raw_rate_dps": None, "rate_dps": None}
+    cells = next(line for line in undrift.good(*words).out.splitlines() if "moves.csv" in line).split()
+    assert cells == ["moves.csv", "0", "–", "->", "–", "–", "->", "–"]
 
 
 @pytest.fixture

@@ -20,13 +20,13 @@ from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, Screen, reading, silent
-from undrift.commands.certificate import answer_sentence, departures_words, uncertainty_section
+from undrift.commands.certificate import answer_sentence, departures_words, rms_of, uncertainty_section
 from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -105,7 +105,9 @@ class Calibrated(Result):
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
-            pictures=shown.pictures if self.seen is None else (figure_of("certificate:draw_rests", self),),
+            pictures=shown.pictures
+            if self.seen is None
+            else (Drawing(place="undrift.commands.calibrate:draw_rests", of=(self,)),),
             page=lambda: judged_sections(self) if self.in_motion is None else (),
             written=(self.figure, output),
             after=tuple(after),
@@ -436,29 +438,39 @@ def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatAr
 
 
 def rests_of(calibrated: Calibrated) -> "tuple[FloatArray, FloatArray]":
-    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest that was used, raw and corrected: (n, 2) each, NaN without.
+    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest that was used, raw and corrected: (n, 2) each."""
+    import numpy as np
+
+    session, made = calibrated.session, calibrated.calibration
+    judged = judge_pieces(session, calibrated.pieces, calibrated.settings, made)[1]
+    rests, sizes = [one for one in judged if one.piece.kind == "still"], list["FloatArray"]()
+    for name in ("accel", "gyro"):
+        raw, triad = list[Any](), getattr(made, name)
+        for piece in (one.piece for one in rests if triad is not None):
+            readings = getattr(session.records[piece.recording], name)
+            raw.append(np.nanmean(readings[piece.start : piece.stop], axis=0))
+        sizes.append(raw_and_corrected(triad, triad and triad.unit_in, raw, [getattr(one, name) for one in rests]))
+    return sizes[0], sizes[1]
+
+
+def raw_and_corrected(triad: "TriadModel | None", unit: str, raw: Any, corrected: Any) -> "FloatArray":
+    """Return the length of mean readings, (n, 3) each, raw and corrected: (n, 2), m/s2 or deg/s; none without a model.
 
     Raw: in the unit of the readings; counts and volts by the mean scale factor and the mean offset of the three axes.
     """
     import numpy as np
 
-    session, made = calibrated.session, calibrated.calibration
-    judged = judge_pieces(session, calibrated.pieces, calibrated.settings, made)[1]
-    sizes = list[list[list[float]]]()
-    for name, per in (("accel", 1.0), ("gyro", 1.0 / RADIAN_PER_DEGREE)):
-        triad, rows = getattr(made, name), list[list[float]]()
-        for one in (one for one in judged if one.piece.kind == "still" and triad is not None):
-            raw = np.nanmean(
-                getattr(session.records[one.piece.recording], name)[one.piece.start : one.piece.stop], axis=0
-            )
-            if is_physical(triad.unit_in):
-                raw = raw * si_factor(triad.unit_in, "rate" if name == "gyro" else "accel")
-            else:
-                raw = (raw - triad.offset.mean()) / triad.scale_factor.mean()
-            rows.append([per * float(np.linalg.norm(each)) for each in (raw, getattr(one, name))])
-        sizes.append(rows)
-    accel, gyro = (np.reshape(rows, (-1, 2)) for rows in sizes)
-    return accel, gyro
+    if triad is None or not len(raw):
+        return np.empty((0, 2))
+    quantity: Quantity = "rate" if triad.unit_out == "rad/s" else "accel"
+    scale = si_factor(unit, quantity) if is_physical(unit) else 1.0 / triad.scale_factor.mean()
+    read = scale * (np.array(raw) - (0.0 if is_physical(unit) else triad.offset.mean()))
+    return np.linalg.norm((read, corrected), axis=2).T / (RADIAN_PER_DEGREE if quantity == "rate" else 1.0)
+
+
+def draw_rests(calibrated: Calibrated) -> Any:
+    """Draw each rest that was used, raw beside corrected."""
+    return at("undrift.report.certificate:draw_rests")(*rests_of(calibrated), calibrated.calibration.gravity_m_s2)
 
 
 def residuals(judged: Sequence[CorrectedPiece], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
@@ -476,9 +488,9 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
     made = calibrated.calibration
     records, judged = judge_pieces(calibrated.session, calibrated.pieces, calibrated.settings, made)
     poses, dwells = residuals(judged, made)
-    parts = [f"gravity to {_rms(poses):.2g} mg rms in {len(poses)} poses"] if len(poses) else []
+    parts = [f"gravity to {rms_of(poses):.2g} mg rms in {len(poses)} poses"] if len(poses) else []
     if len(dwells):
-        parts.append(f"the table's rates to {_rms(dwells):.2g} deg/s rms in {len(dwells)} dwells")
+        parts.append(f"the table's rates to {rms_of(dwells):.2g} deg/s rms in {len(dwells)} dwells")
     if parts:
         text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
         drawing = figure_of("certificate:draw_residuals", poses, dwells)
@@ -488,10 +500,6 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
         drawing = figure_of("certificate:draw_norm", records, judged, made.gravity_m_s2)
         yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,), folded=True)
     yield _contributions(calibrated, judged)
-
-
-def _rms(values: "FloatArray") -> float:
-    return math.sqrt(float((values**2).mean()))
 
 
 def _contributions(calibrated: Calibrated, judged: Sequence[CorrectedPiece]) -> Section:

@@ -228,13 +228,10 @@ def answer_sentence(calibration: "Calibration") -> str:
                 expanded = np.abs(per[block] * table.expanded[table.of_block(block)])
                 worst[name, block] = float(expanded.max(initial=0.0))
     drift, zero = (worst.get((name, "offset"), 0.0) for name in ("gyro", "accel"))
-    gravity, level = (
-        math.hypot(zero, MG_PER_PERCENT * worst.get(("accel", block), 0.0)) for block in ("scale", "cross")
-    )
-    gyro = calibration.gyro
-    still = gyro is None or (
-        gyro.method in IN_MOTION and gyro.moving_offset is None
-    )  # then the offset is that in motion
+    scale, cross = (MG_PER_PERCENT * worst.get(("accel", block), 0.0) for block in ("scale", "cross"))
+    gravity, level, gyro = math.hypot(zero, scale), math.hypot(zero, cross), calibration.gyro
+    # the offset of these methods is that in motion
+    still = gyro is None or (gyro.method in IN_MOTION and gyro.moving_offset is None)
     moved = 0.0 if still else COVERAGE * moved_by(gyro) / math.sqrt(3.0) / RADIAN_PER_DEGREE
     pitch = math.hypot(ANSWERED_S * drift, ANSWERED_S * moved, level / 1e3 / RADIAN_PER_DEGREE)
     size, where = two_digits, "at the temperature of the calibration, 95 %"
@@ -487,14 +484,8 @@ def _units(name: str, triad: "TriadModel") -> tuple[dict[str, float], dict[str, 
 
     scale = float(np.diag(triad.matrix).mean())
     unit, factor = SHOWN[name]
-    per = {
-        "scale": 100.0 / scale,
-        "cross": 100.0 / scale,
-        "offset": abs(scale) * factor,
-        "g": factor * STANDARD_GRAVITY,
-        "moving": factor,
-        "code": abs(scale) * factor,
-    }
+    per = dict.fromkeys(("scale", "cross"), 100.0 / scale) | dict.fromkeys(("offset", "code"), abs(scale) * factor)
+    per |= {"g": factor * STANDARD_GRAVITY, "moving": factor}
     units = {"scale": "%", "cross": "%", "offset": unit, "g": f"{unit} per g", "moving": unit, "code": unit}
     return per, units
 
@@ -574,10 +565,9 @@ def two_digits(value: float) -> str:
     return f"{mantissa.removesuffix('.')}{power and f'e{int(power)}'}" if value > 0.0 else "–"
 
 
-def _rms(values: "FloatArray") -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(values**2)))
+def rms_of(values: "FloatArray") -> float:
+    """Return the root mean square."""
+    return math.sqrt(float((values**2).mean()))
 
 
 def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
@@ -593,10 +583,10 @@ def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mappin
             or "fit" in made.shares
         ):
             continue
-        cells = (0.0 if share is None else abs(per[b]) * _rms(share[places[b]]) for b in blocks)
+        cells = (0.0 if share is None else abs(per[b]) * rms_of(share[places[b]]) for b in blocks)
         yield [label, kind, *map(two_digits, cells)]
     for label, values in (("Combined standard uncertainty", made.standard), ("Expanded uncertainty", made.expanded)):
-        yield [label, "", *(two_digits(abs(per[b]) * _rms(values[places[b]])) for b in blocks)]
+        yield [label, "", *(two_digits(abs(per[b]) * rms_of(values[places[b]])) for b in blocks)]
 
 
 def _share_rows(made: ParameterTable, per: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Any]:

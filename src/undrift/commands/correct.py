@@ -1,5 +1,6 @@
 """``undrift correct``: many recordings, any size, constant memory."""
 
+import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from undrift.base.options import Files, Output, verb
-from undrift.base.summary import Drawing, Result, Section, Summary, at
+from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, number, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.files import (
@@ -23,10 +24,12 @@ from undrift.commands.files import (
 )
 from undrift.commands.register import RegistryLookup
 from undrift.errors import InputError
+from undrift.units import STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from undrift.arrays import FloatArray
     from undrift.correction.correct import Corrector, CorrectorState, OffsetLeft
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import Stretch
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from undrift.record import Record
 
 READ = 0.8  # of a recording that is corrected once it is read as a whole
+RESTS = "Each by its mean, of the first 65,536 samples; raw counts and volts by the mean scale factor and offset of the three axes."
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
@@ -51,6 +55,9 @@ class CorrectedFile:
     findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
     beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
     rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
+    # Of each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2); and the rms of |a| - g and of |w|
+    rests: "list[FloatArray]"
+    at_rest: dict[str, float]
 
     def row(self) -> dict[str, Any]:
         """Return the recording as JSON has it."""
@@ -70,6 +77,7 @@ class CorrectedFile:
                 if one.samples
             ],
             "rest": self.rest and self.rest.figures,
+            "at_rest": self.at_rest,
             "warnings": self.warnings,
             "notes": self.notes,
             "findings": findings_json(self.findings),
@@ -112,12 +120,15 @@ class CorrectedFiles(Result):
             for what, texts in (("warning", file.warnings), ("note", file.notes))
             for text in texts
         )
+        rests = figure_of("certificate:draw_rests", *self.files[0].rests, _gravity(self.model))
+        corrected = Drawing(place="undrift.commands.correct:draw_corrected", of=(self.files[0].output,))
         return Summary(
             title=f"Corrected: {self.files[0].record.name}" + (f" and {len(rows) - 1} more" if several else ""),
             answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
             data={"calibration": str(self.calibration), "recordings": rows},
-            pictures=(Drawing(place="undrift.commands.correct:draw_corrected", of=(self.files[0].output,)),),
+            pictures=(rests, corrected) if self.files[0].at_rest["rests"] else (corrected,),
             sections=(
+                rows_section("Rests, raw -> corrected (rms)", [*map(_rests_row, self.files)], text=(RESTS,)),
                 Section(
                     title="Recordings",
                     columns=("recording", "output", "samples", "outside tables", "extrapolated", "without temperature"),
@@ -324,6 +335,7 @@ def _correct_one(
                     check_force(done.record)
                     suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
                 suspicions += tuple(one for one in done.findings if one.code == "correct.device")
+                rests, at_rest = _at_rests(chunk, done.record, model)
             written.result()
             written = pool.submit(write, done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
@@ -335,8 +347,43 @@ def _correct_one(
     warnings = (*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text))
     return CorrectedFile(
         record=record, output=part, state=stream.state, warnings=warnings, notes=tuple(notes), findings=suspicions,
-        beyond=beyond, rest=rest,
+        beyond=beyond, rest=rest, rests=rests, at_rest=at_rest,
     )  # fmt: skip
+
+
+def _gravity(model: "Calibration") -> float:
+    return model.gravity_m_s2 if math.isfinite(model.gravity_m_s2) else STANDARD_GRAVITY
+
+
+def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[list[FloatArray], dict[str, float]]":
+    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest, raw and corrected, (n, 2); and their rms from g, mg, and 0."""
+    import numpy as np
+
+    from undrift.commands.calibrate import raw_and_corrected
+    from undrift.segments import StillSettings, find_still
+
+    stills, sizes, rms = (), list["FloatArray"](), dict[str, float]()
+    with suppress(InputError):  # shorter than a window
+        stills = find_still(done, StillSettings()).stills
+    for name, key, ideal, unit in (
+        ("accel", "accel_mg", _gravity(model), si_factor("mg", "accel")),
+        ("gyro", "rate_dps", 0.0, 1.0),
+    ):
+        triads = [values for values in (getattr(raw, name), getattr(done, name)) if values is not None]
+        means = [[values[one.start : one.stop].mean(axis=0) for one in stills] for values in triads] or [[], []]
+        both = raw_and_corrected(getattr(model, name), getattr(raw, f"{name}_unit"), *means)
+        sizes.append(both := both[np.isfinite(both).all(axis=1)])
+        away = np.sqrt(((both - ideal) ** 2).mean(axis=0)) / unit if len(both) else (np.nan, np.nan)
+        rms |= {f"raw_{key}": float(away[0]), key: float(away[1])}
+    return sizes, {"rests": max(map(len, sizes))} | rms
+
+
+def _rests_row(file: CorrectedFile) -> dict[str, str]:
+    """Return what the rests of a recording read, raw -> corrected."""
+    cells = {"recording": file.record.name, "rests": str(file.at_rest["rests"])}
+    for head, key in (("|a| - g (mg)", "accel_mg"), ("rate (deg/s)", "rate_dps")):
+        cells[head] = " -> ".join(number(file.at_rest[name], ".3g") for name in (f"raw_{key}", key))
+    return cells
 
 
 def _offset_left(

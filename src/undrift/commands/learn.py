@@ -99,20 +99,16 @@ def learn_summary(fit: "LearnFit") -> Summary:
     after, before = (
         f"{float(u[near].max()) / RADIAN_PER_DEGREE:.2g} deg/s" for u in (fit.after_uncertainty, fit.before_uncertainty)
     )
+    used = f"{device}: {rests}, in {fit.recordings} recordings, {left} left out"
+    changes = None if fit.accel is None else _accel_rows(fit.accel)
     return Summary(
         title=f"Gyroscope offsets of {device}, by daily rests",
         answer=f"Near these rests the standard uncertainty of a switch-on to come is at most {after}, before {before}.",
         sections=(
-            Section(
-                title="What was used", text=(f"{device}: {rests}, in {fit.recordings} recordings, {left} left out",)
-            ),
+            Section(title="What was used", text=(used,)),
             rows_section("gyroscope offset, x y z, uncertainty of a switch-on to come", _nodes(fit)),
             rows_section("standard deviations", _deviations(fit)),
-            *(
-                ()
-                if fit.accel is None
-                else (rows_section("accelerometers, change and uncertainty", _accel_rows(fit.accel)),)
-            ),
+            *((rows_section("accelerometers, change and uncertainty", changes),) if changes else ()),
         ),
         verdict=fit.verdict,
         failed=fit.verdict.status == "bad",
@@ -157,10 +153,8 @@ def _accel(fit: "AccelUseFit") -> dict[str, Any]:
 
 def _accel_rows(fit: "AccelUseFit") -> list[dict[str, str]]:
     """Return a row for each axis, in words."""
-    figures, heads = (
-        _accel(fit),
-        {"offset (mg)": "offset_mg", "scale (%)": "scale_percent", "offset (mg/K)": "offset_mg_per_k"},
-    )
+    heads = {"offset (mg)": "offset_mg", "scale (%)": "scale_percent", "offset (mg/K)": "offset_mg_per_k"}
+    figures = _accel(fit)
     return [
         {"axis": axis}
         | {head: f"{figures[key][i]:+.2f} +- {figures[f'{key}_uncertainty'][i]:.2g}" for head, key in heads.items()}

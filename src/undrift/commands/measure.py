@@ -222,12 +222,8 @@ def _worn(
             f"measure: wanted two axes of the device, got forward {sides[0]} and up {sides[1]}; state two different ones"
         )
     matrix = np.stack((ways[0], np.cross(ways[1], ways[0]), ways[1]))
-    return BodyMounting(
-        place=place or (worn.place if worn else "lower-back"),
-        matrix=matrix,
-        covariance=np.zeros((3, 3)),
-        basis="stated",
-    )
+    place = place or (worn.place if worn else "lower-back")
+    return BodyMounting(place=place, matrix=matrix, covariance=np.zeros((3, 3)), basis="stated")
 
 
 def _findings(
@@ -245,12 +241,7 @@ def _findings(
             continue
         (source, adds), (second, next_adds) = list(one.parts.items())[:2]
         share, size = one.halving(source), devices[0].sizes.get(source, 0.0)
-        words: dict[str, float | str] = {
-            "measure": _words(one),
-            "part": adds,
-            "whole": one.uncertainty,
-            "unit": _unit(one),
-        }
+        words: dict[str, Any] = {"measure": _words(one), "unit": _unit(one), "part": adds, "whole": one.uncertainty}
         if not share:
             words |= {"source": source, "rest": one.without(source), "second": second, "next_part": next_adds}
             texts.append(finding("measure.limit_several", "info", **words))
@@ -321,10 +312,8 @@ def _small(value: float, places: int) -> str:
 def _shares(one: "Measure") -> str:
     """Return what the uncertainty is made of, the largest first; only what shows in the decimals."""
     places = _places(one)
-    parts = [
-        (name, part) for name, part in one.parts.items() if part > max(SPREAD * one.uncertainty, 0.5 * 10.0**-places)
-    ]
-    return ", ".join(f"{part:.{places}f} {name}" for name, part in parts)
+    least = max(SPREAD * one.uncertainty, 0.5 * 10.0**-places)
+    return ", ".join(f"{part:.{places}f} {name}" for name, part in one.parts.items() if part > least)
 
 
 def statement(one: "Measure") -> str:

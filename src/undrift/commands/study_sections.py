@@ -233,12 +233,8 @@ def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") ->
         f"{halving.runs} runs; the full grid has {halving.runs_of_grid}. {how} All tables below but the front compare the "
         "protocols of the last round.",
     )
-    return table_section(
-        f"{_name(task)}: {'CMA-ES, then halving' if halving.generations else 'successive halving'}",
-        halving.rounds,
-        cells,
-        text=text,
-    )
+    title = f"{_name(task)}: {'CMA-ES, then halving' if halving.generations else 'successive halving'}"
+    return table_section(title, halving.rounds, cells, text=text)
 
 
 # ---- tables 1 and 2, the other cohort
@@ -267,9 +263,8 @@ def _table_1(outcome: "StudyOutcome") -> Section:
     of_note = [task.note for task in outcome.tasks if task.note]
     text += ["In the note's rows it is as printed; the note does not define its test."] * bool(of_note)
     text += sorted({f"* {note.row.erratum}" for note in of_note if note.row.erratum})
-    return Section(
-        title="Table 1: optimised parameters", text=tuple(text), columns=("task", *_PROTOCOL, "p"), rows=tuple(rows)
-    )
+    heads = ("task", *_PROTOCOL, "p")
+    return Section(title="Table 1: optimised parameters", text=tuple(text), columns=heads, rows=tuple(rows))
 
 
 def _categories(outcome: "StudyOutcome") -> tuple[Section, ...]:
@@ -419,10 +414,8 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
         }
         for cohort, did in zip(outcome.cohorts, cycle(("chose", "tested")), strict=False)
     ]
-    text = (
-        "Least to greatest, and mean. The note's subjects are at Tinetti level 2; cohorts of 30 are drawn to its figures.",
-    )
-    return rows_section("Table 2: cohorts", rows, text=text)
+    text = "Least to greatest, and mean. The note's subjects are at Tinetti level 2; cohorts of 30 are drawn to its figures."
+    return rows_section("Table 2: cohorts", rows, text=(text,))
 
 
 def _bench(outcome: "StudyOutcome") -> Section:
@@ -466,12 +459,8 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     front, surface, text = task.front, task.front.surface, "One point a protocol"
     if task.halving is not None:
         text += " of the last round; the front comes from all that were tried, and what seemed to be on it met every subject too"
-    heads = (
-        *(HEADINGS[name] for name in surface.names),
-        f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)",
-        "95 % interval",
-        "session (min)",
-    )
+    error = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
+    heads = (*(HEADINGS[name] for name in surface.names), error, "95 % interval", "session (min)")
     rows = [
         (
             *(f"{surface.column(name)[place]:.4g}" for name in surface.names),
@@ -482,13 +471,8 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         for k, place in enumerate(front.places.tolist())
     ]
     text += ". The table has the protocols that no other beats in both error and time, means over all subjects."
-    return Section(
-        title=f"{_name(task)}: error against minutes on the rig",
-        text=(text,),
-        columns=heads,
-        rows=tuple(rows),
-        pictures=(figure_of("figures:draw_pareto", outcome, task),),
-    )
+    title, drawing = f"{_name(task)}: error against minutes on the rig", figure_of("figures:draw_pareto", outcome, task)
+    return Section(title=title, text=(text,), columns=heads, rows=tuple(rows), pictures=(drawing,))
 
 
 def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
@@ -512,6 +496,7 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[
         values += f" (left out, too few calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
     named = "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing"
     needed = "none" if power is None or power.subjects is None else str(power.subjects)
+    share = with_interval(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f") if test else ""
     return {
         "parameter": HEADINGS[effect.name],
         "values tried": values,
@@ -519,9 +504,7 @@ def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[
         "test": f"none: {effect.untested.detail}" if effect.untested else named,
         "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
         "p after Holm": _p(effect.p_holm) if test else "",
-        "partial eta² [95 %]": with_interval(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f")
-        if test
-        else "",
+        "partial eta² [95 %]": share,
         "power": f"{power.power:.2f}" if power else "",
         "subjects for power 0.8": needed if test else "",
         "verdict": judged.verdict if judged else "",
@@ -566,10 +549,9 @@ def _made_of(task: "TaskOutcome") -> Section:
         return Section(title="")
     splits, first = task.splits, task.splits[0]
     worth = {HEADINGS[split.parameter]: {term.effect: term for term in split.terms} for split in splits}
-    rows = [
-        {"switched off": "nothing", "share of the mean square": "", "alone (deg)": f"{first.rms_deg:.3f} in all"}
-        | {HEADINGS[split.parameter]: split.judged.verdict for split in splits}
-    ]
+    verdicts = {HEADINGS[split.parameter]: split.judged.verdict for split in splits}
+    alone = f"{first.rms_deg:.3f} in all"
+    rows = [{"switched off": "nothing", "share of the mean square": "", "alone (deg)": alone} | verdicts]
     rows += [
         {
             "switched off": term.effect,

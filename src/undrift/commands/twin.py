@@ -235,25 +235,17 @@ def _held_out(twinned: Twinned) -> tuple[Section, ...]:
     limits = ((part.name, f"{part.pitch * deg:.3f}", f"{part.tilt * deg:.3f}") for part in twinned.parts)
     ends = []
     for e in twinned.endings:
-        cells = (
-            (f"{real * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}")
-            for real, (low, high) in zip(e.real, e.interval, strict=True)
-        )
+        pairs = zip(e.real, e.interval, strict=True)
+        cells = ((f"{real * deg:.1f}", f"{low * deg:.1f}-{high * deg:.1f}") for real, (low, high) in pairs)
         ends.append((e.recording, "none" if e.row == "raw" else "rest", *chain.from_iterable(cells)))
-    return (
-        Section(
-            title="held out: largest pitch difference between simulated and real device in a window, deg",
-            columns=("recording", "window s", "windows", "median", "95 %", "max"),
-            rows=tuple(windows),
-        ),
-        Section(
-            title=f"its contributions, {twinned.names[0]}, 5 s windows, median",
-            columns=("part", "pitch deg", "tilt deg"),
-            rows=tuple(limits),
-        ),
-        Section(
-            title="end error, deg: real, and 95 % of simulated devices",
-            columns=("recording", "offset", "total", "", "incl.", ""),
-            rows=tuple(ends),
+    title = "held out: largest pitch difference between simulated and real device in a window, deg"
+    tables = (
+        (title, ("recording", "window s", "windows", "median", "95 %", "max"), windows),
+        (f"its contributions, {twinned.names[0]}, 5 s windows, median", ("part", "pitch deg", "tilt deg"), limits),
+        (
+            "end error, deg: real, and 95 % of simulated devices",
+            ("recording", "offset", "total", "", "incl.", ""),
+            ends,
         ),
     )
+    return tuple(Section(title=title, columns=columns, rows=tuple(rows)) for title, columns, rows in tables)

@@ -10,7 +10,6 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.summary import Drawing, without_signed_zeros
-from undrift.commands.calibrate import rests_of
 from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
 from undrift.commands.data_sheet import PART, SHOWN, nominal_of, sheet_limit
 from undrift.errors import InputError
@@ -22,7 +21,7 @@ from undrift.units import is_physical
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from undrift.commands.calibrate import Calibrated, CorrectedPiece
+    from undrift.commands.calibrate import CorrectedPiece
     from undrift.record import Record
 
 
@@ -117,10 +116,10 @@ def draw_calibration(calibration: Calibration) -> "Figure":
     return figure
 
 
-def draw_rests(calibrated: "Calibrated") -> "Figure":
-    """Draw |a| and |w| of each rest that a calibration used, raw beside corrected, with gravity and zero."""
-    shown = [("|a| (m/s2)", "local gravity", calibrated.calibration.gravity_m_s2), ("|w| (deg/s)", "at rest", 0.0)]
-    panels = [(sizes, *words) for sizes, words in zip(rests_of(calibrated), shown, strict=True) if len(sizes)]
+def draw_rests(accel: FloatArray, rate: FloatArray, gravity_m_s2: float) -> "Figure":
+    """Draw |a|, m/s2, and |w|, deg/s, of each rest, raw beside corrected, (n, 2), with gravity and zero."""
+    shown = [(accel, "|a| (m/s2)", "local gravity", gravity_m_s2), (rate, "|w| (deg/s)", "at rest", 0.0)]
+    panels = [one for one in shown if len(one[0])]
     figure, axes = figures.new_figure(max(1, len(panels)), height=1.9, share_x=False)
     figures.entitle(figure, "Each rest, raw and corrected")
     for panel, (sizes, label, ideal, value) in zip(axes, panels, strict=False):
@@ -129,7 +128,8 @@ def draw_rests(calibrated: "Calibrated") -> "Figure":
         panel.plot(place, sizes[:, 0], "s", color=figures.ERROR, markersize=4.0, label="raw")
         panel.plot(place, sizes[:, 1], "o", color=figures.DEVICE, markersize=4.0, label="corrected")
         panel.axhline(value, color=figures.OPTICS, linewidth=0.6, linestyle="--", label=ideal)
-        panel.set(ylabel=label, xlabel="rest, in order of time")
+        panel.set(ylabel=label, xlabel="rest, in order of time", xlim=(0.5, len(sizes) + 0.5))
+        panel.xaxis.get_major_locator().set_params(integer=True)
         figures.legend_above(panel)
     return figure
 
