@@ -69,7 +69,7 @@ ADDED: tuple[tuple[str, str], ...] = (
         r"margin_deg|tasks.*(worse_protocols|undecided_protocols|judged|one_way|repeated_measures|eta_\w+_interval).*",
     ),
     ("orient_demo", r"said\.(offset_uncertainty_dps|rests|rest_offsets_dps|method|findings.*)"),
-    ("correct_.*", r".*\.rest"),
+    ("correct_.*", r".*\.(rest|at_rest\..*)"),
     ("study_.*", r"(.*\.)?(rival_triads|claims\[).*"),
     ("study_.*", r"(.*\.)?figure3(_drawn|\.(compared|actual_max_deg|rest_max_deg|full_and_rest_max_deg).*)"),
     (".*", r"drift\.static\.(gyro|accel)_visit"),  # what a visit adds, beside the uncertainty of the curve
