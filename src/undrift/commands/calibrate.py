@@ -465,7 +465,8 @@ def raw_and_corrected(triad: "TriadModel | None", unit: str, raw: Any, corrected
     quantity: Quantity = "rate" if triad.unit_out == "rad/s" else "accel"
     scale = si_factor(unit, quantity) if is_physical(unit) else 1.0 / triad.scale_factor.mean()
     read = scale * (np.array(raw) - (0.0 if is_physical(unit) else triad.offset.mean()))
-    return np.linalg.norm((read, corrected), axis=2).T / (RADIAN_PER_DEGREE if quantity == "rate" else 1.0)
+    sizes: FloatArray = np.linalg.norm((read, corrected), axis=2).T
+    return sizes / (RADIAN_PER_DEGREE if quantity == "rate" else 1.0)
 
 
 def draw_rests(calibrated: Calibrated) -> Any:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from undrift.drift.hysteresis import TempHistory
     from undrift.findings import Finding
     from undrift.model import Calibration
-    from undrift.record import Record
+    from undrift.record import Record, Still
 
 READ = 0.8  # of a recording that is corrected once it is read as a whole
 RESTS = "Each by its mean, of the first 65,536 samples; raw counts and volts by the mean scale factor and offset of the three axes."
@@ -362,7 +362,7 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
     from undrift.commands.calibrate import raw_and_corrected
     from undrift.segments import StillSettings, find_still
 
-    stills, sizes, rms = (), list["FloatArray"](), dict[str, float]()
+    stills, sizes, rms = tuple["Still", ...](), list["FloatArray"](), dict[str, float]()
     with suppress(InputError):  # shorter than a window
         stills = find_still(done, StillSettings()).stills
     for name, key, ideal, unit in (

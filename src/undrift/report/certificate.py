@@ -129,7 +129,7 @@ def draw_rests(accel: FloatArray, rate: FloatArray, gravity_m_s2: float) -> "Fig
         panel.plot(place, sizes[:, 1], "o", color=figures.DEVICE, markersize=4.0, label="corrected")
         panel.axhline(value, color=figures.OPTICS, linewidth=0.6, linestyle="--", label=ideal)
         panel.set(ylabel=label, xlabel="rest, in order of time", xlim=(0.5, len(sizes) + 0.5))
-        panel.xaxis.get_major_locator().set_params(integer=True)
+        panel.locator_params(axis="x", integer=True)
         figures.legend_above(panel)
     return figure
 
