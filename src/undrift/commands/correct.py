@@ -365,10 +365,8 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
     stills, sizes, rms = tuple["Still", ...](), list["FloatArray"](), dict[str, float]()
     with suppress(InputError):  # shorter than a window
         stills = find_still(done, StillSettings()).stills
-    for name, key, ideal, unit in (
-        ("accel", "accel_mg", _gravity(model), si_factor("mg", "accel")),
-        ("gyro", "rate_dps", 0.0, 1.0),
-    ):
+    ideals = {"accel": ("accel_mg", _gravity(model), si_factor("mg", "accel")), "gyro": ("rate_dps", 0.0, 1.0)}
+    for name, (key, ideal, unit) in ideals.items():
         triads = [values for values in (getattr(raw, name), getattr(done, name)) if values is not None]
         means = [[values[one.start : one.stop].mean(axis=0) for one in stills] for values in triads] or [[], []]
         both = raw_and_corrected(getattr(model, name), getattr(raw, f"{name}_unit"), *means)
