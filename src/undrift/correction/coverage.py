@@ -307,7 +307,7 @@ def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
         seen = (model.valid_range[0] * triad.si, model.valid_range[1] * triad.si)
         margin = MARGIN * max(abs(seen[0]), abs(seen[1]))
         low, high = seen[0] - margin, seen[1] + margin
-        least, greatest = float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
+        least, greatest = _extremes(values.ravel())
         samples, worst = 0, 0.0
         if least < low or greatest > high:  # most recordings end before this second pass
             mask = (values < low) | (values > high)

@@ -182,8 +182,7 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
         limit = end.reduce(met)
         at = STUCK * np.flatnonzero(met == limit)
-        beside = np.concatenate((at[at > 0] - 1, at[at + 1 < len(column)] + 1))
-        if not (column[beside] == limit).any() or end.reduce(column) != limit:
+        if not any(limit in column[max(0, k - 1) : k + 2 : 2] for k in at) or end.reduce(column) != limit:
             continue
         stuck = runs(column == limit)
         stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
