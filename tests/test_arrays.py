@@ -36,3 +36,15 @@ def test_a_frozen_array_is_a_read_only_copy_of_the_same_numbers(x, order):
 def test_what_is_no_such_array_is_refused(x, shape, words):
     with pytest.raises(InputError, match=words):
         frozen(x, shape, "gyro")
+
+
+def test_what_nothing_else_can_write_to_is_not_copied_again():
+    once = frozen(np.arange(3.0), (3,), "x")
+    assert frozen(once, (3,), "x") is once
+    writeable, view, counts = np.arange(3.0), np.arange(6.0)[:3], np.arange(3)
+    view.flags.writeable = counts.flags.writeable = False
+    for other in (writeable, view, counts):
+        made = frozen(other, (3,), "x")
+        assert not np.shares_memory(made, other)
+        assert not made.flags.writeable
+    assert writeable.flags.writeable
