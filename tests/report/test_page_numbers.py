@@ -108,6 +108,14 @@ _WHOLE = """figure => {
   while (walk.nextNode()) {
     const node = walk.currentNode;
     if (node.parentElement.closest('svg, caption')) continue;
+    const head = node.parentElement.closest('.cards thead th');
+    if (head && getComputedStyle(head.closest('thead')).display === 'none') {  // a card names its head before each cell
+      const cells = [...head.closest('table').tBodies[0].rows].map((row) => row.cells[head.cellIndex]);
+      const named = cells.filter((cell) => getComputedStyle(cell, '::before').content.includes(node.data));
+      const there = named.some((cell) => whole(cell.getBoundingClientRect(), cell.parentElement));
+      if (there) seen.push(...node.data.match(new RegExp(figure, 'g')) || []);
+      continue;
+    }
     for (const one of node.data.matchAll(new RegExp(figure, 'g'))) {
       const range = document.createRange();
       range.setStart(node, one.index); range.setEnd(node, one.index + one[0].length);

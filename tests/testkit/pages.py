@@ -62,6 +62,10 @@ def _open_findings(text: str) -> int:
     return 0 if found is None else found[0].partition("<details>")[0].count("<li>")
 
 
+_BESIDE = """[...document.querySelectorAll(".cards :is(th, td)")]
+    .filter((cell) => cell.getBoundingClientRect().right > innerWidth).length"""
+
+
 @contextmanager
 def browser() -> Iterator[Any]:
     """Start Debian's chromium; skip where there is none."""
@@ -97,6 +101,8 @@ def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNE
                 wrong.append(f"{where}: {found['beyond']} px beyond the screen")
             if width == min(WIDTHS) and found["least"] < LEAST_PX:
                 wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
+            if width == min(WIDTHS) and (count := tab.evaluate(_BESIDE)):
+                wrong.append(f"{where}: {count} cells of tables wait beside the screen")
             if (width, scheme) not in judged:
                 continue
             violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
