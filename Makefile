@@ -10,7 +10,7 @@ demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
 announce:
-	@echo "make test: about 6,700 tests, 10 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
+	@echo "make test: about 6,200 tests, 8 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
 	@echo "are installed first, some minutes, and kernels are compiled once."
 
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save

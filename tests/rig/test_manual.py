@@ -137,6 +137,9 @@ class HeldDevice:
     def start(self, *, certain=True):
         self.began = self.operator.clock.now()
 
+    def end(self):
+        """Read no more; stop hands out what was read."""
+
     def stop(self):
         times = np.arange(self.began, self.operator.clock.now(), 0.01)
         up = UP[self.operator.up]

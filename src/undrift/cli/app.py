@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from contextvars import copy_context
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from undrift import __version__, commands
 from undrift.cli import examples
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from cyclopts import App
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
-    from rich.console import Console, ConsoleOptions
 
 INTERRUPTED, STOPPED = 130, "stopped; nothing was left half written"
 STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -147,7 +146,7 @@ def _formatter() -> "HelpFormatter":
     from rich.text import Text
 
     class Flowing(DefaultFormatter):
-        def __call__(self, console: "Console", options: "ConsoleOptions", panel: "HelpPanel") -> None:
+        def __call__(self, console: Any, options: Any, panel: "HelpPanel") -> None:
             for entry in panel.entries:
                 if isinstance(text := getattr(entry.description, "primary_renderable", None), Text):
                     text.plain = text.plain.replace("\n", " ")
