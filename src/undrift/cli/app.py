@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from undrift import __version__, commands
 from undrift.cli import examples
 from undrift.errors import InputError, RigError, UndriftError
-from undrift.files import is_full
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -121,6 +120,8 @@ def _called(arguments: Sequence[str]) -> int:
             sys.stdout.close()
         return 0
     except OSError as error:
+        from undrift.files import is_full  # not for help, which answers at once
+
         text = f"{error.filename or 'file'}: {error.strerror or error}; "
         text += "make room and run it again" if is_full(error) else "check the path and its permissions"
         return _refuse(arguments, error, text, code=2)
