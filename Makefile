@@ -52,7 +52,7 @@ durations: $(INSTALLED)
 
 # What `make test` leaves out: whole ways and large sizes of what it shows in small (tests/long.json), larger cohorts.
 test-long: $(INSTALLED) machine
-	$(BIN)/python -m pytest tests -m long --timeout=0 -n 2 --durations=12
+	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) -m long --timeout=0 --durations=12
 
 # Linters, types, layers and house rules at once; each is printed as it ends.
 check: $(INSTALLED)

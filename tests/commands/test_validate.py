@@ -92,15 +92,15 @@ def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_
     made = read_calibration(bench / "calibration.json")
     assert f"calibration.json of {made.device}: gyroscope by {made.gyro.method}" in page
     assert f'<th scope="row">its verdict</th><td>{made.verdict.status}</td>' in page
-    assert '<th scope="row">trial.parquet</th><td>reference.parquet</td>' in page
-    assert "<td>left in</td>" in page
+    assert '<th scope="row">trial.parquet</th><td data-head="reference">reference.parquet</td>' in page
+    assert ">left in</td>" in page
     assert told["calibration"] == "calibration.json"
 
 
 def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_with(undrift, tmp_path):
     told = undrift.good("validate", *broad(B[1]), "-o", tmp_path / "r", "--json").json()
     page = (tmp_path / "r" / "report.html").read_text()
-    assert f"<td>{told['mean']['max_abs_pitch_deg']:.2f}</td>" in page
+    assert f">{told['mean']['max_abs_pitch_deg']:.2f}</td>" in page
     assert "the mean rate of the first still phase is subtracted" in page
     assert "gyro codes rounded toward zero" in page
 
