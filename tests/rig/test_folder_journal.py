@@ -1,5 +1,6 @@
 """The journal: whole lines are read, a torn last one is known for what it is, a damaged one in the middle is refused."""
 
+import contextlib
 import errno
 import os
 
@@ -49,6 +50,24 @@ def test_what_a_power_cut_leaves_behind_the_last_line_is_cut_away(tmp_path, garb
     path = written(tmp_path / "j")
     path.write_bytes(path.read_bytes() + garbage)
     assert read_journal(path)[0] == ENTRIES
+
+
+def test_a_flipped_bit_in_the_last_line_is_refused_unless_it_looks_torn(tmp_path):
+    path = written(tmp_path / "j")
+    whole = path.read_bytes()
+    start = len(whole) - len(line_of(ENTRIES[2], 0)[0])
+    taken = []
+    for bit in range(8 * start, 8 * len(whole)):
+        changed = bytearray(whole)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with contextlib.suppress(FileFormatError):
+            assert read_journal(path)[0] == ENTRIES[:2]  # never another entry
+            taken.append(bit // 8 - start)
+    head = whole[start:].index(b'"entry":') + len(b'"entry":')
+    assert all(
+        place < head or place >= len(whole) - start - 2 for place in taken
+    )  # the entry itself is never taken as torn
 
 
 def test_a_changed_byte_in_the_middle_is_refused_with_its_line(tmp_path):

@@ -99,7 +99,7 @@ def reading(progress: Progress, stop: float, *files: Path) -> Iterator[None]:
     def watch(path: Path, share: float) -> None:
         shares[path] = max(share, shares.get(path, 0.0))
         done = sum(share * bytes_in(path) for path, share in shares.items())
-        progress(f"reading {path.name}", stop * min(1.0, done / whole))
+        progress(f"reading {path.name}", stop * min(1.0, done / max(whole, 1)))
 
     progress(f"reading {files[0].name}" if len(files) == 1 else "reading", 0.0)
     token = WATCH.set(watch)

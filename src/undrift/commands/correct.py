@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from undrift.record import Record, Still
 
 READ = 0.8  # of a recording that is corrected once it is read as a whole
-RESTS = "Each by its mean, of the first 65,536 samples; raw counts and volts by the mean scale factor and offset of the three axes."
+RESTS = "Each by its mean, of the first 65,536 samples if Parquet is written; raw counts by the mean scale and offset of the axes."
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
@@ -377,7 +377,7 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
 
 
 def _rests_row(file: CorrectedFile) -> dict[str, str]:
-    """Return what the rests of a recording read, raw -> corrected."""
+    """Return what the rests of a recording read, raw -> corrected; dashes where there are none."""
     cells = {"recording": file.record.name, "rests": str(file.at_rest["rests"])}
     for head, key in (("|a| - g (mg)", "accel_mg"), ("rate (deg/s)", "rate_dps")):
         cells[head] = " -> ".join(number(file.at_rest[name], ".3g") for name in (f"raw_{key}", key))

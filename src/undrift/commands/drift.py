@@ -125,7 +125,7 @@ def _fitted(
 
     read, bare, stated = list[Session](), list[Session](), list[Session]()
     for k, path in enumerate(sessions):
-        with reading(part_of(progress, 0.4 * k / len(sessions), 0.4), 1.0 / (len(sessions) - k), path):
+        with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
         (stated if detect(path) == "session" or read[-1].means else bare).append(read[-1])
     check_once(read)

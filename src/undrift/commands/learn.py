@@ -66,7 +66,7 @@ def learn(
     model = read_calibration(calibration)
     opening, sessions = opening.like(model, calibration), []
     for k, path in enumerate(recordings):
-        with reading(part_of(progress, 0.8 * k / len(recordings), 0.8), 1.0 / (len(recordings) - k), path):
+        with reading(part_of(progress, 0.8 * k / len(recordings), 0.8 * (k + 1) / len(recordings)), 1.0, path):
             sessions.append(thermal_session(path, opening, model))
     progress("finding rests", 0.8)
     fit = learn_drift(sessions, model, dates=dates, settings=LearnSettings(power_on_s=power_on_s))

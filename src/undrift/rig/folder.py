@@ -18,6 +18,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 import sys
 import zlib
 from collections.abc import Iterator
@@ -39,6 +40,7 @@ from undrift.rig.watch import uninterrupted
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 
 Entry = dict[str, Any]  # what JSON knows; the values of rig/folder.py are made of it
+_LINE = re.compile(rb'\{"length":(\d{1,9}),"crc32":"[0-9a-f]{8}","entry":([^\0]*)\}\n')
 _FIRST = zlib.crc32(b"journal")  # from which the first line's checksum goes on
 
 
@@ -123,7 +125,9 @@ def read_journal(path: Path) -> tuple[tuple[Entry, ...], int, int | None]:
             before = None  # of format 1
         whole, following = (b"", None) if entry is None else line_of(entry, before)
         if entry is None or line != whole:
-            if place + len(line) < len(data) or (entry is not None and line.endswith(b"\n")):
+            parts = _LINE.fullmatch(line)  # as long as it says: a power cut leaves less of it, or zeros in it
+            complete = parts is not None and int(parts[1]) == len(parts[2])
+            if place + len(line) < len(data) or complete or (entry is not None and line.endswith(b"\n")):
                 raise FileFormatError(
                     f"{path}: line {number}: wanted a line as it was written after the one before, got another; restore the "
                     "file, or begin in another folder"
@@ -194,12 +198,8 @@ def room(path: Path) -> Iterator[None]:
 # ---- folder
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
-LATER = {
-    "damping": DAMPING,
-    "faces_at": "every",
-    "heated_axis": None,
-    "board_lag_s": 600.0,
-}  # of Protocol: what runs of before did
+# Of Protocol: what runs of before did
+LATER = {"damping": DAMPING, "faces_at": "every", "heated_axis": None, "board_lag_s": 600.0}
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
