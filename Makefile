@@ -4,55 +4,49 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 INSTALLED = $(VENV)/.installed
 
-.PHONY: announce demo docs pictures durations test machine test-browser test-long test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
+.PHONY: demo docs pictures test machine test-browser test-slow test-all check check-types check-house check-style mutants fuzz mistakes sbom benchmark clean
 
 demo: $(VENV)/.base
 	$(BIN)/undrift demo --out demo
 
-announce:
-	@echo "make test: about 6,200 tests, 8 minutes on two cores. On a new machine Python packages, gcc, chromium and PostgreSQL"
-	@echo "are installed first, some minutes, and kernels are compiled once."
-
 export OPENBLAS_NUM_THREADS = 1  # the matrices are small, threads cost more than they save
 unexport PYTHONDONTWRITEBYTECODE  # the suite starts many processes: each would compile all of undrift and of its tests
 
-# Side by side: what computes, what waits for sockets and processes, and the browser: tests/testkit/pools.py.
-CORES := $(shell nproc 2>/dev/null || echo 2)
-PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house --dist loadscope
-COMPUTE = --tx $(CORES)*popen//env:TEST_POOL=compute
-WAIT = --tx 2*popen//env:TEST_POOL=wait
-BROWSER = --tx 1*popen//env:TEST_POOL=browser
+# Two processes more than cores: tests of the rig and of the pages wait for sockets and clocks most of their time.
+WORKERS := $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 2)))
+PYTEST = $(BIN)/python -m pytest tests --ignore=tests/house -n $(WORKERS) --dist worksteal --durations=12
 
-test: announce $(INSTALLED) machine
-	@echo "collecting the tests, up to a minute; then a dot for each, and the share done at the end of a line"
-	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --durations=12
+test: machine $(INSTALLED)
+	@echo "Collecting the tests takes up to a minute. Then each test prints a dot."
+	$(PYTEST)
 
-# What the tests want of the machine besides Python.
+# The system packages that the tests need: gcc compiles exported C, chromium shows the pages.
+# Only root may install them, and only apt-get is known here. Without a package its tests are skipped with the reason.
 machine:
-	@command -v gcc >/dev/null || { apt-get update -qq && apt-get install -qq -y gcc libc6-dev; } || \
-	  { echo "the tests compile exported C and want gcc: install it"; exit 2; }
-	@command -v chromium >/dev/null || { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; } || \
-	  echo "no chromium: the pages are not looked at in a browser"
-	@ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || command -v initdb >/dev/null || { mkdir -p /etc/postgresql-common && \
-	  echo "create_main_cluster = false" >> /etc/postgresql-common/createcluster.conf && apt-get update -qq && \
-	  DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends -o Dpkg::Options::=--force-confold postgresql; } || \
-	  echo "no PostgreSQL: the registry is tested on SQLite alone"
+	@missing=""; \
+	command -v gcc >/dev/null || missing="gcc libc6-dev"; \
+	command -v chromium >/dev/null || missing="$$missing chromium"; \
+	if [ -z "$$missing" ]; then \
+	  echo "System packages: nothing to install, gcc and chromium are here."; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  echo "System packages: apt-get installs $$missing."; \
+	  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y --no-install-recommends $$missing || \
+	    echo "System packages: apt-get failed. Tests that need $$missing are skipped."; \
+	else \
+	  echo "System packages: $$missing missing. Tests that need them are skipped. Only root on a system with apt-get installs them here."; \
+	fi
 
 # The bench in a browser alone: pages, wizards, the rate-table run, the emergency stop. Screenshots: build/screens.
-test-browser: $(INSTALLED) machine
-	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser -m "long or not long" --durations=12
+test-browser: machine $(INSTALLED)
+	UNDRIFT_SCREENS=build/screens $(BIN)/python -m pytest tests/web_browser -m "slow or not slow" --durations=12
 
 # The bench's pictures of docs/bench.md, from a simulated phone and the practice device: commit what changed.
 pictures: $(INSTALLED)
-	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -m "long or not long" -k "zip or pointer"
+	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -m "slow or not slow" -k "zip or pointer"
 
-# The order of the tests, by what each takes: commit the file that changes.
-durations: $(INSTALLED)
-	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) --write-durations
-
-# What `make test` leaves out: whole ways and large sizes of what it shows in small (tests/long.json), larger cohorts.
-test-long: $(INSTALLED) machine
-	$(PYTEST) $(COMPUTE) $(WAIT) $(BROWSER) -m long --timeout=0 --durations=12
+# What `make test` leaves out: tests marked slow. A test has no time limit here.
+test-slow: machine $(INSTALLED)
+	$(PYTEST) -m slow --timeout=0
 
 # Linters, types, layers and house rules at once; each is printed as it ends.
 check: $(INSTALLED)

@@ -1,19 +1,16 @@
 """Settings of the whole suite: the same examples in every run; `pytest --hypothesis-profile=hunt` looks for new ones.
 
-With `pytest -n`, tests of one module run in one process, but for the longest; see ``testkit.pools``. What modules share is computed
-once in a run; see ``testkit.remembered``.
+What modules share is computed once in a run, whichever processes run them; see ``testkit.remembered``.
 """
 
 import os
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from testkit.pools import Pools, mark_long, of_another_pool, take_what_is_left, write_durations
 from testkit.remembered import put_everywhere, remembered, run_folder
 
 os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlite")  # never that of a person
@@ -21,35 +18,6 @@ os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlit
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("hunt", deadline=None, max_examples=3000)
 settings.load_profile("same")
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--write-durations", action="store_true", help="write tests/durations.json, by which tests are ordered"
-    )
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Pools:
-    return Pools(config, log)
-
-
-def pytest_configure() -> None:
-    take_what_is_left()
-
-
-@pytest.hookimpl(tryfirst=True)  # before pytest leaves out what `-m` does not name
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    mark_long(items)
-
-
-def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    return True if of_another_pool(collection_path) else None
-
-
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    if config.getoption("--write-durations"):
-        write_durations(chain.from_iterable(terminalreporter.getreports(which) for which in ("passed", "failed", "")))
 
 
 @pytest.fixture(scope="session")

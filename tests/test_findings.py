@@ -99,6 +99,7 @@ def sessions():
         yield replace(session, records=tuple(replace(r, temp_c=None) for r in session.records))
 
 
+@pytest.mark.slow
 def test_no_finding_of_a_session_meets_the_limit_that_it_states():
     judged = 0
     for session in sessions():

@@ -49,6 +49,7 @@ def errors(place, seeds, movement="walk"):
     return np.array(rows).transpose(1, 0, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["lower-back", "shank"])
 def test_posture_and_walking_show_a_device_that_is_20_deg_off(place):
     error, stated = errors(place, range(7000, 7000 + PEOPLE))  # none of whom chose a setting
@@ -141,6 +142,7 @@ def apart(found, true):
     return float(np.degrees(np.arccos(min(1.0, abs(float(found @ true))))))
 
 
+@pytest.mark.slow
 def test_a_hinge_that_is_turned_every_way_shows_axes_and_angle():
     for seed in range(4):
         records, true, angle = hinge(np.random.default_rng(seed))
@@ -180,6 +182,7 @@ def pendulum(test, segment):
     return signed(rows[:, 1:5]), Record(time=time, gyro=rows[:, 8:11], accel=rows[:, 5:8])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", ["02a", "02b"])
 def test_the_joint_of_a_real_pendulum_agrees_with_the_cameras(test):
     (q_1, first), (q_2, second) = pendulum(test, 1), pendulum(test, 2)
@@ -206,6 +209,7 @@ print(json.dumps([np.ravel(axis).tolist() for axis in axes]))
 """
 
 
+@pytest.mark.slow
 def test_the_axes_agree_with_those_of_qmt(tmp_path):
     records, _, _ = hinge(np.random.default_rng(0))
     found = fit_hinge(*records, "knee").axes

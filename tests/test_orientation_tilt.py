@@ -184,6 +184,7 @@ def test_only_the_rest_itself_shows_the_tilt():
     np.testing.assert_allclose(tilt.q_nb, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_of_simulated_devices_90_to_98_percent_err_by_less_than_the_stated_95_percent():
     # 200 devices a row gave 91 to 97.5 %; here 20 each, two tilts a device. Of 160 at 93 % fewer than 137 come once in a
     # thousand, and all 160 at 96 % in 700: the stated figure must be neither too small nor too large

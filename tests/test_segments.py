@@ -180,6 +180,7 @@ def test_a_phase_that_is_all_gap_has_no_mean():
         still_means(values, (Still(start=0, stop=10),))
 
 
+@pytest.mark.slow
 def test_the_xsens_session_opens_with_its_long_standstill_and_holds_38_phases():
     record = xsens()
     found = find_still(record)
@@ -223,6 +224,7 @@ def test_the_hand_held_ferraris_session_shows_six_faces_and_three_full_turns(mis
         assert set(faces_at(record, found.stills)) == {"+x", "-x", "+y", "-y", "+z", "-z"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["02_undisturbed_slow_rotation_B", "03_undisturbed_slow_rotation_C", "32_disturbed_attached_magnet_1cm"],
@@ -252,6 +254,7 @@ def test_the_rate_table_steps_are_seven_plateaus_about_y_and_none_is_still(name)
     np.testing.assert_allclose(turns.plateau_rate[:, 1], [60, 120, 180, 240, 360, 540, 720], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_warm_up_and_the_static_log_are_one_long_still_phase_each():
     d = table(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), skip=1)
     time = d[:, -1] / 1000.0

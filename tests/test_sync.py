@@ -40,6 +40,7 @@ def test_a_mounting_of_any_angle_does_not_disturb_the_lag():
     assert np.allclose(lag.matrix, mounting.as_matrix(), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_noise_moves_the_lag_by_its_standard_uncertainty():
     z = []
     for seed in range(12):

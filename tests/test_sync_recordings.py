@@ -86,6 +86,7 @@ COARSE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*GIVEN, *COARSE])
 def test_two_halves_of_a_given_recording_shifted_and_skewed_are_found(name):
     rng = np.random.default_rng((*GIVEN, *COARSE).index(name))
@@ -99,6 +100,7 @@ def test_two_halves_of_a_given_recording_shifted_and_skewed_are_found(name):
     assert name in COARSE or np.abs(wrong).max() < WITHIN_S
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trial", [1, 2])
 @pytest.mark.parametrize("what", ["optics", "imu_soft"])
 def test_a_given_recording_beside_another_device_is_found_again_within_1_ms_once_it_is_shifted_and_skewed(trial, what):
@@ -120,6 +122,7 @@ def test_a_given_recording_beside_another_device_is_found_again_within_1_ms_once
     assert np.abs(wrong).max() < WITHIN_S
 
 
+@pytest.mark.slow
 def test_a_sensor_on_foam_is_late_by_no_more_than_is_stated():
     """Rows start together (SOURCE.md): what the foam delays is not seen from the rates, and stated as motion of its own."""
     for trial in (1, 2):
@@ -129,6 +132,7 @@ def test_a_sensor_on_foam_is_late_by_no_more_than_is_stated():
         assert 1e-3 < abs(found.offset_s) < found.uncertainty_s() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "other"),
     [
@@ -206,6 +210,7 @@ def drawn_pair(rng):
     return *made, offset_s, skew
 
 
+@pytest.mark.slow
 def test_stated_uncertainties_hold_over_drawn_clocks_noise_and_axes():
     rng, inside, worst = np.random.default_rng(19), [], []
     for _ in range(DRAWS):

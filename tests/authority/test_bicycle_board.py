@@ -28,6 +28,7 @@ def session():
     return Session(kind="calibration", serial="bicycle", gravity_m_s2=STANDARD_GRAVITY, records=tuple(records))
 
 
+@pytest.mark.slow
 def test_eleven_recordings_of_one_pose_each_are_one_session():
     made = session()
     found = calibrate(made)
@@ -46,6 +47,7 @@ def test_eleven_recordings_of_one_pose_each_are_one_session():
     assert found.verdict.status == "marginal"
 
 
+@pytest.mark.slow
 def test_cross_axis_terms_that_the_poses_do_not_show_take_the_prior_and_the_others_are_fitted():
     found = calibrate(session())
     prior = only(found.verdict.findings, "multi_position.cross_axis_prior")
@@ -60,6 +62,7 @@ def test_cross_axis_terms_that_the_poses_do_not_show_take_the_prior_and_the_othe
     assert only(found.verdict.findings, "session.fit_failed").values["triad"] == "gyroscope"  # no moves in single poses
 
 
+@pytest.mark.slow
 def test_a_wider_prior_widens_the_stated_uncertainty_and_nothing_else():
     narrow, wide = (calibrate(session(), settings=CalibrateSettings(cross_axis_prior=sd)) for sd in (0.01, 0.03))
     ratio = wide.accel.standard_uncertainty[1:3] / narrow.accel.standard_uncertainty[1:3]

@@ -11,6 +11,7 @@ from undrift.validation.trial import TrialSettings, validate_trial
 pytestmark = pytest.mark.usefixtures("computed_once")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B"])
 def test_the_largest_pitch_error_of_the_table_is_drawn(name):
     path = data_path("broad", f"{name}.hdf5")

@@ -61,6 +61,7 @@ def test_the_end_error_of_held_out_trials_stays_below_its_limit(device):
 LEARNT = {"B": (2.4e-4, 0.0128), "C": (3.7e-4, 0.0065), "D": (4.5e-4, 0.0065)}
 
 
+@pytest.mark.slow
 def test_nine_in_ten_errors_of_held_out_trials_are_where_they_were_expected():
     # The limit is the task's; eight trials allow none outside for the end error and none for the root mean square.
     inside, trials = np.zeros(2, int), 0
@@ -85,6 +86,7 @@ def test_nine_in_ten_errors_of_held_out_trials_are_where_they_were_expected():
     assert (inside >= 0.9 * trials).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", first_and_long(DEVICES))
 def test_windows_of_12_to_20_s_give_about_the_same(device):
     # The default of 16 s is reasoned (poses err by 0.1 deg, offsets wander by 0.005 deg/s), but it was settled with the held-out
@@ -122,6 +124,7 @@ ALIGNED = TriadModel(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("gain", [1.0, 1.05])
 def test_the_last_rests_show_a_matrix_that_is_5_percent_wrong_for_them(device, gain):

@@ -35,6 +35,7 @@ def fitted(device: str) -> Twin:
     return fit_prepared(prepared(device), settings=SETTINGS)
 
 
+@pytest.mark.slow
 def test_residuals_against_the_optics_stay_below_the_prototype():
     # Second order forward and back, 6 dB down at the cut-off, as the prototype's figures come back trial by trial. A fourth-order
     # low-pass leaves 2.86 deg/s (6 dB down) or 3.12 deg/s (3 dB down): the limit stands with the convention, which was chosen with
@@ -53,6 +54,7 @@ def test_residuals_against_the_optics_stay_below_the_prototype():
     assert accel.mean() <= 0.17
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
     found = {p.name: p for p in fitted(device).parameters}
@@ -75,6 +77,7 @@ def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
     assert {"gyro_bandwidth", "gyro_g_sensitivity_xx"} <= set(lost)
 
 
+@pytest.mark.slow
 def test_held_out_windows_differ_by_what_the_poses_are_worth():
     medians, ends = [], []
     for device in DEVICES:
@@ -101,6 +104,7 @@ def test_held_out_windows_differ_by_what_the_poses_are_worth():
     assert np.median(ends, axis=0).max() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_most_of_the_difference_is_there_with_a_twin_of_the_very_recording_too(device):
     parts = {p.name: np.degrees(p.pitch) for p in contributions(prepared(device), 0, rng=np.random.default_rng(1))}
@@ -113,7 +117,8 @@ def test_most_of_the_difference_is_there_with_a_twin_of_the_very_recording_too(d
 
 
 # 95 % of 16 is 15.2, of 32 30.4; fewer is below 1 in 25 even with figures of a trial akin
-@pytest.mark.parametrize(("devices", "least"), [("CD", 13), pytest.param("BCD", 28, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("devices", "least"), [("CD", 13), ("BCD", 28)])
 def test_simulated_end_errors_cover_the_real_ones(devices, least):
     covered = total = 0
     for device in devices:
@@ -131,6 +136,7 @@ def test_simulated_end_errors_cover_the_real_ones(devices, least):
     assert covered >= least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_accelerometers_lay_most_of_the_difference_to_the_optics(device):
     split = split_twin(prepared(device), fitted(device))

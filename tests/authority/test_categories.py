@@ -56,6 +56,7 @@ def captured(name: str, task: Captured, folder: str, category: CategoryName) -> 
     return motion_rows((CapturedTrial(name=name, task=task, device=poses, category=category),), subjects=PEOPLE)
 
 
+@pytest.mark.slow
 def test_young_people_rise_as_the_young_category_does_and_not_as_the_notes() -> None:
     rows = []
     for name in ("STS1", "STSAsym1"):
@@ -80,6 +81,7 @@ def stood(name: str, mass_kg: float, category: CategoryName) -> dict[str, Cohort
     return {row.measure: row for row in rows}
 
 
+@pytest.mark.slow
 def test_a_healthy_older_person_stands_as_the_elderly_category_does() -> None:
     rows = stood("PDS13OF1grf", 65.35, "elderly")
     pairs = [(rows[name], closed) for name, (closed, _) in STATED_CF.items()]
@@ -88,12 +90,14 @@ def test_a_healthy_older_person_stands_as_the_elderly_category_does() -> None:
     judged(pairs, "elderly, stance")
 
 
+@pytest.mark.slow
 def test_a_young_person_stands_as_the_young_category_does() -> None:
     rows = stood("BDS00033", 63.4, "young")
     pairs = [(rows[name], rows[name].real * ratio) for name, ratio in CLOSED.items()]
     judged([*pairs, *((rows[name], rows[name].real) for name in UNSCALED)], "young, stance")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", ["centre of pressure AP, rms", "sway area, 95 % ellipse"])
 def test_people_sway_more_from_young_to_impaired(measure: str) -> None:
     order: tuple[CategoryName, ...] = ("young", "elderly", "level_2", "impaired")

@@ -48,6 +48,7 @@ def warm_up(board: Record) -> WarmUpFit:
     return fit_warm_up(board, reference_c=CLIMATE.room_c)
 
 
+@pytest.mark.slow
 def test_the_warm_up_has_the_slopes_of_its_ten_second_means(board: Record, warm_up: WarmUpFit) -> None:
     assert warm_up.range_c == pytest.approx((10.4, 28.9), abs=0.5)
     assert board.temp_c is not None
@@ -71,6 +72,7 @@ def test_the_warm_up_has_the_slopes_of_its_ten_second_means(board: Record, warm_
     np.testing.assert_allclose(spread, [5.3, 6.3, 4.6], atol=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", first_and_long(DEVICES))
 def test_a_twin_of_a_real_device_and_the_data_sheets_model_agree_once_tables_are_applied(
     device: str, warm_up: WarmUpFit

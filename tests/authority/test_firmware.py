@@ -60,6 +60,7 @@ def of_the_note():
     return record, replace(true_calibration(made), drift=tables)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recording", [warm_up, in_motion, of_the_note], ids=["MPU-6050 warm-up", "BROAD", "ENC-03J"])
 def test_firmware_corrects_a_recording_as_python_does(recording, tmp_path):
     record, calibration = recording()

@@ -62,6 +62,7 @@ def test_the_hand_turned_units_read_without_a_time_column(unit):
     assert find_symptoms(record) == ()
 
 
+@pytest.mark.slow
 def test_the_xsens_session_joins_its_two_files_side_by_side(tmp_path):
     for name in ("xsens_acc.txt.gz", "xsens_gyro.txt.gz"):
         (tmp_path / name).symlink_to(data_path("multipos_xsens", name))
@@ -82,6 +83,7 @@ def test_the_xsens_session_joins_its_two_files_side_by_side(tmp_path):
     assert np.linalg.norm(still.accel.mean(axis=0) - 32768) == pytest.approx(4018, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_bicycle_board_reads_from_eleven_files():
     keys = {"time": "t_s", "time_unit": "s", "gyro": ("gyro_rad_s",), "gyro_unit": "rad/s", "accel": ("acc_raw",)}
     columns = ColumnMap(**keys, accel_unit="count", temp="temp_degC", temp_unit="degC")
@@ -157,6 +159,7 @@ def test_the_dirty_logs_read_and_their_wrong_scale_is_named(name, rows, temps, g
         read_csv(path, ColumnMap(**keys, sample_rate_hz=50.0, layout=TextLayout(header=False)))
 
 
+@pytest.mark.slow
 def test_the_warm_up_reads_in_spite_of_its_drop_outs():
     keys = {"time": "Time", "time_unit": "ms", "temp_unit": "degC", "accel": ("Ax", "Ay", "Az"), "accel_unit": "g"}
     path = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
@@ -385,6 +388,7 @@ def test_every_file_is_described_in_one_line(path):
         assert found.kind == "text"
 
 
+@pytest.mark.slow
 def test_foreign_tables_say_which_map_they_need_and_binaries_need_none():
     for parts in (("multipos_mpu9150", "imu0.log.gz"), ("static_mpu6050",)):
         path = data_path(*parts)

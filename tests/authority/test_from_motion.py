@@ -11,7 +11,7 @@ from testkit.data import data_path, show
 from undrift.sim.device.presets import random_device
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_each_step_leaves_less_of_the_end_error_and_less_yet_by_a_filter():
     data_path("broad", "03_undisturbed_slow_rotation_C.hdf5")
     found = {}
@@ -29,6 +29,7 @@ def test_each_step_leaves_less_of_the_end_error_and_less_yet_by_a_filter():
         assert one[3] < 0.6  # a filter's inclination is that of its accelerometers
 
 
+@pytest.mark.slow
 def test_rest_and_motion_leave_a_tenth_of_the_pitch_error_of_fifty_seconds_of_stance():
     none, rest, motion = np.sqrt(
         np.mean([np.square(pitch_errors("posturography, 50 s", seed)) for seed in (1, 2, 3)], axis=0)
@@ -38,6 +39,7 @@ def test_rest_and_motion_leave_a_tenth_of_the_pitch_error_of_fifty_seconds_of_st
     assert motion < 0.1 * none
 
 
+@pytest.mark.slow
 def test_intervals_hold_devices_in_hands_on_a_bench_that_errs():
     for row in islice(in_motion.rows(4, 1), 6):
         show(f"{row.group}: inside, %, rmse over stated", (row.inside_percent, round(row.rmse / row.stated, 2)))

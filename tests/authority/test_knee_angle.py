@@ -8,6 +8,7 @@ from testkit.data import data_path, show
 LARGEST_DEG, WITHOUT_DEG = 2.0, 10.0  # rms: with axes at most, without at least, of devices that are 20 deg off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "side"), TRIALS)
 def test_the_knee_of_a_filmed_person_is_right_with_axes_and_not_without(name, side):
     data_path("mocap_sit_to_stand", "SOURCE.md")

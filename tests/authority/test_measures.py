@@ -41,6 +41,7 @@ def motion_of(name):
     return spline.at(times(spline), G)
 
 
+@pytest.mark.slow
 def test_intervals_of_sit_to_stand_measures_cover_the_truth():
     inside, pitch, lasting = [], [], []
     for name in CHAIRS:
@@ -86,6 +87,7 @@ def optical_events(motion, height):
     return np.array(events)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHAIRS)
 def test_events_agree_with_the_optics(name):
     motion = motion_of(name)
@@ -132,6 +134,7 @@ def rises_of_thigh(name, side):
     return motion.time[0] + np.array(ours) - np.array(optics)
 
 
+@pytest.mark.slow
 def test_rises_of_a_thigh_agree_with_the_optics_of_the_hips():
     """Limits as for the low back, set before the figures were seen.
 
@@ -202,6 +205,7 @@ def test_contacts_of_a_slow_walk_lie_beside_two_force_plates():
     assert np.abs(end).max() < 0.15
 
 
+@pytest.mark.slow
 def test_intervals_of_stance_measures_cover_the_truth_of_simulated_people():
     """Errors of the path are at the edge of its intervals: what noise adds to it is extrapolated."""
     found = {}
@@ -225,6 +229,7 @@ def test_intervals_of_stance_measures_cover_the_truth_of_simulated_people():
     assert np.array(found["rms_pitch_deg"])[:, 0].max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("forward", "named"), [("+z", False), ("-z", True)])
 def test_a_back_side_that_is_stated_as_forward_is_named_on_a_worn_recording(forward, named):
     path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
@@ -245,6 +250,7 @@ def mobilised(test, trial):
     return result, [np.asarray(one["InitialContact_Event"]) for one in bouts]
 
 
+@pytest.mark.slow
 def test_steps_of_a_worn_recording_agree_with_the_optics():
     """Mobilise-D example, HA001, 2026-07-23: two walks of 5 m, stereophotogrammetry of the feet.
 
@@ -277,6 +283,7 @@ def test_steps_of_a_worn_recording_agree_with_the_optics():
     assert np.percentile(error, 95) < 0.10
 
 
+@pytest.mark.slow
 def test_a_recording_of_a_morning_in_a_flat_has_walks_in_it_where_the_optics_have_them():
     result, bouts = mobilised("Test11", "Trial1")
     walks = [(one.onset, one.onset + one.duration) for one in result.shown.events if one.trial_type == "walking"]
@@ -305,17 +312,20 @@ def coverage(task, motions, place="lower-back"):
     return share
 
 
+@pytest.mark.slow
 def test_intervals_of_walking_measures_cover_the_truth_of_planted_people():
     share = coverage("walk", [planted.walk(np.random.default_rng([34, 100 + k])).motion for k in range(20)])
     assert 90.0 <= share <= 98.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["shank", "thigh"])
 def test_intervals_of_walking_measures_of_a_leg_cover_the_truth_of_planted_people(place):
     people = [planted.walk_of_leg(np.random.default_rng([37, 100 + k]), place)[0].motion for k in range(20)]
     assert 90.0 <= coverage("walk", people, place) <= 98.0
 
 
+@pytest.mark.slow
 def test_intervals_of_rises_of_a_thigh_cover_the_truth_of_planted_people():
     people = [planted.chair_of_thigh(np.random.default_rng([38, 100 + k]), 1)[0].motion for k in range(30)]
     assert 90.0 <= coverage("sit-to-stand", people, "thigh") <= 98.0
@@ -365,12 +375,14 @@ def test_lifts_on_stairs_agree_with_the_height_of_the_pelvis_by_optics():
     assert error.max() < 0.25
 
 
+@pytest.mark.slow
 def test_intervals_of_step_measures_cover_the_truth_of_planted_people_and_of_a_captured_one():
     people = [planted.step_up(np.random.default_rng([35, 200 + k]), count=1)[0].motion for k in range(30)]
     assert 90.0 <= coverage("step", people) <= 98.0
     assert 90.0 <= coverage("step", [stair_motion()[0]] * 12) <= 98.0
 
 
+@pytest.mark.slow
 def test_intervals_of_timed_up_and_go_cover_the_truth_of_planted_people():
     """Every other person rises before the device has rested for 2.5 s: the offset since the calibration is then assumed."""
     people = [
@@ -379,6 +391,7 @@ def test_intervals_of_timed_up_and_go_cover_the_truth_of_planted_people():
     assert 90.0 <= coverage("tug", people) <= 98.0
 
 
+@pytest.mark.slow
 def test_each_turn_that_the_optics_have_in_a_morning_in_a_flat_is_seen():
     """Beside turns of 90 deg or more by the optics, which begin and end at a stride: angles are compared, not judged."""
     path = data_path("makers", "mobilised_mat", "data_lab_HA001.mat")

@@ -96,6 +96,7 @@ def accel_residual(number, cutoff_hz, order):
     return rms(residual), rms(said[use] - said[use].mean(axis=0)), arm, delay
 
 
+@pytest.mark.slow
 def test_the_gyro_differs_from_the_poses_by_less_than_2_8_deg_per_s_at_20_hz():
     left = {number: gyro_residual(number, 20.0 * EACH_PASS, 2) for number in FILES}
     for number, (residual, signal) in left.items():
@@ -114,6 +115,7 @@ def test_the_gyro_differs_from_the_poses_by_less_than_2_8_deg_per_s_at_20_hz():
     assert sharp < 1.4 * mean  # noise of angle, flat in frequency, is noise of rate as f^1.5: (20 / 16)^1.5 = 1.40
 
 
+@pytest.mark.slow
 def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_hz():
     left = {number: accel_residual(number, 10.0 * EACH_PASS, 2) for number in FILES}
     for number, (residual, signal, arm, delay) in left.items():
@@ -133,6 +135,7 @@ def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_h
     assert np.abs(arms[0] - arms[1]).max() < 1.5e-3  # one board, one device
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [2, 7])
 def test_cut_offs_are_those_of_a_hand_held_board(number):
     _, poses, _ = seen(number)

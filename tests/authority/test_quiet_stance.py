@@ -69,6 +69,7 @@ def speed(pressure: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).sum() / (STEP_S * 10 * (len(coarse) - 1)))
 
 
+@pytest.mark.slow
 def test_the_sway_at_l5_is_as_large_as_stated_for_closed_eyes_on_foam() -> None:
     for trial in ("OR", "CR", "OF"):
         acceleration, pressure = measured(trial)

@@ -23,6 +23,7 @@ def measured(run, sensor):
     return dwell_means([record], turns)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "status"), [("bno", "marginal"), ("lsm", "bad")])
 @pytest.mark.parametrize("run", RUNS)
 def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_bad_verdict(run, sensor, status):
@@ -39,6 +40,7 @@ def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_b
         assert -15.5 < off.values["off_percent"] < -14.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run", RUNS)
 def test_the_bosch_sensor_is_within_its_line_and_scale(run):
     dwells, lag = measured(run, "bno"), clock_lag(run)
@@ -74,6 +76,7 @@ def test_the_wrong_conversion_of_the_st_sensor_is_found_and_called_implausible(r
     assert caught.value.ratio == pytest.approx(scale)
 
 
+@pytest.mark.slow
 def test_both_runs_and_both_sensors_see_the_same_lag():
     lags = {(run, sensor): clock_lag(run, sensor) for run in RUNS for sensor in ("bno", "lsm")}
     show("lag, s", {key: round(lag, 3) for key, lag in lags.items()}, "BNO equal within 0.02, LSM within 0.05 of it")

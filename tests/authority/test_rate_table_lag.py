@@ -33,6 +33,7 @@ def test_the_clocks_of_jig_and_sensors_are_brought_together(run):
     assert bno.seconds == pytest.approx(lsm.seconds, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_wrong_scale_of_one_sensor_shows_on_the_way():
     ratio = lag_of("giro_test_filt", "bno").matrix[0, 1] / lag_of("giro_test_filt", "lsm").matrix[0, 1]
     show("lsm reading over bno reading", f"{ratio:.4f}", "0.848-0.855 over 1.0035-1.0041")

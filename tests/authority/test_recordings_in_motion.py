@@ -44,6 +44,7 @@ def test_correct_subtracts_the_offset_of_a_recording_that_never_rests():
         correct_whole(record, made, offset="rest")
 
 
+@pytest.mark.slow
 def test_planar_paths_of_a_robot_keep_a_prior_about_one_axis():
     data_path("robot_arm_reference", "SOURCE.md")
     fit = fit_reference(*zip(*pairs("carpus"), strict=True))

@@ -71,6 +71,7 @@ def tell(rows: tuple[CohortComparison, ...]) -> None:
         )
 
 
+@pytest.mark.slow
 def test_broad_trials_by_level_and_their_agreement() -> None:
     devices = tuple(DeviceTrials(device=name, names=of_device(name)[1], pairs=of_device(name)[0]) for name in DEVICES)
     levels = real_errors(devices)
@@ -106,6 +107,7 @@ def test_broad_trials_by_level_and_their_agreement() -> None:
     assert calibrated.agreement.limits.standard_deviation < rest.agreement.limits.standard_deviation
 
 
+@pytest.mark.slow
 def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() -> None:
     rows = motion_rows(captures())
     tell(rows)
@@ -119,6 +121,7 @@ def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() 
     assert all(row.note for row in rows if not row.task.startswith("sit_to_stand"))
 
 
+@pytest.mark.slow
 def test_the_notes_device_worn_in_captured_motion_keeps_to_the_optics_with_both_tables() -> None:
     worn = worn_in(captures())
     for row in worn.rows:

@@ -62,6 +62,7 @@ def read_two_point(name):
     )
 
 
+@pytest.mark.slow
 def test_the_slopes_of_a_warm_up_are_those_of_its_ten_second_means(warm_up):
     fit = fit_static(blocks_of(thermal(warm_up)), nodes=np.arange(10.0, 29.1, 0.5), settings=G_UNIT)
     show("MPU-6050 gyro slopes, mdeg/s/degC", np.round(1e3 * fit.gyro.slope, 2), "-3.5 / +27.9 / -2.4 within 0.5")
@@ -114,6 +115,7 @@ def left_of_bins(record, seconds, parity, width_c=0.5):
     )
 
 
+@pytest.mark.slow
 def test_a_table_of_every_other_ten_seconds_serves_the_rest(warm_up):
     nodes = np.arange(10.0, 29.6, 0.5)
     parts = [left(warm_up, 10.0, parity, nodes) for parity in (1, 0)]
@@ -211,6 +213,7 @@ def bicycle():
     return records
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "before"),
     [

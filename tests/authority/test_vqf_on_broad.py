@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from testkit import vqf_trials
 from testkit.broad_trials import trial
@@ -17,6 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "orientation.md"
 KEYS = ("raw", "corrected", "prior", "strapdown")
 
 
+@pytest.mark.slow
 def test_the_table_of_the_page_is_what_the_trials_give():
     cells = re.findall(r"^\| (\d\d) \((\w)\)((?: \| [\d.]+){4}) \|$", PAGE.read_text(), re.M)
     stated = {
@@ -29,6 +31,7 @@ def test_the_table_of_the_page_is_what_the_trials_give():
         np.testing.assert_allclose(values, stated[key], atol=0.02)  # deg: rounding, and another build of the filter
 
 
+@pytest.mark.slow
 def test_correction_takes_most_of_the_filters_error_away():
     rows = vqf_trials.rows()
     raw, corrected, prior = (np.array([getattr(row, key) for row in rows]) for key in KEYS[:3])
@@ -41,6 +44,7 @@ def test_correction_takes_most_of_the_filters_error_away():
     assert prior[device_d].mean() < 0.8
 
 
+@pytest.mark.slow
 def test_a_rest_in_every_break_keeps_strapdown_of_raw_readings_on_course():
     record, reference = trial(5)
     errors = {

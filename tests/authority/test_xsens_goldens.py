@@ -9,6 +9,7 @@ import gzip
 from functools import cache
 
 import numpy as np
+import pytest
 
 from testkit.data import data_path, show
 from testkit.poses import fit_poses
@@ -147,6 +148,7 @@ def test_both_rules_agree_with_the_factory_certificate_within_a_quarter_per_cent
         assert np.abs(offset).max() < 5.0
 
 
+@pytest.mark.slow
 def test_the_whole_procedure_gives_the_gyroscope_of_the_coverage_rule() -> None:
     """The certificate's figure is one over the diagonal of K; the length of a row of the forward matrix is another figure:
     z lies 3 deg off, which makes 0.14 % of it."""

@@ -73,6 +73,7 @@ def shown():
     return {type(value).__name__: value for value in values}
 
 
+@pytest.mark.slow
 def test_every_kind_that_has_a_picture_is_tried_here(shown):
     assert shown.keys() == DRAWN_BY.keys()
     assert all(isinstance(value, Shown) for value in shown.values())

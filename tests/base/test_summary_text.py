@@ -1,10 +1,12 @@
 """What ``print`` shows of a value: its answer, not the numbers of its tables."""
 
 import numpy as np
+import pytest
 
 import undrift
 
 
+@pytest.mark.slow
 def test_a_fit_and_a_validation_print_as_a_few_lines():
     rng = np.random.default_rng(7)
     device = undrift.random_device(rng)

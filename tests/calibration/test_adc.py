@@ -140,6 +140,7 @@ def test_the_variance_that_codes_leave_in_a_mean_is_that_of_rounded_noise(noise:
     assert left[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "methods", "triads"),
     [

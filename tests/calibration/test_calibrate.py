@@ -39,6 +39,7 @@ def relative(model, triad):
     return np.abs(model.matrix @ triad.forward_matrix - np.eye(3)).max()
 
 
+@pytest.mark.slow
 def test_a_bench_session_gives_both_triads():
     found = calibrate(made("bench"))
     assert found.accel.method == "six-face/levelled"
@@ -53,6 +54,7 @@ def test_a_bench_session_gives_both_triads():
     assert found.provenance.created.endswith("+00:00")
 
 
+@pytest.mark.slow
 def test_mode_paper_removes_the_offset_first_and_reports_it():
     found = calibrate(made("bench"), mode="paper")
     assert found.accel.method == "six-face/paper"
@@ -69,12 +71,14 @@ def test_mode_paper_removes_the_offset_first_and_reports_it():
     assert relative(raw.gyro, DEVICE.gyro) > relative(found.gyro, DEVICE.gyro)
 
 
+@pytest.mark.slow
 def test_mode_paper_without_rests_takes_the_mean_of_both_signs():
     session = made("rate_table")
     found = calibrate(replace(session, stills=(), records=session.records), gyro="rate-table", mode="paper")
     assert relative(found.gyro, DEVICE.gyro) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_ferraris_session_gives_g_sensitivity_too():
     found = calibrate(made("ferraris"))
     assert found.gyro.method == "known-rotation/affine"
@@ -100,6 +104,7 @@ def test_faces_are_found_in_an_unlabelled_session():
     assert found.gyro is None
 
 
+@pytest.mark.slow
 def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     session = made("bench", labelled=False)
     few = tuple(still for still in made("bench").stills[:6])  # its faces alone: nine rests would give the gyroscopes
@@ -110,6 +115,7 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     assert steady.action.startswith("state the turn_rate_dps")
 
 
+@pytest.mark.slow
 def test_turns_about_one_axis_calibrate_it_and_say_what_the_others_lack():
     session = made("bench")
     about_x = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
@@ -276,6 +282,7 @@ def test_counts_beside_a_physical_unit_are_refused_with_the_recording():
         calibrate(replace(alike, records=records))
 
 
+@pytest.mark.slow
 def test_the_offset_at_rest_is_as_uncertain_as_the_rests_scatter():
     found = calibrate(rests_of(9))
     assert found.accel is None  # nine rests in one pose: the gyroscopes' offset is kept all the same
@@ -364,6 +371,7 @@ def saturated(session, at, axis=0, value=-32768.0):
     return replace(session, records=(replace(session.records[0], gyro=gyro),))
 
 
+@pytest.mark.slow
 def test_a_tenth_of_a_second_of_saturated_gyroscope_costs_one_move_and_is_named():
     session = made("multi_position", labelled=False)
     rests = observe(session, CalibrateSettings()).stills
@@ -542,6 +550,7 @@ def test_a_fit_of_the_other_triad_is_no_fit_of_this_one(faces):
         calibrate_to_references(faces.records, (), method="rate-table")
 
 
+@pytest.mark.slow
 def test_the_spline_filter_leaves_the_means_and_the_settling_time_does_not(bench):
     plain = calibrate(bench)
     splined = calibrate(bench, settings=CalibrateSettings(spline_cutoff_hz=5.0))
@@ -615,6 +624,7 @@ def test_the_limits_alone_leave_a_verdict_good():
     assert {item.level for item in verdict.findings} == {"info"}
 
 
+@pytest.mark.slow
 def test_a_rate_table_without_an_accelerometer_asks_for_one_once():
     session = limited("bench")
     numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records), stills=())

@@ -188,6 +188,7 @@ def size_found(windows: list[np.ndarray]) -> float:
     return float(unit * np.sqrt(mean_square_size(blocks.likelihood(unit))))
 
 
+@pytest.mark.slow
 def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches() -> None:
     span = np.vstack((SPAN, [3.0, 52.0]))  # the last overlaps the others
     time = np.arange(0.01, 54.0, 0.02)
@@ -204,6 +205,7 @@ def test_the_mean_from_the_first_to_the_last_stretch_is_taken_off() -> None:
     assert flicker_about_mean(np.array([[5.0, 9.0]])) == 0.0  # one stretch is its own mean
 
 
+@pytest.mark.slow
 def test_rests_that_flicker_show_the_size_and_white_ones_little() -> None:
     white, flickering = (np.median([size_found(rests(size, seed)) for seed in range(5)]) for size in (0.0, 0.5))
     assert 0.25 < flickering < 1.0  # a factor of two: 36 rests of 20 s are as long as the slow parts of flicker
@@ -285,6 +287,7 @@ def test_a_significant_drift_that_is_small_leaves_the_verdict():
     assert found.values["change_dps"] < 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sessions", COHORTS)
 def test_offsets_that_only_scatter_are_no_drift_more_often_than_stated(sessions):
     rng, false, covered = np.random.default_rng(3), 0, 0
@@ -341,6 +344,7 @@ def test_thermal_sessions_and_few_rests_have_no_such_finding():
     assert offset_drift(replace(made, stills=made.stills[:3]), 1.0) == ()
 
 
+@pytest.mark.slow
 def test_calibrate_tells_of_a_bench_session_that_drifts():
     device = undrift.random_device(np.random.default_rng(7))
     session = undrift.simulate_session("bench", device, rng=np.random.default_rng(8))

@@ -65,6 +65,7 @@ def true_accel(device):
     return made.accel
 
 
+@pytest.mark.slow
 def test_the_axis_is_found_through_a_table_off_level_and_an_arm_in_dwells_of_less_than_a_turn():
     device, session = turned()
     found = table_axes(
@@ -118,6 +119,7 @@ def test_rests_and_turns_that_follow_each_other_with_one_axis_up_are_one_mountin
     np.testing.assert_array_equal((found[:, None] == found[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
 
 
+@pytest.mark.slow
 def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
     """A rig run writes a recording for each dwell: the azimuth is then known within each alone."""
     device, session = turned()
@@ -262,7 +264,8 @@ def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_do
     assert narrow.verdict.status != "good"
 
 
-@pytest.mark.parametrize("devices", [16, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [16, 100])
 def test_a_mounting_three_times_the_stated_one_is_covered_where_tilted_faces_blur_gravity(devices):
     case, rng, ratio = rate_bench.CASES["mounted 0.3 deg off, faces by 0.2 deg"], np.random.default_rng(31), []
     for _ in range(devices):
@@ -364,6 +367,7 @@ def test_a_rate_that_settles_late_is_a_sum_of_time_constants_within_its_uncertai
     assert found.size[2] > 0.0
 
 
+@pytest.mark.slow
 def test_an_even_rate_is_left_as_it_is():
     rng = range(20)
     shown = [uneven_rate(rippled(4.0, lambda psi, _: 0.0 * psi, noise=NOISE, seed=n)[0]) for n in rng]

@@ -60,6 +60,7 @@ def moved(true: np.ndarray, rng: np.random.Generator) -> Record:
     return Record(time=motion.time, gyro=rates, accel=forces)
 
 
+@pytest.mark.slow
 def test_sizes_and_means_of_a_part_are_found_again_from_its_devices() -> None:
     rng = np.random.default_rng(5)
     made = learn_prior([unit(rng, turned=k % 2 == 0)[1] for k in range(60)], "a part")
@@ -75,6 +76,7 @@ def test_sizes_and_means_of_a_part_are_found_again_from_its_devices() -> None:
         assert one.as_from == published.as_from + 180.0
 
 
+@pytest.mark.slow
 def test_a_part_that_is_known_calibrates_its_next_device_better_from_one_movement() -> None:
     rng = np.random.default_rng(6)
     learnt = learn_prior([unit(rng)[1] for _ in range(30)], "a part")

@@ -75,7 +75,8 @@ def errors_of(fit: InMotion, true: Calibration, units: tuple[float, float]) -> t
     return np.concatenate(errors), np.concatenate(spreads)
 
 
-@pytest.mark.parametrize("devices", [16, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [16, 100])
 def test_nineteen_of_twenty_intervals_hold_raw_devices_that_hands_have_turned(devices: int) -> None:
     found = [
         errors_of(fit_in_motion(records), true, units) for records, true, units in map(handled, range(70, 70 + devices))
@@ -95,6 +96,7 @@ def test_nineteen_of_twenty_intervals_hold_raw_devices_that_hands_have_turned(de
     assert inside.sum() >= binom.ppf(0.001, inside.size, 0.90)
 
 
+@pytest.mark.slow
 def test_the_lie_of_the_case_is_not_seen_and_keeps_its_prior() -> None:
     (records, _, _), turn = handled(70), np.radians(0.2)
     rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
@@ -193,6 +195,7 @@ def test_force_that_gravity_does_not_explain_is_refused_and_a_scale_far_from_its
     assert off.gyro.verdict.status == "marginal"
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_real_segment_calibrated_by_the_motion_of_another_trial_ends_within_two_degrees() -> None:
     trials, ends = pairs("chain"), []

@@ -119,6 +119,7 @@ def test_the_angle_uncertainty_moves_a_whole_column_of_the_matrix():
     assert codes(stated.verdict.findings) == ["known_rotation.no_spare_equations"]
 
 
+@pytest.mark.slow
 def test_the_covariance_is_the_scatter_of_many_fits():
     rng = np.random.default_rng(6)
     found = []
@@ -497,6 +498,7 @@ def test_gyroscopes_that_no_order_explains_are_left_to_other_checks():
     check_turns_gravity((record,), MOTION.stills, triad("m/s2", np.eye(3)), triad("rad/s", np.eye(3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [[1, 0, 2], [1, 2, 0]])
 def test_a_session_by_known_angles_with_its_turns_named_after_the_columns_is_refused(order):
     device = random_device(np.random.default_rng(21), grade="consumer")
@@ -530,6 +532,7 @@ def plain(device, **more):
     return replace(device, gyro=gyro, accel=replace(device.accel, adc=None, instability=None, random_walk=None))
 
 
+@pytest.mark.slow
 def test_moves_between_rests_show_the_matrix_that_turns_by_hand_show_to_a_percent():
     rng, away, stated = np.random.default_rng(16), [], []
     for _ in range(SESSIONS):
@@ -550,6 +553,7 @@ def test_an_angle_beyond_its_uncertainty_is_named_by_the_moves():
     assert fit.verdict.status == "marginal"
 
 
+@pytest.mark.slow
 def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
     rng, away, stated = np.random.default_rng(18), [], []
     for _ in range(SESSIONS):
@@ -563,6 +567,7 @@ def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
     assert low <= np.mean(np.abs(away) <= 1.96 * np.array(stated)) <= high
 
 
+@pytest.mark.slow
 def test_slow_moves_are_weighed_by_how_far_the_offset_wanders_in_them():
     rng, over = np.random.default_rng(19), []
     device = random_device(np.random.default_rng(2007), grade="consumer")

@@ -33,7 +33,8 @@ def errors_of(made: Calibration, fit: InMotion, device: TurnedDevice) -> np.ndar
     return np.concatenate((gyro, offsets[0], accel, offsets[1]))
 
 
-@pytest.mark.parametrize("devices", [3, pytest.param(40, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [3, 40])
 def test_elements_are_within_what_is_shown_when_collecting_stops(devices: int) -> None:
     errors, expanded, stops = [], [], []
     for seed in range(devices):
@@ -81,6 +82,7 @@ def least(known: tuple[ElementKnown, ...]) -> ElementKnown:
     return max(known, key=lambda one: one.uncertainty / one.wanted)
 
 
+@pytest.mark.slow
 def test_the_movement_that_is_asked_for_shows_the_element() -> None:
     time = np.arange(4000) / 50.0
     rng = np.random.default_rng(3)
@@ -114,6 +116,7 @@ def test_the_movement_that_is_asked_for_shows_the_element() -> None:
     assert least(known).movement
 
 
+@pytest.mark.slow
 def test_gaps_part_a_recording_and_short_ones_are_bridged(tmp_path: Path) -> None:
     record, device = guided_recording(2, 2)
     gyro, accel = np.array(record.gyro), np.array(record.accel)

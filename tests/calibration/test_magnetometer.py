@@ -55,7 +55,8 @@ def worn(seed: int) -> tuple[Record, np.ndarray, np.ndarray]:
     return Record(time=motion.time, gyro=gyro, accel=accel, mag_ut=seen(rng, motion.time, motion.q_nb, a, b)), a, b
 
 
-@pytest.mark.parametrize("devices", [6, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [6, 100])
 def test_nineteen_of_twenty_intervals_hold_iron_that_hands_have_turned(devices: int) -> None:
     errors, spreads = [], []
     for seed in range(20, 20 + devices):
@@ -94,6 +95,7 @@ def test_a_magnet_that_comes_near_is_left_out_and_named() -> None:
         calibrate_from_motion([replace(record, mag_ut=wild)], magnetometer=True)
 
 
+@pytest.mark.slow
 def test_recordings_without_a_magnetometer_are_counted_too_and_a_slower_one_is_used() -> None:
     record, _, b = worn(30)
     mag = np.array(record.mag_ut)
@@ -110,6 +112,7 @@ def test_recordings_without_a_magnetometer_are_counted_too_and_a_slower_one_is_u
     assert np.abs(alone.gyro.matrix - plain.matrix).max() > 1e-6  # the second direction was taken
 
 
+@pytest.mark.slow
 def test_axes_that_lie_otherwise_are_found_and_named() -> None:
     record, a, b = worn(31)
     other = np.array(
@@ -145,6 +148,7 @@ def test_recordings_without_a_magnetometer_and_short_ones_are_refused() -> None:
         calibrate_from_motion([replace(record, mag_ut=gone)], magnetometer=True)
 
 
+@pytest.mark.slow
 @needs_data
 def test_two_trials_of_a_real_device_agree_and_the_magnet_of_another_is_named() -> None:
     """BROAD: device C twice; a magnet was attached to D for a minute of trial 32."""

@@ -56,6 +56,7 @@ def test_a_session_without_noise_gives_both_matrices_back() -> None:
     np.testing.assert_allclose(fit.gyro.model.offset, GYRO_OFFSET, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_noisy_session_is_covered_by_its_intervals_stills_found() -> None:
     inside: list[np.ndarray] = []
     for seed in range(25):
@@ -309,6 +310,7 @@ def test_a_range_that_is_too_small_leaves_the_accelerometer_and_says_why_there_i
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)
 
 
+@pytest.mark.slow
 def test_rests_show_g_sensitivity_and_the_offset_is_that_under_no_force() -> None:
     rng, scaled = np.random.default_rng(12), []
     for seed in range(25):

@@ -164,6 +164,7 @@ def test_excess_variance_makes_the_weighted_sum_its_expectation() -> None:
     assert excess_variance(residual, variance, 0) == 0.0
 
 
+@pytest.mark.slow
 def test_unequal_noise_is_weighed_by_the_axis_that_gravity_lies_on() -> None:
     # z ten times noisier: poses along z must hardly count, and the stated errors must say so
     rng, n, sigma = np.random.default_rng(7), directions(40), np.array([0.1, 0.1, 1.0])

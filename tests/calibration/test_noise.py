@@ -33,6 +33,7 @@ def test_white_noise_and_random_walk_come_back_within_five_per_cent() -> None:
     assert np.isnan(fit.model().velocity_random_walk).all()
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_coefficients() -> None:
     white, walk, inside = 0.005, 0.005, []
     for seed in range(20):
@@ -135,6 +136,7 @@ def with_gaps(record: Record, seed: int, *, nan: bool) -> Record:
     return Record(time=record.time[~gone], gyro=record.gyro[~gone])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nan", [False, True])
 def test_a_record_with_gaps_gives_the_coefficients_within_their_uncertainty(nan: bool) -> None:
     white, walk, inside, ratio = 0.005, 0.02, [], []

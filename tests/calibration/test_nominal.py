@@ -25,6 +25,7 @@ def in_counts(record: Record) -> Record:
     return replace(record, gyro=gyro, gyro_unit="count", accel=accel, accel_unit="count")
 
 
+@pytest.mark.slow
 @needs_data
 @pytest.mark.parametrize("number", ["02", "03", "24"])
 def test_a_real_device_in_counts_is_calibrated_as_in_its_units(number: str) -> None:
@@ -46,7 +47,8 @@ def test_a_real_device_in_counts_is_calibrated_as_in_its_units(number: str) -> N
     assert "131 count" in texts["motion.gyro_unit"] or "130." in texts["motion.gyro_unit"]
 
 
-@pytest.mark.parametrize("devices", [12, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [12, 100])
 def test_nineteen_of_twenty_intervals_hold_devices_in_counts(devices: int) -> None:
     over = []
     for seed in range(200, 200 + devices):
@@ -71,6 +73,7 @@ def test_nineteen_of_twenty_intervals_hold_devices_in_counts(devices: int) -> No
         assert binom.cdf(int((ratio < 1.96).sum()), 3 * devices, 0.95) > 0.01
 
 
+@pytest.mark.slow
 @needs_data
 def test_exchanged_and_reversed_columns_in_counts_are_named() -> None:
     record = in_counts(trial("02")[0])

@@ -198,6 +198,7 @@ def test_a_dwell_that_overlaps_a_stop_is_named_with_the_share() -> None:
     assert only(found, "turn.unsteady").values["turns"] == 1
 
 
+@pytest.mark.slow
 def test_dwells_that_all_end_in_a_stop_make_the_verdict_bad() -> None:
     session = made("bench")
     late = calibrate(shifted(replace(session, turns=session.turns[:-1]), 60))  # the last one has nothing after it
@@ -288,6 +289,7 @@ def test_readings_without_any_scatter_have_none():
     np.testing.assert_array_equal(variance, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("warmth", [(-0.6, -0.5, -0.1, 1.2), (0.1, 0.5, 0.9, 1.3)])
 def test_offsets_that_creep_with_temperature_cost_what_their_slope_leaves_unknown(warmth):
     rng, held, stated, scatter = np.random.default_rng(43), 0, [], []
@@ -307,6 +309,7 @@ def test_offsets_that_creep_with_temperature_cost_what_their_slope_leaves_unknow
 # ---- a session of several set-points: the constant model is that of one of them
 
 
+@pytest.mark.slow
 def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temperature() -> None:
     rng = np.random.default_rng(3)
     device = random_device_of("bmi270", rng)
@@ -326,6 +329,7 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
     )
 
 
+@pytest.mark.slow
 def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() -> None:
     rng = np.random.default_rng(3)
     device = random_device_of("bmi270", rng)

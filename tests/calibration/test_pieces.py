@@ -73,6 +73,7 @@ def faces_then_poses(seed: int, **bench) -> Session:
     return replace(faces, records=(joined,))
 
 
+@pytest.mark.slow
 def test_good_faces_agree_with_poses_that_were_not_stated():
     found = [codes(calibrate(faces_then_poses(seed), settings=PLAIN).verdict.findings) for seed in range(8)]
     assert not [code for one in found for code in one if code.startswith("accel.")]

@@ -636,6 +636,7 @@ def test_without_rests_the_dwells_alone_tell():
         checked(stated(dwells, 5, 45.0), None)
 
 
+@pytest.mark.slow
 def test_sound_tables_pass_with_noise_curvature_and_without_anything():
     for seed in range(40):
         checked(*table(seed=seed))
@@ -676,6 +677,7 @@ def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
     assert drift.values["dps_per_minute"] > drift.values["wanted"] == 0.1
 
 
+@pytest.mark.slow
 def test_the_offset_of_a_session_that_warms_up_is_the_settled_one():
     rng, away, stated = np.random.default_rng(28), [], []
     for _ in range(20):

@@ -48,6 +48,7 @@ def noisy():
     return recordings((11, 12, 13), device, optics_noise=1e-3)
 
 
+@pytest.mark.slow
 def test_matrix_offset_and_lag_come_back_without_noise(exact):
     fit = fit_reference(*exact)
     model = fit.triad.model
@@ -84,6 +85,7 @@ def test_the_rest_offset_alone_can_be_asked_for(exact):
     assert fit.triad.model.rank == 9
 
 
+@pytest.mark.slow
 def test_parameters_scatter_by_their_stated_uncertainty():
     # Pooled z over devices: 9 parameters of the matrix and 3 of the offset each, overlapping windows accounted for.
     z = []
@@ -100,6 +102,7 @@ def test_parameters_scatter_by_their_stated_uncertainty():
     assert np.abs(z.mean(axis=0)).max() < 1.6  # no bias: eight fits, the mean of z has a deviation near 0.35
 
 
+@pytest.mark.slow
 def test_longer_windows_make_pose_noise_matter_less():
     # Noise of poses alone makes 7e-6 rad/s of offset with windows of 2 s, 3e-6 with 16 s; noise of readings of 2e-4 rad/s 1e-6.
     # One mounting: a rotation for each recording of one minute takes a quarter of the few windows of 16 s.
@@ -114,6 +117,7 @@ def test_longer_windows_make_pose_noise_matter_less():
     assert (long.triad.model.standard_uncertainty[12:] < short.triad.model.standard_uncertainty[12:]).all()
 
 
+@pytest.mark.slow
 def test_optics_that_jump_are_outvoted(noisy):
     records, references = noisy
     q = np.array(references[0].q_nb)
@@ -138,6 +142,7 @@ def test_counts_and_a_turned_mounting_are_taken_up_by_the_matrix():
     assert model.offset == pytest.approx([30.0, -12.0, 7.0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_g_sensitivity_is_found_where_it_is_large():
     g = np.array([[2e-4, 0.0, -1e-4], [0.0, 3e-4, 0.0], [1e-4, 0.0, -2e-4]])
     device = Device(forward=FORWARD, g_sensitivity=g, lag_s=0.002)
@@ -155,6 +160,7 @@ def test_a_g_sensitivity_of_zero_is_not_significant(noisy):
     assert only(fit.triad.verdict.findings, "reference.g_sensitivity").level == "warn"
 
 
+@pytest.mark.slow
 def test_offsets_that_differ_between_recordings_are_named():
     device = Device(forward=FORWARD, offset=REST)
     warmer = Device(forward=FORWARD, offset=REST + 2e-3)
@@ -191,6 +197,7 @@ def test_short_recordings_stay_with_shorter_windows():
     assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_leave_one_out_knows_nothing_of_the_held_out_reference(noisy):
     records, references = noisy
     held = leave_one_out(records, references)
@@ -211,6 +218,7 @@ def test_leave_one_out_figures_say_what_the_fit_is_worth(noisy):
         assert held.extrapolation is None or held.extrapolation.code == "validate.extrapolated"
 
 
+@pytest.mark.slow
 def test_a_faster_recording_is_called_extrapolated():
     slow = recordings((61,), Device(forward=FORWARD), speed=0.3)
     fast = recordings((62,), Device(forward=FORWARD), speed=1.2)
@@ -311,6 +319,7 @@ def two_mountings():
     return [*records, *again[0]], [*references, *again[1]]
 
 
+@pytest.mark.slow
 def test_two_mountings_are_each_fitted_and_pooling_them_is_worse(two_mountings):
     # The device apart from its rotation: lengths and angles of the columns of M, the same in every mounting.
     true = np.linalg.inv(FORWARD)
@@ -334,6 +343,7 @@ def rounded(pairs, lsb, how):
     return [replace(r, gyro=how(np.array(r.gyro) / lsb) * lsb) for r in pairs[0]], pairs[1]
 
 
+@pytest.mark.slow
 def test_what_codes_lose_is_found_about_half_a_step():
     # Codes cut off toward zero that lose a third of a step beyond half a step, as converters do that are not even about zero.
     lsb, more = 8e-3, np.array([2e-3, -2e-3, -1e-3])
@@ -357,6 +367,7 @@ def test_what_codes_lose_is_found_about_half_a_step():
     assert without.parameters == model.parameters[:-3]
 
 
+@pytest.mark.slow
 def test_rounding_to_nearest_pulls_half_a_step_away():
     lsb = 8e-3
     device = Device(forward=FORWARD, offset=REST, noise=2e-3)
@@ -368,6 +379,7 @@ def test_rounding_to_nearest_pulls_half_a_step_away():
     assert (fixed.code_offset == 0.5 * lsb).all()  # a twin takes the codes as they say
 
 
+@pytest.mark.slow
 def test_the_change_to_motion_acts_while_the_device_turns_alone():
     # Pauses of 4 s after each 6 s: half of what is within the motion is rest, where the offset is that of the rest.
     device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=3e-4)
@@ -475,6 +487,7 @@ def solved(rng: np.random.Generator, errors: list[np.ndarray]) -> Solution:
     return solve([p[0] for p in pairs], [p[1] for p in pairs], free=np.arange(12), reach=REACH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ERRORS)
 def test_stated_intervals_hold_whatever_errs(kind: str) -> None:
     # 60 fits of 12 parameters: the share inside 95 % has a standard deviation of about 1 %.
@@ -516,6 +529,7 @@ def cut(pairs, start_s=9.0, stop_s=67.0):
     return [record.between(start_s, stop_s) for record in pairs[0]], pairs[1]
 
 
+@pytest.mark.slow
 def test_recordings_without_a_rest_give_the_matrix_and_the_mean_of_their_offsets():
     offsets = REST + np.array([[8e-4, -5e-4, 3e-4], [-6e-4, 9e-4, 2e-4]])
     made = [
@@ -545,6 +559,7 @@ def test_one_of_two_recordings_may_rest():
     assert np.abs(fit.motion_offset - CHANGE).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_a_planar_motion_keeps_a_prior_and_names_its_elements():
     records, references = cut(recordings((95, 96), Device(noise=1e-3), mark=False, planar=True))
     fit = fit_reference(records, references)
@@ -556,6 +571,7 @@ def test_a_planar_motion_keeps_a_prior_and_names_its_elements():
     assert np.abs(fit.triad.model.matrix - np.eye(3)).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_fit_says_that_samples_were_lost_and_rows_repeated():
     (record,), (reference,) = recordings((97,), Device(forward=FORWARD, noise=1e-3), optics_noise=1e-3)
     jumped = replace(record, time=record.time + 0.3 * (record.time > 38.0))

@@ -82,6 +82,7 @@ def error_of(fit):
     return np.concatenate(((fit.model.matrix - MATRIX).ravel(), fit.model.offset - OFFSET))
 
 
+@pytest.mark.slow
 def test_rests_and_motion_give_back_scale_cross_axis_and_offset():
     fit = fitted([recording(np.random.default_rng(1), late_s=0.002)])
     error = error_of(fit)
@@ -96,6 +97,7 @@ def test_rests_and_motion_give_back_scale_cross_axis_and_offset():
     assert fit.model.rank == 12
 
 
+@pytest.mark.slow
 def test_errors_scatter_within_their_stated_uncertainty():
     z = []
     for seed in range(3):
@@ -110,6 +112,7 @@ def test_errors_scatter_within_their_stated_uncertainty():
     assert (rms < 1.3).all()
 
 
+@pytest.mark.slow
 def test_reference_errors_at_rest_are_inside_the_stated_uncertainty():
     # Each rest's pose off by 2e-3 rad, the whole reference by as much: what the prior states.
     z = []
@@ -148,6 +151,7 @@ def test_counts_take_their_scale_from_the_rests():
     assert fit.model.offset / 100.0 == pytest.approx(OFFSET, abs=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("position", [True, False])
 def test_counts_of_a_converter_with_its_zero_at_half_scale_are_fitted_alike(position):
     record, reference = recording(np.random.default_rng(5), poses=12)
@@ -170,6 +174,7 @@ def test_too_few_rests_are_refused_and_the_gyroscopes_stay():
     assert only(made.verdict.findings, "reference.accel_failed").level == "info"
 
 
+@pytest.mark.slow
 def test_a_calibration_from_references_holds_both_triads():
     made = calibrate_to_references(*([part] for part in recording(np.random.default_rng(7), noise=0.01)))
     assert made.accel is not None

@@ -227,6 +227,7 @@ def tilt_found(reading, noise):
     return fit_tilted(UP, reading, noise, fit_forward(UP, reading, noise))[1]
 
 
+@pytest.mark.slow
 def test_level_faces_are_not_called_tilted_and_tilted_ones_are_measured():
     noise = np.full((6, 3), 0.002)
     rng = np.random.default_rng(5)
@@ -354,6 +355,7 @@ def errors_of(model, offset, forward, true_offset, directions):
     return np.sqrt(np.mean((np.linalg.norm(a, axis=1) - G) ** 2)), np.abs(offset - true_offset).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [0.0, 0.1, *first_and_long((0.5, 0.05, 0.25))])
 def test_levelled_never_loses_to_the_closed_form_or_to_plain_least_squares(tilt_deg):
     # 250 devices with 1 % matrices, 0.2 m/s2 offsets and 2 mm/s2 noise; each face turned about a random axis by N(0, tilt).

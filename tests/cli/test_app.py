@@ -83,6 +83,7 @@ def test_a_wrong_call_is_told_in_one_line(undrift, words, expected):
 NAMES = ["走路.csv", "مشي.csv", "Gehübung groß.csv", "[1] gait.csv", "{a}.csv", "l" * 240 + ".csv"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES, ids=["chinese", "arabic", "umlauts", "brackets", "braces", "long"])
 def test_a_file_of_any_name_is_read_and_written(undrift, tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
@@ -158,6 +159,7 @@ def test_main_exits_with_the_code(undrift, monkeypatch):
     assert exit_.value.code == 0
 
 
+@pytest.mark.slow
 def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
     path = data_path("broad", "02_undisturbed_slow_rotation_B.hdf5")
     done = process("info", path, "--json")
@@ -173,6 +175,7 @@ def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_early_makes_no_noise():
     path = data_path("c3d", "duplicate_labels.c3d")
     command = f"{sys.executable} -m undrift info {path} | head -c 1"

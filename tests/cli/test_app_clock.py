@@ -20,6 +20,7 @@ def stamped(bench, tmp_path) -> Record:
     return made
 
 
+@pytest.mark.slow
 def test_correct_and_orient_write_the_fitted_time(undrift, bench, stamped, tmp_path):
     words = (tmp_path / "host.parquet", "--calibration", bench / "calibration.json", "--clock", "regular")
     undrift.good("correct", *words, "-o", tmp_path / "corrected.parquet")
@@ -29,6 +30,7 @@ def test_correct_and_orient_write_the_fitted_time(undrift, bench, stamped, tmp_p
     assert told["samples"] == len(own)
 
 
+@pytest.mark.slow
 def test_validate_is_as_good_on_the_fitted_clock_as_on_the_true_one(undrift, bench, stamped, tmp_path):
     rms, refused = {}, {}
     for name, path, words in (

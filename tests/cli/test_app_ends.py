@@ -66,6 +66,7 @@ def test_a_signal_ends_a_command_in_one_line_and_leaves_nothing(bench, tmp_path,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_signals
 def test_what_a_killed_command_left_is_swept_and_a_running_one_is_not(bench, tmp_path):
     process = started(bench, tmp_path)

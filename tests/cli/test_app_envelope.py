@@ -154,6 +154,7 @@ def test_a_refused_call_says_so_in_the_envelope_too_and_keeps_its_exit_code(undr
     assert answer.err == f"undrift: {told['error']['text']}\n"
 
 
+@pytest.mark.slow
 def test_a_call_of_no_command_has_an_envelope_as_well(undrift):
     told = undrift("bogus", "--json").json()
     assert (told["kind"], told["error"]["kind"]) == ("undrift.bogus", "InputError")
@@ -185,6 +186,7 @@ def test_the_usage_line_names_what_is_required(undrift, name):
         assert usage.endswith("S...")
 
 
+@pytest.mark.slow
 def test_the_version_has_a_short_option_and_completion_knows_every_command(undrift, tmp_path, monkeypatch):
     assert undrift.good("-V").out == undrift.good("--version").out == f"{__version__}\n"
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -214,6 +216,7 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch
     assert capsys.readouterr().err == ""  # nothing more once it ends
 
 
+@pytest.mark.slow
 def test_a_piped_leave_one_out_tells_how_far_it_is(tmp_path):
     files = [
         data_path("broad", f"{name}_B.hdf5")

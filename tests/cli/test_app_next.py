@@ -64,6 +64,7 @@ def here(bench, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "least"), CALLS, ids=[call for call, _ in CALLS])
 def test_every_next_command_works_as_printed(undrift, here, call, least):
     waiting, done = [call], []

@@ -23,6 +23,7 @@ def session(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_info_finds_the_poses_of_a_hand_and_draws_them(undrift, session, tmp_path):
     picture = tmp_path / "log.svg"
     told = undrift.good("info", session / "log.parquet", "--figure", picture, "--json").json()
@@ -33,6 +34,7 @@ def test_info_finds_the_poses_of_a_hand_and_draws_them(undrift, session, tmp_pat
     assert f"Wrote {picture}" in undrift.good("info", session / "log.parquet", "--figure", picture).out
 
 
+@pytest.mark.slow
 def test_a_window_and_a_threshold_that_are_given_are_used(undrift, session):
     log = session / "log.parquet"
     fixed = undrift.good("info", log, "--still-window-s", 1.0, "--json").json()
@@ -47,6 +49,7 @@ def test_a_window_and_a_threshold_that_are_given_are_used(undrift, session):
     assert "stills: wanted window, smoothing, shortest duration and thresholds above 0" in wrong.err
 
 
+@pytest.mark.slow
 def test_calibrate_takes_the_poses_of_a_hand_and_draws_what_it_used(undrift, session, tmp_path):
     output, picture = tmp_path / "c.json", tmp_path / "used.png"
     done = undrift.good("calibrate", session, "-o", output, "--figure", picture)
@@ -60,6 +63,7 @@ def test_calibrate_takes_the_poses_of_a_hand_and_draws_what_it_used(undrift, ses
     assert abs(told["accel"]["matrix"][0][0] - 1.0) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_recording_with_motion_capture_is_drawn(undrift, tmp_path):
     picture = tmp_path / "trial.svg"
     undrift.good("info", data_path(*BROAD), "--figure", picture)

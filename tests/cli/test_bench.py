@@ -30,6 +30,7 @@ def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
     assert not (tmp_path / "held").exists()
 
 
+@pytest.mark.slow
 def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     called = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--json"]
     with subprocess.Popen(

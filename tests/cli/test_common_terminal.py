@@ -36,6 +36,7 @@ def tables(draw: st.DrawFn) -> tuple[str, list[str], list[list[str]]]:
     return draw(CELLS), heads, [*rows, ["0"] * len(heads)]
 
 
+@pytest.mark.slow
 @given(tables(), st.integers(40, 120))
 def test_every_cell_of_any_table_is_there_in_one_piece(table, width):
     place, (title, heads, rows) = Terminal(), table
@@ -46,6 +47,7 @@ def test_every_cell_of_any_table_is_there_in_one_piece(table, width):
     )
 
 
+@pytest.mark.slow
 @given(st.lists(CELLS, max_size=3), st.integers(40, 120))
 def test_every_word_of_any_line_is_there_in_one_piece_and_brackets_and_colons_are_no_markup(lines, width):
     place, lines = Terminal(), [*lines, "  a[b]c [red] x:100:y.csv"]
@@ -105,6 +107,7 @@ def in_a_terminal(width: int, *words: object) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", b"".join(parts).decode()).replace("\r\n", "\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_real_terminal_shows_every_number_of_a_calibration(undrift, bench, width):
     shown = in_a_terminal(width, "calibrate", bench / "session")
@@ -118,6 +121,7 @@ def on_a_terminal(width: int, *words: object) -> list[str]:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", place.getvalue()).split()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(undrift, bench, width):
     words = ("calibrate", bench / "session")
@@ -139,6 +143,7 @@ def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(u
     assert {f"{value:.3g}" for walk in walks for value in (walk["value"], *walk["interval"])} <= shown
 
 
+@pytest.mark.slow
 def test_a_twin_and_a_simulation_show_the_same_on_every_terminal(undrift, tmp_path):
     made = undrift.good("simulate", "step", "--device", "mpu6050", "-o", tmp_path / "a.parquet").out
     assert "contribution of each effect (rms)" in made

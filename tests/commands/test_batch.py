@@ -41,6 +41,7 @@ def rows_of(out: Path) -> dict[str, dict[str, str]]:
         return {row["name"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_correct_goes_on_after_an_error_and_ends_with_one_table(undrift, bench, folder, tmp_path):
     words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
     answer = undrift(*words)
@@ -64,6 +65,7 @@ def test_correct_goes_on_after_an_error_and_ends_with_one_table(undrift, bench, 
     assert told["standing"] == 2
 
 
+@pytest.mark.slow
 def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift, bench, folder, tmp_path, monkeypatch):
     done = []
     row = batch._Job.row
@@ -137,6 +139,7 @@ def test_validate_takes_the_reference_of_a_recordings_name_from_a_folder(undrift
     assert {"report.html", "validation.json"} <= set(contents(tmp_path / "out" / "a"))
 
 
+@pytest.mark.slow
 def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_back(undrift, bench, folder, tmp_path):
     for person in ("p1", "p2"):
         (folder / "sub" / person).mkdir()
@@ -194,12 +197,14 @@ def test_info_lists_every_entry_and_writes_its_table_where_it_is_asked_to(undrif
     assert again["standing"] >= 2
 
 
+@pytest.mark.slow
 def test_given_folders_end_with_a_table(undrift, tmp_path):
     told = undrift.good("validate", data_path("broad", "SOURCE.md").parent, "-o", tmp_path / "out", "--json").json()
     assert [file["error"] for file in told["files"]] == [""] * 8
     assert {round(file["sample_rate_hz"], 1) for file in told["files"]} == {285.7}
 
 
+@pytest.mark.slow
 def test_python_gets_rows(bench, folder, tmp_path):
     found = package.commands.correct(
         folder, calibration=bench / "calibration.json", gaps="keep", output=tmp_path / "out"

@@ -50,6 +50,7 @@ def written(folder, serial, recordings, *, gravity=9.81, pieces=""):
     return folder
 
 
+@pytest.mark.slow
 def test_three_boards_turned_by_hand(undrift, tmp_path):
     for unit in range(3):
         path = data_path("multipos_mpu9150", f"imu{unit}.log.gz")
@@ -67,6 +68,7 @@ def test_three_boards_turned_by_hand(undrift, tmp_path):
         assert told["verdict"]["status"] == "good"
 
 
+@pytest.mark.slow
 def test_the_xsens_logs_side_by_side_are_calibrated_as_published(undrift, tmp_path):
     files = [str(data_path("multipos_xsens", f"xsens_{name}.txt.gz")) for name in ("acc", "gyro")]
     entry = (
@@ -85,6 +87,7 @@ def test_the_xsens_logs_side_by_side_are_calibrated_as_published(undrift, tmp_pa
     assert model.rms_residual < 1.2e-3  # SOURCE.md: 0.10 mg rms
 
 
+@pytest.mark.slow
 def test_the_ferraris_session_with_its_stated_faces_and_turns(undrift, tmp_path):
     ranges = json.loads(data_path("ferraris_nilspod", "example_ferraris_session_list.json").read_text())
     pieces = ""
@@ -108,6 +111,7 @@ def test_the_ferraris_session_with_its_stated_faces_and_turns(undrift, tmp_path)
     assert paper["accel"]["method"] == "six-face/paper"
 
 
+@pytest.mark.slow
 def test_eleven_still_recordings_are_one_session_and_the_verdict_says_what_was_not_seen(undrift, tmp_path):
     folder = data_path("multipos_mpu6050_bicycle")
     entries = [
@@ -143,6 +147,7 @@ def test_a_worn_recording_is_refused_for_want_of_a_still_phase(undrift, tmp_path
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp_path):
     session = bench / "session"
     answer = undrift.good("calibrate", session)
@@ -158,6 +163,7 @@ def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp
     assert turned["gyro"]["offset"] != told["gyro"]["offset"]
 
 
+@pytest.mark.slow
 def test_a_way_that_the_session_does_not_allow_is_refused_and_poor_ones_are_fitted(undrift, bench):
     assert "wanted" in undrift.refused("calibrate", bench / "session", "--gyro", "known-rotation")
     ways = (["--accel", "multi-position"], ["--gyro", "multi-position"])  # nine poses on the faces: with the prior
@@ -169,6 +175,7 @@ def judged(made, seen, verdict):
     return replace(made, verdict=verdict), seen
 
 
+@pytest.mark.slow
 def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, monkeypatch):
 
     from undrift.calibration import calibrate as procedure
@@ -184,6 +191,7 @@ def test_a_bad_verdict_is_written_and_ends_with_one(undrift, bench, tmp_path, mo
     assert read_calibration(tmp_path / "c.json").verdict.status == "bad"
 
 
+@pytest.mark.slow
 def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypatch):
 
     from undrift import findings
@@ -225,6 +233,7 @@ def test_three_findings_are_shown_and_all_with_details(undrift, bench, monkeypat
     assert verdict["reasons"][0] == "headline a: 2.0 deg; record [more]"
 
 
+@pytest.mark.slow
 def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
     def made(*words):
         return undrift.good("calibrate", bench / "session", *words, "--json").json()
@@ -238,6 +247,7 @@ def test_settings_of_the_fit_are_options(undrift, bench, tmp_path):
     assert plain["gyro"]["offset"] != chosen["gyro"]["offset"]
 
 
+@pytest.mark.slow
 def test_filters_of_faces_and_dwells_are_options(undrift, bench):
     def made(*words):
         return undrift.good("calibrate", bench / "session", *words, "--json").json()
@@ -255,6 +265,7 @@ def test_filters_of_faces_and_dwells_are_options(undrift, bench):
     )
 
 
+@pytest.mark.slow
 def test_a_report_page_shows_matrices_and_verdict(undrift, bench, tmp_path):
     page = tmp_path / "c.html"
     assert f"Wrote {page}" in undrift.good("calibrate", bench / "session", "--report", page).out
@@ -271,6 +282,7 @@ def test_a_session_is_named_by_its_folder_or_its_file(undrift, bench, word):
     assert undrift.good("calibrate", bench / word, "--json").json()["verdict"]["status"] == "good"
 
 
+@pytest.mark.slow
 def test_the_command_overrules_the_rate_table_of_the_session(undrift, tmp_path):
     rng = np.random.default_rng(7)
     session = simulate_session("rate_table", random_device(rng), rng=rng, settings=BenchSettings(turn_rates=(0.5, 1.5)))
@@ -304,6 +316,7 @@ def test_the_command_overrules_the_rate_table_of_the_session(undrift, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_the_command_overrules_the_temperature_sensitivities_of_the_session(undrift, tmp_path):
     rng = np.random.default_rng(7)
     device = random_device(rng)
@@ -355,6 +368,7 @@ def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with
     assert made.standard_uncertainty[0] / made.matrix[0, 0] == pytest.approx(0.03, rel=0.1)
 
 
+@pytest.mark.slow
 def test_gyroscopes_are_left_out_on_the_command_line_and_the_next_command_stays(undrift, bench, tmp_path):
     answer = undrift.good("calibrate", bench / "session", "--gyro", "none", "-o", tmp_path / "c.json")
     assert "Not complete: no model of the gyroscopes, whose readings stay raw" in answer.out
@@ -378,6 +392,7 @@ def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_say
     assert undrift.good("calibrate", tmp_path / "s", "--json").json()["lacking"] == ["accelerometers"]
 
 
+@pytest.mark.slow
 @needs_data
 def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each(undrift, tmp_path):
     files = []
@@ -401,6 +416,7 @@ def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each
     assert "hold the device with each of these axes up, then down" in words
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_from_north(undrift, tmp_path):
     for number in DEVICES["C"]:

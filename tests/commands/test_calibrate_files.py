@@ -56,6 +56,7 @@ def same(one, other):
         assert one[triad]["method"] == other[triad]["method"]
 
 
+@pytest.mark.slow
 def test_a_bare_log_gives_the_numbers_of_its_session_and_says_what_it_used(undrift, board):
     log = data_path("multipos_mpu9150", "imu0.log.gz")
     folder = board / "session"
@@ -78,6 +79,7 @@ def test_a_bare_log_gives_the_numbers_of_its_session_and_says_what_it_used(undri
     assert "Local gravity assumed" in text
 
 
+@pytest.mark.slow
 def test_gravity_is_stated_or_by_latitude_and_height_and_never_by_half(undrift, board):
     log, words = data_path("multipos_mpu9150", "imu0.log.gz"), ("--map", board / "board.toml", "--json")
     told = undrift.good("calibrate", log, *words, "--gravity-m-s2", 9.81).json()
@@ -102,6 +104,7 @@ def test_gravity_is_stated_or_by_latitude_and_height_and_never_by_half(undrift, 
     assert contents(board) == before
 
 
+@pytest.mark.slow
 def test_several_still_recordings_are_one_session_without_a_toml_of_it(undrift, tmp_path):
     (tmp_path / "bicycle.toml").write_text(BICYCLE)
     files = sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz"))
@@ -112,6 +115,7 @@ def test_several_still_recordings_are_one_session_without_a_toml_of_it(undrift, 
     assert len(told["provenance"]["inputs"]) == 11
 
 
+@pytest.mark.slow
 def test_files_side_by_side_are_as_many_as_the_map_has_tables(undrift, tmp_path):
     (tmp_path / "xsens.toml").write_text(XSENS)
     files = [data_path("multipos_xsens", f"xsens_{name}.txt.gz") for name in ("acc", "gyro")]
@@ -127,6 +131,7 @@ def test_files_side_by_side_are_as_many_as_the_map_has_tables(undrift, tmp_path)
     assert "wanted 2 files side by side, got one; give a map of it" in line
 
 
+@pytest.mark.slow
 def test_turns_of_a_stated_angle_are_found_in_a_session_by_hand(undrift, tmp_path):
     (tmp_path / "ferraris.toml").write_text(FERRARIS)
     path = data_path("ferraris_nilspod", "example_ferraris_session.csv")
@@ -144,6 +149,7 @@ def test_turns_of_a_stated_angle_are_found_in_a_session_by_hand(undrift, tmp_pat
     assert found.values["turns"] == ("x -", "y -", "z -")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("counts", [False, True])
 def test_simulated_turns_are_found_in_physical_units_and_in_counts(tmp_path, counts):
     device = random_device(np.random.default_rng(7))
@@ -163,6 +169,7 @@ def test_simulated_turns_are_found_in_physical_units_and_in_counts(tmp_path, cou
     )  # other ends of each turn
 
 
+@pytest.mark.slow
 def test_turns_that_are_not_there_are_a_finding_and_a_wrong_angle_is_refused(undrift, board):
     log, words = data_path("multipos_mpu9150", "imu0.log.gz"), ("--map", board / "board.toml")
     told = undrift.good("calibrate", log, *words, "--turn-deg", 720, "--json").json()
@@ -173,6 +180,7 @@ def test_turns_that_are_not_there_are_a_finding_and_a_wrong_angle_is_refused(und
     assert "wanted turn_angle_deg above 0, got -360" in undrift.refused("calibrate", log, *words, "--turn-deg", -360)
 
 
+@pytest.mark.slow
 def test_a_calibration_keeps_the_map_and_the_next_commands_need_none(undrift, board):
     held = json.loads((board / "board.json").read_text())
     assert held["file_map"]["columns"] == {"gyro": [3, 4, 5], "accel": [0, 1, 2]}
@@ -187,6 +195,7 @@ def test_a_calibration_keeps_the_map_and_the_next_commands_need_none(undrift, bo
     assert undrift.good("noise", log, *c, "--stop-s", 5, "--json").json()["gyro"]
 
 
+@pytest.mark.slow
 def test_a_session_keeps_its_map_too_and_a_drift_its_devices(board):
     made = read_calibration(board / "board.json")
     folder = board / "session"
@@ -200,6 +209,7 @@ def test_a_session_keeps_its_map_too_and_a_drift_its_devices(board):
     assert read_session(board / "own").file_map is None  # undrift's own names need none
 
 
+@pytest.mark.slow
 def test_an_own_map_and_undrifts_own_names_overrule_the_map_that_is_kept(undrift, board):
     c = ("--calibration", board / "board.json")
     log = data_path("multipos_mpu9150", "imu1.log.gz")
@@ -258,6 +268,7 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
         session_from_files([])
 
 
+@pytest.mark.slow
 def test_what_json_says_is_a_calibration_too(undrift, board):
     log = data_path("multipos_mpu9150", "imu0.log.gz")
     answer = undrift.good("calibrate", log, "--map", board / "board.toml", "--json")
@@ -289,6 +300,7 @@ def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, boa
         calibrate(record, height_m=20.0)
 
 
+@pytest.mark.slow
 def test_python_takes_a_sessions_folder_with_the_checks_of_the_command(undrift, bench):
     told = undrift.good("calibrate", bench / "session", "--json").json()
     made = calibrate(bench / "session")

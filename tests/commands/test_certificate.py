@@ -82,6 +82,7 @@ STATED = (
 ROOM = ("--ambient-temp-c", "21.5:23", "--ambient-humidity-percent", "45")
 
 
+@pytest.mark.slow
 def test_what_the_laboratory_states_is_in_the_json_on_the_terminal_and_on_the_page(undrift, bench, tmp_path):
     words = ("certificate", bench / "calibration.json", "-o", tmp_path / "c.pdf", *STATED, *ROOM)
     stated = undrift.good(*words, "--json").json()["statement"]
@@ -162,6 +163,7 @@ def unit():
     return device, calibrate(simulate_session("bench", device, rng=rng))
 
 
+@pytest.mark.slow
 def test_departures_are_those_of_the_device_within_their_uncertainty(unit):
     device, made = unit
     for name in ("gyro", "accel"):
@@ -173,6 +175,7 @@ def test_departures_are_those_of_the_device_within_their_uncertainty(unit):
         ).all()  # truth has the lean of the axes in the rows' lengths
 
 
+@pytest.mark.slow
 def test_a_unit_that_its_data_sheet_allows_lies_within_its_limits(undrift, unit, tmp_path):
     write_calibration(unit[1], tmp_path / "c.json")
     words = ("certificate", tmp_path / "c.json", "-o", tmp_path / "c.pdf", "--kind", "mpu6050")

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from undrift.calibration.calibrate import calibrate
 from undrift.commands.certificate import answer_sentence
@@ -15,6 +16,7 @@ from undrift.units import STANDARD_GRAVITY
 WHOLE = r"After 60 s the pitch is good to (\S+) deg; offset at rest (\S+) deg/s, gravity within (\S+) mg \(.*95 %\)\."
 
 
+@pytest.mark.slow
 def test_another_session_of_the_device_stays_within_the_sentence():
     """Stated for 95 %: of the axes and faces of eight devices at least nine in ten do."""
     drifts, norms = [], []

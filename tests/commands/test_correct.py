@@ -88,6 +88,7 @@ def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, benc
     assert contents(tmp_path / "out") == before
 
 
+@pytest.mark.slow
 def test_one_bad_recording_among_good_ones_writes_nothing_at_all(undrift, bench, tmp_path):
     torn = tmp_path / "torn.parquet"
     torn.write_bytes((bench / "trial.parquet").read_bytes()[:5000])
@@ -195,6 +196,7 @@ def tuned(bench, tmp_path):
     return raw
 
 
+@pytest.mark.slow
 def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift, tuned, tmp_path):
     words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold"]
     lasts = len(tuned) / tuned.sample_rate_hz
@@ -285,6 +287,7 @@ def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(un
         assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
 
 
+@pytest.mark.slow
 def test_the_time_since_power_on_is_given_in_seconds_and_a_wrong_one_leaves_nothing(undrift, tuned, tmp_path):
     words = [tmp_path / "ramp.parquet", "--calibration", tmp_path / "tuned.json", "--policy", "hold"]
     told = undrift.good("correct", *words, "-o", tmp_path / "a.parquet", "--power-on-s", "30", "--json").json()
@@ -299,6 +302,7 @@ def test_the_time_since_power_on_is_given_in_seconds_and_a_wrong_one_leaves_noth
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_what_correct_refuses(undrift, bench, tmp_path):
     raw = read_record(bench / "trial.parquet")
     (tmp_path / "a").mkdir()
@@ -338,6 +342,7 @@ def _folder(tmp_path, before):
     return tmp_path / "f.csv"
 
 
+@pytest.mark.slow
 def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
     import distributed
 
@@ -367,6 +372,7 @@ def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(undrift, bench, tmp_path):
     known = read_calibration(bench / "calibration.json")
     narrow = replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2)))  # the trial turns at up to 0.46 rad/s
@@ -391,6 +397,7 @@ def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(und
     assert undrift.good("correct", bench / "trial.parquet", *plain).json()["recordings"][0]["beyond_range"] == []
 
 
+@pytest.mark.slow
 def test_orient_and_validate_tell_of_readings_beyond_the_fit_too(undrift, bench, tmp_path):
     known = read_calibration(bench / "calibration.json")
     write_calibration(replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2))), tmp_path / "narrow.json")
@@ -421,6 +428,7 @@ def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_un
     assert (tmp_path / name).exists()
 
 
+@pytest.mark.slow
 def test_a_file_that_correct_wrote_as_text_is_known_again(undrift, bench, tmp_path):
     """Its first line is undrift's own, before the names of the columns."""
     for name in ("x.csv", "x.csv.gz"):
@@ -432,6 +440,7 @@ def test_a_file_that_correct_wrote_as_text_is_known_again(undrift, bench, tmp_pa
         assert found["rows"] == len(read_record(bench / "trial.parquet"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("triad", ["gyro", "accel"])
 def test_a_triad_in_counts_without_a_model_is_left_out_and_said_so(undrift, bench, tmp_path, triad):
     """The rest is corrected as ever, in a file of either kind."""

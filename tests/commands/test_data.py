@@ -117,6 +117,7 @@ def test_the_registry_states_licence_and_address_of_each_set():
         assert all(len(digest) == 64 for _, digest in one.files)
 
 
+@pytest.mark.slow
 def test_the_sample_runs_through_the_commands(undrift, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     undrift.good("data", "fetch", "sample")

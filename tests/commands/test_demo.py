@@ -34,7 +34,6 @@ from undrift.rig.programme import read_protocol
 from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
-pytestmark = pytest.mark.waits
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
 FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", *PAGES, "summary.json"}
 
@@ -53,6 +52,7 @@ def quick(tmp_path_factory):
     return folder / "d", SimpleNamespace(returncode=code, stdout=out, stderr=err)
 
 
+@pytest.mark.slow
 def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):
     out, answer = quick
     assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr[-2000:]
@@ -72,6 +72,7 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
         assert word in named
 
 
+@pytest.mark.slow
 def test_its_report_is_six_printed_pages_at_most_and_names_the_pages_behind_it(quick):
     out, _ = quick
     with browser() as held:
@@ -87,6 +88,7 @@ def test_its_report_is_six_printed_pages_at_most_and_names_the_pages_behind_it(q
     assert all(name in text for name in PAGES[1:])
 
 
+@pytest.mark.slow
 def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
     # a computer that is too busy loses an answer: the run resumes, slower, with a line that says so
     lines = [line for line in quick[1].stderr.splitlines() if "; resuming, attempt " not in line]
@@ -96,12 +98,14 @@ def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
     assert any(re.match(r"undrift demo: (virtual bench: )?(bench|thermal) ", line) for line in lines)
 
 
+@pytest.mark.slow
 def test_the_page_says_once_what_the_note_is(quick):
     page = (quick[0] / "report.html").read_text()
     assert page.count("EMBC 2007") == 1
     assert page.index("EMBC 2007") < page.index("<h2>Details")
 
 
+@pytest.mark.slow
 def test_the_page_opens_with_the_errors_of_all_rivals_over_the_course_that_it_draws(quick):
     path = quick[0] / "report.html"
     page = path.read_text()
@@ -130,6 +134,7 @@ def test_the_page_opens_with_the_errors_of_all_rivals_over_the_course_that_it_dr
         assert seen_in(held, path) == []
 
 
+@pytest.mark.slow
 def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     out = quick[0]
     assert {path.name for path in out.iterdir()} == FILES | {"bench", "thermal", "study"}
@@ -151,6 +156,7 @@ def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
     assert ">nan<" not in page
 
 
+@pytest.mark.slow
 def test_demo_keeps_off_a_folder_with_other_files_and_takes_an_earlier_one(quick, undrift, tmp_path):
     from undrift.commands.demo import _is_demo
 
@@ -200,6 +206,7 @@ def test_a_bench_that_is_interrupted_leaves_no_thread_and_no_socket(tmp_path):
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk
 
 
+@pytest.mark.slow
 def test_a_bench_on_a_busy_computer_resumes_where_an_answer_came_too_late(tmp_path, caplog):
     late = iter([RigTimeout("rig: wanted an answer, got nothing; check power and cable"), None])
     told = []

@@ -60,6 +60,7 @@ def slopes_of(text):
     return np.array([row[1:] for row in rows], float)
 
 
+@pytest.mark.slow
 def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell(undrift, tmp_path):
     (tmp_path / "map.toml").write_text(MPU_MAP)
     log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
@@ -87,6 +88,7 @@ def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell
     assert "Verdict: marginal" in page
 
 
+@pytest.mark.slow
 def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path):
     session = HEAD.format(serial="BMI270")
     for name in ("cold", "hot"):
@@ -114,6 +116,7 @@ def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path)
         assert "one way only" not in out
 
 
+@pytest.mark.slow
 def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
     session = HEAD.format(serial="bicycle")
     for path in sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz")):
@@ -131,6 +134,7 @@ def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
     assert "count per degC" in answer.out.replace("\n", " ") or "(count" in answer.out
 
 
+@pytest.mark.slow
 def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soaks, tmp_path):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
     answer = undrift.good(
@@ -157,6 +161,7 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
     assert held.drift.scale is not None
 
 
+@pytest.mark.slow
 def test_json_is_the_calibration_with_its_tables(undrift, soaks):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
     told = undrift.good(*words, "--json", "--range-c", "20:70", "--step-c", "2.5", "--tables", "scale").json()
@@ -170,6 +175,7 @@ def test_json_is_the_calibration_with_its_tables(undrift, soaks):
     assert note["drift"]["lag_smooth_s"] > 0.0
 
 
+@pytest.mark.slow
 def test_the_calibration_may_be_written_over_and_is_not_where_it_fails(undrift, soaks, tmp_path):
     shutil.copy(soaks / "calibration.json", tmp_path)
     own = tmp_path / "calibration.json"
@@ -185,6 +191,7 @@ def test_the_calibration_may_be_written_over_and_is_not_where_it_fails(undrift, 
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_several_logs_are_combined_and_a_warm_up_is_fitted(undrift, soaks, tmp_path):
     for k in range(3):
         settings = replace(
@@ -255,6 +262,7 @@ def test_a_log_that_tells_nothing_is_refused_with_its_number(undrift, tmp_path, 
     assert contents(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_lines_that_are_wrong_are_refused_with_their_row(undrift, tmp_path):
     log = warm_log(tmp_path / "log.csv")
     lines = lines_of(log)
@@ -274,6 +282,7 @@ def test_lines_that_are_wrong_are_refused_with_their_row(undrift, tmp_path):
     assert not (tmp_path / "c.json").exists()
 
 
+@pytest.mark.slow
 def test_another_device_is_refused(undrift, soaks, tmp_path):
     log = warm_log(tmp_path / "log.parquet", device="other")
     line = undrift.refused("drift", log, "--calibration", soaks / "calibration.json", "-o", tmp_path / "c.json")
@@ -281,6 +290,7 @@ def test_another_device_is_refused(undrift, soaks, tmp_path):
     assert not (tmp_path / "c.json").exists()
 
 
+@pytest.mark.slow
 def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks, tmp_path):
     session = soaks / "session"
     for words, message in (
@@ -301,6 +311,7 @@ def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks,
     assert contents(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_accelerometers_alone_have_tables_and_no_picture_of_gyroscopes(undrift, soaks, tmp_path):
     made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(5))
     write_session(replace(made, records=(replace(made.records[0], gyro=None),)), tmp_path / "session")
@@ -320,6 +331,7 @@ def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
     assert "log.csv.gz" in undrift.refused("drift", tmp_path / "log.csv.gz", "-o", tmp_path / "c.json")
 
 
+@pytest.mark.slow
 def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(undrift, tmp_path):
     (tmp_path / "map.toml").write_text(MPU_MAP)
     log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")

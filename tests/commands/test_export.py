@@ -37,6 +37,7 @@ def test_every_target_is_written_and_says_what_it_cannot_carry(undrift, bench, t
     assert "verdict: " in answer.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flag", "kind"), [([], "float"), (["--fixed"], "int32_t"), (["--double"], "double")])
 def test_the_c_source_compiles_in_the_arithmetic_that_was_chosen(undrift, bench, tmp_path, flag, kind):
     words = [
@@ -119,6 +120,7 @@ def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
     assert (tmp_path / "a.c").exists()
 
 
+@pytest.mark.slow
 def test_what_export_refuses(undrift, bench, tmp_path):
     source = tmp_path / "calibration.json"
     source.write_bytes((bench / "calibration.json").read_bytes())

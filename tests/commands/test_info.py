@@ -58,7 +58,7 @@ def _files() -> Iterator[Any]:
         folder, _, own = name.rpartition("/")
         alike[kind := (folder, own.partition(".")[2])] += 1
         if name != CUT:
-            yield pytest.param(name, marks=pytest.mark.long) if alike[kind] > 2 and kind[1] else name
+            yield pytest.param(name, marks=pytest.mark.slow) if alike[kind] > 2 and kind[1] else name
 
 
 @pytest.mark.parametrize("name", [*_files()])
@@ -81,6 +81,7 @@ def test_every_public_file_and_folder_is_told(undrift, name):
         assert ("--reference-map map.toml" if "orientations" in told["summary"] else "--map map.toml") in text
 
 
+@pytest.mark.slow
 def test_a_recording_of_broad_in_full(undrift):
     told = undrift.good("info", data_path("broad", "02_undisturbed_slow_rotation_B.hdf5"), "--json").json()
     assert (told["format"], told["rows"], told["gaps"], told["temp_c"], told["problems"]) == (
@@ -97,6 +98,7 @@ def test_a_recording_of_broad_in_full(undrift):
     assert "96.8 % seen" in told["summary"]
 
 
+@pytest.mark.slow
 def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, tmp_path):
     (tmp_path / "map.toml").write_text(
         'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
@@ -110,6 +112,7 @@ def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, t
     assert (told["rows"], told["stills"]) == (13759, [])  # SOURCE.md: 137 s at 100 Hz
 
 
+@pytest.mark.slow
 def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_reads(undrift):
     apdm, ximu = data_path("wearable_formats", "opensim_apdm_imuData01.csv.gz"), data_path("wearable_formats", "ximu")
     assert f"Next: undrift info {apdm} --sensor Static\n" in undrift.good("info", apdm).out
@@ -272,6 +275,7 @@ def test_what_an_export_leaves_open_is_asked_for_by_an_option_that_opens_it(undr
     assert [item["code"] for item in told["findings"]][:1] in (["recording.how_read"], ["recording.dropouts"], [])
 
 
+@pytest.mark.slow
 def test_stamps_of_a_host_are_named_with_the_option_that_mends_them(undrift, tmp_path):
     words = ("simulate", "free", "--device", "mpu6050", "--stamps", "host", "-o", tmp_path / "host.csv")
     samples = undrift.good(*words, "--json").json()["samples"]
@@ -320,6 +324,7 @@ def test_python_gets_what_the_command_line_shows(undrift, bench):
     assert "Recordings" in corrected._repr_html_()
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_pendulum_with_orientations_beside_its_readings_is_read_by_commands_alone(undrift, tmp_path):
     file = data_path("pendulum_with_optics", "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
@@ -335,6 +340,7 @@ def test_a_pendulum_with_orientations_beside_its_readings_is_read_by_commands_al
     assert trial["rmse_inclination_deg"] < 60.0
 
 
+@pytest.mark.slow
 def test_a_trace_holds_readings_and_orientation_and_json_the_rests_and_turns_that_were_found(undrift, tmp_path):
     rng = np.random.default_rng(7)
     device = random_device(rng)
@@ -408,6 +414,7 @@ def test_counts_show_how_the_device_lay_by_gravity(undrift, tmp_path, change, sp
         assert (far[both] @ truth[both]) / (truth[both] @ truth[both]) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_stretch_that_is_left_out_is_left_out_of_what_is_found_and_of_the_next_command(undrift, tmp_path):
     rng = np.random.default_rng(7)
     (raw,) = simulate_session("ferraris", random_device(rng), rng=rng, labelled=False).records

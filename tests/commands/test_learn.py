@@ -43,6 +43,7 @@ def recordings(folder):
     return sorted(folder.glob("2026-03-0?.parquet"))
 
 
+@pytest.mark.slow
 def test_recordings_become_a_table_that_corrects_and_exports(undrift, folder, tmp_path):
     made = tmp_path / "c2.json"
     words = (*recordings(folder), "--calibration", folder / "c.json", "-o", made, "--figure", tmp_path / "c.svg")
@@ -62,6 +63,7 @@ def test_recordings_become_a_table_that_corrects_and_exports(undrift, folder, tm
     assert run(["info", str(made)]) == 0
 
 
+@pytest.mark.slow
 def test_day_by_day_writes_the_same_tables_as_all_at_once(folder, tmp_path, capsys):
     days = recordings(folder)
     assert call(*days, "--calibration", folder / "c.json", "-o", tmp_path / "all.json") == 0
@@ -78,6 +80,7 @@ def test_day_by_day_writes_the_same_tables_as_all_at_once(folder, tmp_path, caps
     assert json.loads(held.read_text())["drift"] == one
 
 
+@pytest.mark.slow
 def test_json_states_change_and_uncertainty_at_every_node(folder, capsys):
     assert call(*recordings(folder), "--calibration", folder / "c.json", "--json") == 0
     answer = json.loads(capsys.readouterr().out)

@@ -21,7 +21,6 @@ from undrift.commands import live_motion
 from undrift.io.formats import read_record
 from undrift.io.store import read_calibration
 
-pytestmark = pytest.mark.waits
 SPEED = 10.0
 MAIN = """
 import signal
@@ -63,6 +62,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 GRAVITY = ("--gravity-m-s2", "9.80665")
 
 
+@pytest.mark.slow
 def test_a_board_is_calibrated_without_a_word_about_it(undrift, tmp_path):
     record, _ = guided_recording(0, 5)
     gyro, accel = np.degrees(record.gyro) * GYRO_LSB_PER_DPS, np.asarray(record.accel) / 9.80665 * ACCEL_LSB_PER_G
@@ -82,6 +82,7 @@ def test_a_board_is_calibrated_without_a_word_about_it(undrift, tmp_path):
     assert "wanted" in printed["error"]["text"]
 
 
+@pytest.mark.slow
 def test_collecting_stops_by_itself_and_the_calibration_is_that_of_the_readings(undrift, tmp_path, turned):
     made = tmp_path / "c.json"
     answer = undrift("calibrate", "--live", turned.address, "-o", made, *GRAVITY, "--live-s", "2000", "--json")
@@ -123,6 +124,7 @@ def test_ctrl_c_ends_collecting_and_the_readings_are_calibrated(undrift, tmp_pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["c.json", "c.parquet"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [1.0], indirect=True)  # a busy computer hears of it seconds later
 def test_ctrl_c_too_early_keeps_the_readings_and_says_what_is_missing(tmp_path, turned):
     words = ("calibrate", "--live", turned.address, "-o", "c.json")
@@ -138,6 +140,7 @@ def test_ctrl_c_too_early_keeps_the_readings_and_says_what_is_missing(tmp_path, 
     assert not (tmp_path / "c.json").exists()
 
 
+@pytest.mark.slow
 def test_the_time_ends_it_and_readings_are_never_written_over(undrift, tmp_path, turned):
     (tmp_path / "c.parquet").write_bytes(b"earlier")
     words = ("calibrate", "--live", turned.address, "-o", tmp_path / "c.json", "--live-s", "25", "--json")
@@ -148,6 +151,7 @@ def test_the_time_ends_it_and_readings_are_never_written_over(undrift, tmp_path,
     assert (tmp_path / "c.parquet").read_bytes() == b"earlier"
 
 
+@pytest.mark.slow
 def test_a_device_that_sends_codes_is_calibrated_with_gains_and_without(undrift, tmp_path):
     record, _ = guided_recording(0, 1)
     codes = np.round(np.hstack((np.degrees(record.gyro) / 0.061, np.asarray(record.accel) / 9.80665 * 4096.0)))

@@ -31,6 +31,7 @@ def worn(bench, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_raw_and_a_corrected_recording_give_the_same_measures(undrift, bench, tmp_path, worn):
     undrift.good("correct", bench / "trial.parquet", "--calibration", worn, "-o", tmp_path / "c.parquet")
     words = ("--task", "sit-to-stand", "--json")
@@ -49,6 +50,7 @@ def test_a_raw_and_a_corrected_recording_give_the_same_measures(undrift, bench, 
     assert peak["standard_uncertainty_deg"] == pytest.approx(np.linalg.norm(list(parts.values())))
 
 
+@pytest.mark.slow
 def test_the_answer_states_the_peak_with_what_its_uncertainty_is_made_of(undrift, bench, worn):
     shown = undrift.good("measure", bench / "trial.parquet", "--calibration", worn, "--task", "sit-to-stand")
     first = shown.out.splitlines()[0]
@@ -64,6 +66,7 @@ def undrift_measure(path, **stated):
     return undrift.measure(str(path), task="sit-to-stand", **stated)
 
 
+@pytest.mark.slow
 def test_events_are_a_table_of_bids_with_the_meaning_of_its_columns(undrift, bench, tmp_path, worn):
     out = tmp_path / "sub-01_task-chair_events.tsv"
     undrift.good("measure", bench / "trial.parquet", "--calibration", worn, "--task", "sit-to-stand", "-o", out)
@@ -106,6 +109,7 @@ def _nominal(record):
     return undrift.calibrate(undrift.simulate_session("bench", device, rng=np.random.default_rng(4)))
 
 
+@pytest.mark.slow
 def test_a_folder_gives_a_table(undrift, bench, tmp_path, worn):
     folder = tmp_path / "chairs"
     folder.mkdir()
@@ -126,6 +130,7 @@ def strides(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_walk_has_its_cadence_its_strides_its_contacts_as_events_and_its_page(undrift, tmp_path, strides):
     out, page = tmp_path / "walk_events.tsv", tmp_path / "walk.html"
     shown = undrift.good(
@@ -147,6 +152,7 @@ def test_a_walk_has_its_cadence_its_strides_its_contacts_as_events_and_its_page(
     )
 
 
+@pytest.mark.slow
 def test_a_step_has_its_rise_its_pitch_and_its_events(undrift, tmp_path):
     motion = planted.step_up(np.random.default_rng([35, 4]), count=2)[0].motion
     record = simulate_device(random_device(np.random.default_rng(3)), motion, rng=np.random.default_rng(1)).record
@@ -163,6 +169,7 @@ def test_a_step_has_its_rise_its_pitch_and_its_events(undrift, tmp_path):
     assert "walk: wanted 8 steps" in undrift.refused("measure", path, "--task", "walk", "--up", "+z", "--forward", "+x")
 
 
+@pytest.mark.slow
 def test_timed_up_and_go_has_its_phases_and_turns(undrift, tmp_path):
     motion = planted.up_and_go(np.random.default_rng([36, 4]))[0].motion
     record = simulate_device(random_device(np.random.default_rng(3)), motion, rng=np.random.default_rng(1)).record
@@ -210,6 +217,7 @@ def test_a_walk_by_a_shank_has_stance_and_swing_its_contacts_and_its_page(undrif
     assert "stance 6" in first
 
 
+@pytest.mark.slow
 def test_rises_by_a_thigh_take_their_place_from_the_mounting_or_by_name(undrift, tmp_path, of_leg, worn):
     at_thigh = tmp_path / "thigh.json"
     write_calibration(replace(read_calibration(worn), mounting=replace(WORN, place="thigh")), at_thigh)
@@ -230,6 +238,7 @@ def test_rises_by_a_thigh_take_their_place_from_the_mounting_or_by_name(undrift,
     assert "sit-to-stand: wanted a device at the lower-back or thigh, got one at the shank" in undrift.refused(*words)
 
 
+@pytest.mark.slow
 def test_what_halves_the_uncertainty_is_stated_in_numbers(undrift, bench, worn):
     """Mounting alone limits the peak: its part must fall by a known share, and no calibration halves it."""
     found = undrift_measure(bench / "trial.parquet", calibration=worn)
@@ -288,6 +297,7 @@ def test_what_a_recording_does_not_show_is_refused(undrift, bench, words, text):
     assert text in undrift.refused("measure", bench / "corrected.parquet", *words)
 
 
+@pytest.mark.slow
 def test_a_minute_is_measured_in_two_seconds(worn):
     device = random_device(np.random.default_rng(3))
     record = simulate_trial("posturography", device, rng=np.random.default_rng(1)).record

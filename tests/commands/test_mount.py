@@ -33,6 +33,7 @@ def mounted(undrift, worn):
     return undrift.good("mount", worn / "walk.parquet", *words)
 
 
+@pytest.mark.slow
 def test_the_mounting_is_kept_in_the_calibration_and_said_in_words(undrift, worn):
     said = mounted(undrift, worn).out
     assert "Lower back: side" in said
@@ -67,6 +68,7 @@ def test_orient_gives_the_segment_by_the_mounting_unless_sides_are_stated(undrif
     assert abs(np.median(pitch[20:300])) < 4.0  # the wearer stands upright
 
 
+@pytest.mark.slow
 def test_validate_compares_the_segment_by_the_mounting(undrift, worn, tmp_path):
     record, q_ab = read_record(worn / "walk.parquet"), Q_AB
     mounted(undrift, worn)

@@ -39,6 +39,7 @@ def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
     assert len(told["taus_s"]) == len(told["adev"]["gyro"]) == len(told["adev"]["accel"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.svg", "a.png", "a.pdf", "A.SVG"])
 def test_the_allan_plot_is_written_in_the_format_of_its_name(undrift, tmp_path, name):
     at_rest(tmp_path, "rest.csv")
@@ -71,6 +72,7 @@ def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
         assert low - (high - low) / 2.0 < 1e-4 < high + (high - low) / 2.0
 
 
+@pytest.mark.slow
 def test_counts_are_made_physical_by_a_calibration(undrift, bench):
     words = ["noise", bench / "trial.parquet", "--stop-s", "5"]
     assert undrift.good(*words, "--json").json()["units"]["gyro"] == "count"
@@ -158,6 +160,7 @@ def test_a_recording_without_both_sensors_in_si_gives_no_file_for_kalibr(undrift
     assert contents(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_noise_is_said_in_the_units_of_data_sheets_too(undrift, tmp_path):
     rng = np.random.default_rng(3)
     n = 720_000
@@ -184,6 +187,7 @@ def test_noise_is_said_in_the_units_of_data_sheets_too(undrift, tmp_path):
         assert f" in {unit}: x " in said
 
 
+@pytest.mark.slow
 def test_bias_instability_that_no_axis_shows_is_named_in_terminal_json_and_page(undrift, tmp_path):
     at_rest(tmp_path, "rest.csv")
     page = tmp_path / "noise.html"
@@ -210,6 +214,7 @@ MEANING = (
 )
 
 
+@pytest.mark.slow
 def test_an_angle_after_a_minute_stays_within_the_sentence(tmp_path):
     """Offset from 60 s, then 60 s: of the pairs of the second half at least nine in ten stay within what the first half states."""
     rng = np.random.default_rng(9)
@@ -229,6 +234,7 @@ def test_an_angle_after_a_minute_stays_within_the_sentence(tmp_path):
     assert summary.next == ()  # Kalibr wants accelerometers too
 
 
+@pytest.mark.slow
 def test_noise_stands_beside_the_data_sheet_of_the_part_that_is_named(undrift, tmp_path):
     at_rest(tmp_path, "rest.csv")
     page = tmp_path / "noise.html"
@@ -245,6 +251,7 @@ def test_noise_stands_beside_the_data_sheet_of_the_part_that_is_named(undrift, t
     assert "wanted one of enc03j_3031, mpu6050" in undrift.refused("noise", tmp_path / "rest.csv", "--kind", "mpu9999")
 
 
+@pytest.mark.slow
 def test_counts_get_no_degrees_and_the_command_that_gives_them(undrift, bench):
     shown = undrift.good("noise", bench / "trial.parquet", "--stop-s", "5").out
     assert "a calibration gives degrees" in shown

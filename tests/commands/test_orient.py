@@ -66,6 +66,7 @@ def test_the_tilt_is_stated_alike_from_a_raw_file_from_a_corrected_one_and_in_py
         assert told["tilt_uncertainty_parts_deg"]["calibration"] > 0.0
 
 
+@pytest.mark.slow
 def test_without_a_calibration_page_terminal_and_json_say_that_the_scatter_is_all(undrift, bench, tmp_path):
     plain = replace(read_record(bench / "corrected.parquet"), state="raw", accel_uncertainty=None)
     write_record(plain, tmp_path / "r.parquet")
@@ -82,6 +83,7 @@ def test_without_a_calibration_page_terminal_and_json_say_that_the_scatter_is_al
     assert "95 % within" in (tmp_path / "r.html").read_text()
 
 
+@pytest.mark.slow
 def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
     path = bench / "corrected.parquet"
     plain = undrift.good("orient", path, "-o", tmp_path / "a.csv", "--json").json()
@@ -96,6 +98,7 @@ def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
     np.testing.assert_allclose(side["pitch_deg"], [-plain["pitch_deg"][1], -plain["pitch_deg"][0]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
     words = ["orient", *beyond_the_table(bench, tmp_path), "-o", tmp_path / "o.csv"]
     assert "choose the policy hold or nan" in undrift.refused(*words)
@@ -141,6 +144,7 @@ def test_a_recording_of_the_session_that_is_read_is_not_written_over(undrift, be
     assert path.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
     (tmp_path / "map.toml").write_text(
         'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
@@ -165,6 +169,7 @@ def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
     assert "tilt from the still phase 10.0 to 11.5 s" in said
 
 
+@pytest.mark.slow
 def test_a_stretch_at_rest_is_taken_by_its_own_times_and_refused_outside_them(undrift, bench, tmp_path):
     corrected, out = bench / "corrected.parquet", tmp_path / "o.csv"
     found = undrift.good("orient", corrected, "-o", out, "--json").json()["still"]
@@ -211,6 +216,7 @@ def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, 
     np.testing.assert_allclose(q, read_reference(tmp_path / "o.csv").q_nb, atol=1e-11)  # twelve digits are written
 
 
+@pytest.mark.slow
 def test_the_drift_to_expect_is_said_and_every_rest_is_used_on_request(undrift, tmp_path):
     trial = data_path("broad", "05_undisturbed_slow_rotation_with_breaks_B.hdf5")
     said = undrift.good("orient", trial, "-o", tmp_path / "o.csv").out
@@ -243,6 +249,7 @@ def test_details_show_the_findings_of_the_calibration(undrift, bench, tmp_path, 
     assert all(item.headline in shown for item in verdict.findings)
 
 
+@pytest.mark.slow
 def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the_axes_are_given(undrift, tmp_path):
     """A lower back with x up: the pitch by the default axes goes from -180 to 180 deg."""
     (tmp_path / "map.toml").write_text(
@@ -278,6 +285,7 @@ def turned(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choice", ["motion", "rest"])
 def test_a_file_keeps_how_well_its_subtracted_offset_is_known(undrift, turned, tmp_path, choice):
     raw = (turned / "raw.parquet", "--calibration", turned / "calibration.json", "--offset", choice)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from testkit.pdf_text import pages_of, text_of
 from undrift.calibration.calibrate import calibrate
@@ -49,6 +50,7 @@ def test_the_date_of_a_recording_is_that_of_its_clock(undrift, bench, tmp_path):
     assert "none given: as the recording came" in text
 
 
+@pytest.mark.slow
 def test_a_filter_and_unknown_accelerometers_draw_no_band_and_say_so(undrift, bench, tmp_path):
     words = ("orient", bench / "corrected.parquet", "-o", tmp_path / "a.csv", "--method", "vqf")
     assert "it is good to" not in undrift.good(*words, "--pdf", tmp_path / "p.pdf").out
@@ -70,6 +72,7 @@ def test_a_page_is_of_one_recording_and_is_a_pdf(undrift, bench, tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
+@pytest.mark.slow
 def test_the_band_holds_the_errors_of_simulated_trials():
     """95 % of errors are stated to lie within; of these eight devices, all samples together, at least nine in ten do."""
     within = []

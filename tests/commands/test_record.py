@@ -34,7 +34,6 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.rig.hand_held import HandHeld, start_hand_held
 from undrift.sim.rig.stream import StreamSettings
 
-pytestmark = pytest.mark.waits
 SPEED = 10.0
 HELD_SPEED = 4.0  # with the device, the person and the program in one process; a pseudo-terminal holds 45 lines
 MAIN = """
@@ -58,6 +57,7 @@ def kept(path: Path):
 # ---- From a port to a file
 
 
+@pytest.mark.slow
 def test_a_board_is_recorded_without_a_word_about_it(undrift, tmp_path, board):
     path = tmp_path / "walk.parquet"
     answer = undrift("record", "--port", board.port, "-o", path, "--duration-s", "3")
@@ -81,6 +81,7 @@ def test_a_board_is_recorded_without_a_word_about_it(undrift, tmp_path, board):
     assert "recording (parquet)" in undrift.good("info", path).out
 
 
+@pytest.mark.slow
 def test_an_address_that_was_found_is_stated_and_may_be_given_back(undrift, tmp_path, board):
     words = ("--duration-s", "1.5", "--json")
     first = undrift("record", board.port, "-o", tmp_path / "a.csv", *words).json()
@@ -180,6 +181,7 @@ def test_a_cable_that_is_pulled_is_one_line_and_costs_nothing(undrift, tmp_path,
     assert [one.name for one in tmp_path.iterdir()] == ["a.parquet"]
 
 
+@pytest.mark.slow
 def test_a_silence_is_a_gap_and_the_recording_goes_on(tmp_path):
     with PrintingBoard() as board:
         board.print_lines()
@@ -191,6 +193,7 @@ def test_a_silence_is_a_gap_and_the_recording_goes_on(tmp_path):
     assert made.data["lost"] == np.isnan(whole.gyro[:, 0]).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_ctrl_c_ends_it_and_the_file_is_whole(tmp_path, board, ending):
     call = [sys.executable, "-c", MAIN, "record", "--port", board.port, "-o", f"a{ending}", "--json"]
@@ -247,6 +250,7 @@ assert (np.diff(until) > -200).all() and rows[0] == 0 and rows[-1] > 1400, rows
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_a_disk_that_is_full_at_any_write_leaves_what_was_recorded(ending):
     words = [sys.executable, "-c", FULL, "7", ending]
@@ -296,6 +300,7 @@ def held() -> Iterator[tuple[PrintingBoard, Operator]]:
         hands.close()
 
 
+@pytest.mark.slow
 def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
     board, operator = held
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
@@ -331,6 +336,7 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
         np.testing.assert_allclose(np.diag(found.matrix), np.diag(wanted.matrix), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_poses_of_any_kind_calibrate_from_the_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
     steady = Tremor(rate_dps=0.02, sway_deg=0.005, accel=0.002)

@@ -131,6 +131,7 @@ def test_due_lists_what_is_overdue_soon_due_or_never_calibrated(undrift, made, b
     assert "overdue" in undrift.good("registry", "due").out
 
 
+@pytest.mark.slow
 def test_trend_says_what_moved_since_when_with_table_picture_and_page(undrift, made, tmp_path):
     added(undrift, made("a.json", 200), made("b.json", 100, gain=1.03), made("c.json", 1, gain=1.03))
     since = NOW - timedelta(days=200)
@@ -222,6 +223,7 @@ def recording(bench, folder, temp_c=25.0, name="2026-trial.parquet"):
     return folder / name
 
 
+@pytest.mark.slow
 def test_correct_by_serial_takes_the_calibration_of_the_date_and_temperature(undrift, made, bench, tmp_path):
     added(
         undrift,

@@ -20,7 +20,6 @@ from undrift.live.transports import source_at
 from undrift.sim.device.model import read_device
 from undrift.sim.device.truth import true_calibration
 
-pytestmark = pytest.mark.waits
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 
 
@@ -118,6 +117,7 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
             np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
 
 
+@pytest.mark.slow
 def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emulated, capsys):
     call = ["rig", "check", "--rig", emulated["rig"], "--seconds", "4", "--json"]
     assert run(call) == 0
@@ -167,6 +167,7 @@ def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code,
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_again(emulated, tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     words = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", emulated["rig"], "--device", emulated["device"]]
@@ -199,6 +200,7 @@ def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
         assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_start_that_was_refused_is_no_run(capsys, tmp_path, monkeypatch):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", NOBODY, "--device", "tcp://127.0.0.1:9"]
@@ -242,6 +244,7 @@ def test_faults_come_and_go_at_their_time(emulate, capsys):
     capsys.readouterr()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals of POSIX")
 def test_a_pseudo_terminal_answers_as_the_socket_does(emulate, capsys):
     pytest.importorskip("serial")

@@ -14,9 +14,8 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 
-pytestmark = pytest.mark.waits
 
-
+@pytest.mark.slow
 def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp_path, capsys):
     first, second = (
         replace(random_device(np.random.default_rng(seed), grade="consumer"), serial=f"unit-{seed}") for seed in (3, 4)

@@ -26,6 +26,7 @@ def board(undrift, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_map_of_a_log_without_names_takes_the_gyroscopes_unit_from_gravity(board):
     text = (board / "map.toml").read_text()
     held = tomllib.loads(text)
@@ -57,6 +58,7 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
     assert (None if found is None else found[0]) == unit
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_complete_says_what_to_put_and_a_file_that_needs_none_is_refused(undrift, bench, tmp_path):
     out = undrift.good("info", data_path("multipos_xsens", "xsens_gyro.txt.gz"), "--write-map", tmp_path / "m.toml").out
     assert "# time: s, proposed by the median step 0.01" in out  # SOURCE.md: 100 Hz
@@ -93,6 +95,7 @@ def test_an_option_that_would_do_nothing_is_refused(undrift, tmp_path, words, wa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrift, board):
     words = (data_path(*LOG), "--map", board / "map.toml", "--serial", "imu0")
     told = undrift.good("session", "new", *words, "-o", board / "s", "--json").json()
@@ -115,6 +118,7 @@ def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrif
     assert one["file_map"] == other["file_map"]
 
 
+@pytest.mark.slow
 def test_faces_and_turns_are_stated_where_the_fit_uses_them(undrift, tmp_path):
     undrift.good(
         *("info", data_path("ferraris_nilspod", "example_ferraris_session.csv"), "--write-map", tmp_path / "f.toml"),
@@ -136,6 +140,7 @@ def test_faces_and_turns_are_stated_where_the_fit_uses_them(undrift, tmp_path):
         np.testing.assert_allclose(one[triad]["matrix"], other[triad]["matrix"], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_steady_turns_stand_as_comments_whose_rate_a_person_states(undrift, tmp_path):
     device = random_device(np.random.default_rng(7))
     made = simulate_session("rate_table", device, rng=np.random.default_rng(8), labelled=False)
@@ -158,6 +163,7 @@ def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     assert contents(board) == before
 
 
+@pytest.mark.slow
 def test_torn_rows_are_left_out_by_an_option_and_the_map_keeps_it(undrift, tmp_path):
     log = data_path("thermal_bmi270_two_point", "BMI_270_hot_test.csv.gz")
     units = ("--gyro-unit", "count", "--accel-unit", "count", "--sample-rate-hz", 50)
@@ -176,6 +182,7 @@ def test_torn_rows_are_left_out_by_an_option_and_the_map_keeps_it(undrift, tmp_p
     )
 
 
+@pytest.mark.slow
 def test_gains_of_a_data_sheet_make_units_of_counts_and_a_thermal_log_its_tables(undrift, tmp_path):
     log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
     gain = ("--gyro-gain", 0.06097560976)  # deg/s per count: SOURCE.md
@@ -190,6 +197,7 @@ def test_gains_of_a_data_sheet_make_units_of_counts_and_a_thermal_log_its_tables
     assert undrift("correct", log, "--calibration", tmp_path / "d.json", "-o", tmp_path / "c.csv").code == 0
 
 
+@pytest.mark.slow
 def test_the_log_of_a_table_becomes_the_turns_that_calibrate_takes(undrift, tmp_path):
     record, dwells, path = bench(tmp_path, drift=1e-5)
     write_record(record, tmp_path / "table.parquet")

@@ -55,6 +55,7 @@ def plan(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path):
     out = tmp_path / "out"
     copy = tmp_path / "copy.html"
@@ -144,9 +145,10 @@ set_points_c = [18.0, 36.0, 54.0, 75.0]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rounds",
-    [((16, 3), (8, 6)), pytest.param(((16, 3), (8, 6), (4, 12)), marks=pytest.mark.long)],
+    [((16, 3), (8, 6)), ((16, 3), (8, 6), (4, 12))],
     ids=["6 subjects", "12 subjects"],
 )
 def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, rounds, tmp_path):
@@ -181,6 +183,7 @@ def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, rounds, 
     assert wanted in (tmp_path / "h" / "report.html").read_text().replace("</strong>", "")
 
 
+@pytest.mark.slow
 def test_a_halving_resumes_and_keeps_to_its_folder(undrift, tmp_path):
     text = WIDE.replace("subjects = 6", 'subjects = 6\nsearch = "halving"').replace("[1.0, 2.0, 4.0, 11.4]", "[11.4]")
     plan = tmp_path / "study.toml"
@@ -221,6 +224,7 @@ def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undr
     assert {"gain", "faces", "dwell_s"} & {row["parameter"] for row in task["made_of"]}
 
 
+@pytest.mark.slow
 def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tmp_path):
     text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
     path = tmp_path / "more.toml"
@@ -253,6 +257,7 @@ def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
     step = tmp_path / "step.toml"
     step.write_text(plan.read_text().replace("sit_to_stand", "step"))
@@ -264,6 +269,7 @@ def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
     assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
 
 
+@pytest.mark.slow
 def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, tmp_path):
     step = tmp_path / "step.toml"
     step.write_text(plan.read_text().replace("sit_to_stand", "step"))
@@ -303,6 +309,7 @@ def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, 
     assert "- Runs missing 3 of 30" in " ".join(answer.out.split())
 
 
+@pytest.mark.slow
 def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):
     asked = []
 
@@ -357,6 +364,7 @@ def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undri
     assert "slope over temperature was inferred from the note" in page
 
 
+@pytest.mark.slow
 def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
     names = "32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5"
     trials = [f'[[trial]]\nrecording = "{data_path("broad", name)}"\ndevice = "D"\n' for name in names]

@@ -42,6 +42,7 @@ def studied(tmp_path_factory):
     return study(plan, output=folder / "out", workers=1, no_rivals=True)
 
 
+@pytest.mark.slow
 def test_the_forecast_of_each_protocol_equals_the_studys_minutes(studied, tmp_path):
     (task,) = studied.outcome.tasks
     surface, lengths = task.surface, set()
@@ -53,6 +54,7 @@ def test_the_forecast_of_each_protocol_equals_the_studys_minutes(studied, tmp_pa
     assert len(lengths) == 12  # settling of three filters (two are at the table's own 0.3 s), faces, set-points
 
 
+@pytest.mark.slow
 def test_the_file_of_a_task_is_its_cheapest_equal_and_the_commands_name_it(studied):
     (task,) = studied.outcome.tasks
     path = studied.output / "protocol-step.toml"

@@ -31,6 +31,7 @@ def files(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_several_recordings_and_optics_come_on_the_first_ones_clock_with_gaps_where_rows_are_missing(
     undrift, files, tmp_path
 ):
@@ -60,6 +61,7 @@ def test_several_recordings_and_optics_come_on_the_first_ones_clock_with_gaps_wh
     assert page.count("<svg") == 1
 
 
+@pytest.mark.slow
 def test_a_recording_of_another_motion_is_a_finding_and_no_lag(undrift, files, tmp_path):
     words = ("sync", files / "pelvis.csv", files / "strange.csv", files / "thigh.csv")
     answer = undrift(*words, "-o", tmp_path / "synced")
@@ -74,6 +76,7 @@ def test_a_recording_of_another_motion_is_a_finding_and_no_lag(undrift, files, t
     assert [item["code"] for item in told["findings"]] == ["sync.not_shared"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_shares_its_motion_with_the_second_alone_comes_through_it(undrift, tmp_path):
     (first, _), (last, _) = (
         make_recording(np.random.default_rng(seed), Device(noise=1e-3), turn_s=25.0) for seed in (6, 7)
@@ -102,6 +105,7 @@ def test_python_takes_names_one_by_one_or_in_a_list_and_the_module_stays_one(fil
     assert package.sync is not sync
 
 
+@pytest.mark.slow
 def test_foam_is_said_to_move_on_its_own(undrift, tmp_path):
     rigid, soft = (data_path("chain_with_optics", f"seg2_trial1_{name}.csv.gz") for name in ("imu", "imu_soft"))
     undrift.good("info", rigid, "--write-map", tmp_path / "map.toml")

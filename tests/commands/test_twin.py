@@ -15,6 +15,7 @@ pytestmark = pytest.mark.usefixtures("computed_once")
 KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
 
 
+@pytest.mark.slow
 def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json", "--report", str(tmp_path / "t.html")]) == 0

@@ -46,6 +46,7 @@ def end(told):
     return told["mean"]["end_total_deg"]
 
 
+@pytest.mark.slow
 def test_broad_by_each_way_of_taking_the_offset(undrift):
     told = {
         (offset, adc): undrift.good("validate", *broad(*B[:3]), "--offset", offset, "--adc", adc, "--json").json()
@@ -65,6 +66,7 @@ def test_broad_by_each_way_of_taking_the_offset(undrift):
         assert 3.5 < trial["lag_ms"] < 4.8  # SOURCE.md: 4.14 +- 0.04 ms
 
 
+@pytest.mark.slow
 def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undrift):
     answer = undrift.good("validate", *broad(*B[:3]))
     assert "(offset: rest)" in answer.out
@@ -85,6 +87,7 @@ def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undr
     assert "of the whole file it is 96.6 % or more" in answer.out
 
 
+@pytest.mark.slow
 def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_path):
     words = ["--calibration", bench / "calibration.json", "--reference", bench / "reference.parquet", "--adc", "none"]
     told = undrift.good("validate", bench / "trial.parquet", *words, "-o", tmp_path / "r", "--json").json()
@@ -97,6 +100,7 @@ def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_
     assert told["calibration"] == "calibration.json"
 
 
+@pytest.mark.slow
 def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_with(undrift, tmp_path):
     told = undrift.good("validate", *broad(B[1]), "-o", tmp_path / "r", "--json").json()
     page = (tmp_path / "r" / "report.html").read_text()
@@ -105,6 +109,7 @@ def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_
     assert "gyro codes rounded toward zero" in page
 
 
+@pytest.mark.slow
 def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_path):
     words = ["--calibrate-from", "reference", "--leave-one-out"]
     out = tmp_path / "report"
@@ -129,6 +134,7 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert answer.json()["result"] == told
 
 
+@pytest.mark.slow
 def test_expected_errors_stand_beside_the_observed_ones(undrift, tmp_path):
     words = ["--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "out"]
     files = broad("32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5")
@@ -151,6 +157,7 @@ def test_expected_errors_stand_beside_the_observed_ones(undrift, tmp_path):
     assert raw["trials"][0]["expected"] is None
 
 
+@pytest.mark.slow
 def test_one_mounting_is_stated_by_an_option_or_in_the_session(undrift, tmp_path):
     rng = np.random.default_rng(4)
     pairs = [make_recording(rng, Device(noise=1e-3), turn_s=25.0, sample_rate_hz=100.0) for _ in range(2)]
@@ -176,6 +183,7 @@ def test_one_mounting_is_stated_by_an_option_or_in_the_session(undrift, tmp_path
     assert "wanted one mounting for all recordings" in undrift.refused(*words, "--mounting", "one")
 
 
+@pytest.mark.slow
 def test_a_fit_to_references_takes_local_gravity_from_options_or_the_session(undrift, tmp_path):
     rng = np.random.default_rng(4)
     pairs = [
@@ -216,11 +224,13 @@ def test_a_fit_to_references_takes_local_gravity_from_options_or_the_session(und
     assert "--latitude-deg wants --calibrate-from reference" in line
 
 
+@pytest.mark.slow
 def test_a_fit_judged_on_its_own_recordings_says_so(undrift):
     answer = undrift.good("validate", *broad(*B[:2]), "--calibrate-from", "reference")
     assert "say --leave-one-out for an honest figure" in answer.out
 
 
+@pytest.mark.slow
 def test_raw_and_corrected_are_judged_alike(undrift, bench):
     words = ["--reference", bench / "reference.parquet", "--json", "--offset", "none"]
     raw = undrift.good("validate", bench / "trial.parquet", "--calibration", bench / "calibration.json", *words).json()
@@ -249,6 +259,7 @@ def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_foun
     assert "--max-lag-s: wanted more than 0 s, got 0" in line
 
 
+@pytest.mark.slow
 def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
     words = ["validate", *beyond_the_table(bench, tmp_path), "--reference", bench / "reference.parquet"]
     assert "choose the policy hold or nan" in undrift.refused(*words)
@@ -279,6 +290,7 @@ def test_no_error_is_judged_over_a_gap_that_the_policy_nan_left(undrift, bench, 
     assert said in undrift.refused(*words, "--policy", "nan")
 
 
+@pytest.mark.slow
 def test_gaps_in_the_rest_before_the_motion_are_told_and_the_rest_serves(undrift, bench, tmp_path):
     words = ["--reference", bench / "reference.parquet", "--policy", "nan", "--json"]
     told = undrift.good("validate", *warm_between(bench, tmp_path, 0.0, 3.0, accel=True), *words).json()
@@ -324,6 +336,7 @@ def free(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "up"), [("free.trc", "y"), ("free.c3d", "z")])
 def test_markers_are_as_good_a_reference_as_poses(undrift, free, name, up):
     words = ["--offset", "none", "--json"]
@@ -345,6 +358,7 @@ def test_markers_are_as_good_a_reference_as_poses(undrift, free, name, up):
     assert told["mean"]["rmse_total_deg"] < 1.0
 
 
+@pytest.mark.slow
 def test_a_sensor_of_an_opensense_table_is_as_good_a_reference(undrift, free, tmp_path):
     poses = replace(read_reference(free / "poses.parquet"), moving=None, position=None)  # as .sto holds them
     write_reference(poses, tmp_path / "poses.parquet")
@@ -376,6 +390,7 @@ def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undr
     assert "Q9" in line
 
 
+@pytest.mark.slow
 def test_what_validate_refuses(undrift, bench, tmp_path):
     (tmp_path / "file").write_text("kept")
     before = contents(tmp_path)
@@ -400,6 +415,7 @@ def test_what_validate_refuses(undrift, bench, tmp_path):
     assert "wanted" in refused(*broad(B[0]), "--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "new")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", ["rest", "motion"])
 def test_correct_orient_and_validate_subtract_the_rate_of_the_same_first_rest(undrift, tmp_path, offset):
     # two rests before the motion; the device is jolted between them, and its offset then is another
@@ -436,6 +452,7 @@ def test_correct_orient_and_validate_subtract_the_rate_of_the_same_first_rest(un
     np.testing.assert_allclose(np.radians(judged["offset_dps"]), [0.02, -0.01, 0.005], atol=near)
 
 
+@pytest.mark.slow
 def test_where_no_still_phase_is_found_the_marked_rest_serves_and_a_warning_says_so(undrift, tmp_path):
     # a person who sways at 0.05 rad/s: no bench would, and correct and orient refuse it
     record, reference = make_recording(np.random.default_rng(24), Device(noise=1e-3), rest_s=8.0, turn_s=20.0)
@@ -450,6 +467,7 @@ def test_where_no_still_phase_is_found_the_marked_rest_serves_and_a_warning_says
     assert "wanted a still phase" in undrift.refused("orient", words[1], "--offset", "rest", "-o", tmp_path / "o.csv")
 
 
+@pytest.mark.slow
 def test_pitch_by_axes_that_do_not_point_up_is_a_finding_of_each_trial(undrift, bench):
     words = ["validate", bench / "corrected.parquet", "--reference", bench / "reference.parquet", "--offset", "none"]
     told = undrift.good(*words, "--up", "+y", "--json").json()["trials"][0]

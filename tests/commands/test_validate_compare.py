@@ -37,6 +37,7 @@ def words(folder, people=("a", "b", "c")):
     return [*records, *references, "--calibration", folder / "calibration.json"]
 
 
+@pytest.mark.slow
 def test_levels_are_printed_with_verdicts_reasons_and_the_twin(undrift, trials):
     answer = undrift.good("validate", *words(trials), "--compare", "--labels", trials / "labels.csv")
     for said in (
@@ -53,6 +54,7 @@ def test_levels_are_printed_with_verdicts_reasons_and_the_twin(undrift, trials):
     assert "error against the reference in deg" in answer.out  # what validate says without a comparison stays
 
 
+@pytest.mark.slow
 def test_json_holds_each_trial_at_each_level_and_python_has_the_same(undrift, trials, tmp_path):
     told = undrift.good(
         "validate", *words(trials), "--compare", "--labels", trials / "labels.csv", "-o", tmp_path / "r", "--json"
@@ -85,6 +87,7 @@ def test_json_holds_each_trial_at_each_level_and_python_has_the_same(undrift, tr
         np.testing.assert_array_equal(row.actual_deg, [np.nan if x is None else x for x in said["actual_deg"]])
 
 
+@pytest.mark.slow
 def test_without_labels_trials_of_one_name_count_apart(undrift, trials):
     found = undrift.good("validate", *words(trials), "--compare", "--json").json()["compared"]
     assert (found["tasks"], found["people"]) == ([], [])
@@ -142,6 +145,7 @@ def test_what_cannot_be_is_refused(undrift, trials, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_trials_of_a_real_device_by_the_fit_to_the_others(undrift):
     files = [
         data_path("broad", name) for name in ("03_undisturbed_slow_rotation_C.hdf5", "24_disturbed_tapping_A.hdf5")

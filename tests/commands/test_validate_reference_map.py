@@ -38,6 +38,7 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     assert low < trial["end_total_deg"] < high
 
 
+@pytest.mark.slow
 def test_columns_under_two_header_rows_are_named_by_both(undrift, tmp_path):
     path = data_path(PENDULUM, "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
     found = undrift.good("info", path, "--json").json()

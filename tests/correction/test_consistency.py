@@ -111,6 +111,7 @@ def test_acceleration_with_the_opposite_sign_is_not_seen_in_the_motion_alone():
     assert told(replace(record, accel=-record.accel)) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [2, 3, 5, 7, 9, 24, 32, 35])
 def test_broad_recordings_agree_and_their_exchanged_axes_do_not(number):
     record = trial(number)[0].in_si()
@@ -119,6 +120,7 @@ def test_broad_recordings_agree_and_their_exchanged_axes_do_not(number):
         assert "exchanged" in told(replace(record, gyro=record.gyro[:, order]))
 
 
+@pytest.mark.slow
 def test_a_pendulum_raises_no_suspicion_though_it_hides_gravity():
     # Its accelerometer hardly feels the tangential component of gravity: no rotation keeps nearly as much as the true one.
     for path in sorted(data_path("pendulum_with_optics").glob("*.csv.gz")):
@@ -148,11 +150,13 @@ def codes(calibration: undrift.Calibration, record: Record) -> list[str]:
     return [one.code for one in check_device(done.record, calibration)]
 
 
+@pytest.mark.slow
 def test_the_own_calibration_raises_no_suspicion(bench):
     for calibration, record in zip(*bench, strict=True):
         assert codes(calibration, record) == []
 
 
+@pytest.mark.slow
 def test_the_calibration_of_another_device_is_questioned(bench):
     calibrations, trials = bench
     seen = [codes(calibrations[k], trials[(k + 1) % 4]) for k in range(4)]
@@ -160,6 +164,7 @@ def test_the_calibration_of_another_device_is_questioned(bench):
     assert all(one == ["correct.other_device"] for one in seen)
 
 
+@pytest.mark.slow
 def test_readings_with_the_opposite_sign_are_named_where_the_calibration_has_an_offset():
     rng = np.random.default_rng(5)
     device = undrift.random_device(rng)

@@ -127,6 +127,7 @@ def test_a_lag_without_a_table_changes_nothing():
     assert corrected(r, device(drift=drift, **quiet)).gyro.tobytes() == corrected(r, device(**quiet)).gyro.tobytes()
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(cuts=st.sets(st.integers(2, N - 2)), since=st.none() | st.floats(0.0, 3.0), start=st.sampled_from([0.0, 1.7e9]))
 def test_a_stream_carries_lag_and_power_on_and_equals_the_batch_to_the_last_bit(cuts, since, start):

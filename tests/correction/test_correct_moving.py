@@ -69,6 +69,7 @@ def test_a_table_of_offsets_is_that_of_rests():
     np.testing.assert_allclose(got - without, -m[:, None] * MOVING, rtol=0, atol=CLOSE)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(cuts=st.sets(st.integers(2, N - 2)))
 def test_a_stream_carries_the_turn_and_equals_the_batch_to_the_last_bit(cuts):

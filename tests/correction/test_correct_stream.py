@@ -28,6 +28,7 @@ def batch_of(which, policy="hold"):
     return correct_checked(r, c, policy=policy)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     which=st.integers(0, len(STREAMED) - 1),

@@ -45,7 +45,8 @@ def worn(seed: int, name: TaskName, scale: float = 1e-3) -> tuple[Record, np.nda
     return replace(done, gyro=rate), (rate - motion.mean_rate_b).mean(axis=0), moved
 
 
-@pytest.mark.parametrize("devices", [15, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [15, 300])
 @pytest.mark.parametrize(("name", "raw"), [("free", False), ("free", True), ("posturography", False)])
 def test_nineteen_of_twenty_intervals_hold_the_offset_of_people_who_move(
     name: TaskName, raw: bool, devices: int
@@ -108,7 +109,8 @@ def test_the_offset_of_a_long_recording_is_followed_from_stretch_to_stretch() ->
     np.testing.assert_allclose(found.at(found.time), found.rate)
 
 
-@pytest.mark.parametrize("numbers", [(3, 7, 24), pytest.param(tuple(FILES), marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("numbers", [(3, 7, 24), tuple(FILES)])
 def test_gravity_in_motion_halves_the_inclination_that_a_rest_leaves_in_every_real_trial(
     numbers: tuple[int, ...],
 ) -> None:
@@ -169,7 +171,8 @@ def test_a_stream_takes_the_offset_of_motion_as_the_whole_record_does() -> None:
     np.testing.assert_array_equal(np.concatenate(parts), whole.record.gyro)
 
 
-@pytest.mark.parametrize("devices", [8, pytest.param(60, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [8, 60])
 def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(devices: int) -> None:
     away, stated = [], []
     for seed in range(devices):

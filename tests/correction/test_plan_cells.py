@@ -34,6 +34,7 @@ def test_a_limit_of_nodes_decides_between_an_even_grid_and_the_given_nodes():
     np.testing.assert_array_equal(kept.nodes, GAP)
 
 
+@pytest.mark.slow
 @given(low=st.integers(-400, 400), parts=st.integers(1, 1000), cells=st.integers(1, 2000))
 def test_the_cell_of_an_even_table_is_found_without_a_search(low, parts, cells):
     nodes = (low + np.arange(cells + 1)) / parts  # any step: 1/3, 0.1, 0.007 degC

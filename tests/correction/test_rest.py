@@ -77,6 +77,7 @@ def test_corrected_with_the_rest_and_oriented_is_oriented_with_the_rest():
     np.testing.assert_allclose(named.offset, done.rest.rate, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walk", [0.0, 2e-4], ids=["white", "coloured"])
 def test_the_stated_uncertainty_holds_for_white_and_for_coloured_noise(walk):
     # chi square of 3 axes over 40 records: 120 degrees of freedom, 99.9 % of it lies within 0.64 and 1.45 of its mean; noise of

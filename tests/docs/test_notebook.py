@@ -31,6 +31,7 @@ def test_each_notebook_is_tried():
     assert {path.stem for path in DOCS.glob("*.ipynb")} == set(PICTURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_a_notebook_is_small_and_gives_again_what_it_shows(name, tmp_path):
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")

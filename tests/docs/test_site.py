@@ -37,6 +37,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder_made_once(run_folder(tmp_path_factory), "site", build) / "html"
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     loads = re.compile(
         r"""<(?:script|img|iframe|source|embed|object|video|audio)\b[^>]*\b(?:src|data|srcset)=["'](?:https?:)?//"""
@@ -61,6 +62,7 @@ def pages_of(site: Path, name: str) -> str:
     return "".join(path.read_text(encoding="utf-8") for path in sorted((site / "_generated").glob(f"{name}*.html")))
 
 
+@pytest.mark.slow
 def test_each_command_option_and_finding_is_in_the_site(site: Path) -> None:
     for name in COMMANDS:
         assert f"undrift {name}" in (site / "_generated" / f"command-{name}.html").read_text(encoding="utf-8")
@@ -69,6 +71,7 @@ def test_each_command_option_and_finding_is_in_the_site(site: Path) -> None:
     assert [code for code in catalogue() if f">{code}<" not in findings] == []
 
 
+@pytest.mark.slow
 def test_each_exported_name_key_and_preset_is_in_the_site(site: Path) -> None:
     api = pages_of(site, "api")
     assert [name for name in undrift.__all__ if f'id="undrift.{name}"' not in api] == []
@@ -82,6 +85,7 @@ def test_each_exported_name_key_and_preset_is_in_the_site(site: Path) -> None:
             assert f"<td><p>{name}</p></td>\n{cells}" in presets
 
 
+@pytest.mark.slow
 def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
     anchors = {
         page: set(re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8"))) for page in site.rglob("*.html")
@@ -98,6 +102,7 @@ def test_every_link_of_the_site_leads_somewhere(site: Path) -> None:
     assert not wrong, "\n".join(sorted(set(wrong))[:20])
 
 
+@pytest.mark.slow
 def test_what_scrolls_can_be_reached_by_keyboard_and_headings_have_a_level(site: Path) -> None:
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
@@ -118,6 +123,7 @@ def cut_in_print(held: Any, *pages: Path) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_pages_read_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
     with browser() as held:
         pages = [site / f"{name}.html" for name in SOME]
@@ -126,6 +132,7 @@ def test_pages_read_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site:
         assert cut_in_print(held, *pages) == []
 
 
+@pytest.mark.slow
 def test_what_is_cut_is_noticed(tmp_path: Path) -> None:
     page = tmp_path / "wide.html"
     page.write_text(
@@ -135,7 +142,7 @@ def test_what_is_cut_is_noticed(tmp_path: Path) -> None:
         assert cut_in_print(held, page) == ["wide.html in print: PRE word word word word word word"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
     with browser() as held:
         pages = sorted(site.rglob("*.html"))

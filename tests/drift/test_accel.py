@@ -73,6 +73,7 @@ def test_poses_at_five_temperatures_give_back_offset_and_matrix(poses):
     assert np.abs(fit.percent_per_k - 100.0 * made.accel.thermal_scale.per_k[0]).max() < 2e-4
 
 
+@pytest.mark.slow
 def test_intervals_hold_offset_and_sensitivity():
     z_offset, z_matrix = [], []
     for seed in range(12):

@@ -102,7 +102,8 @@ def drawn(rng, *, known, days=10):
     return base, learn_accel(base, seen, old + np.arange(float(days))), errors
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [30, 200])
 @pytest.mark.parametrize("known", [False, True])
 def test_stated_uncertainty_holds_and_no_device_becomes_worse(known, count):
     rng, inside, before, after = np.random.default_rng(7), [], [], []

@@ -75,6 +75,7 @@ def test_a_scale_that_the_calibration_does_not_have_is_reported_with_its_figure(
         assert fit.verdict.status == status
 
 
+@pytest.mark.slow
 def test_an_offset_that_is_not_the_calibration_s_is_reported_in_deg_per_s():
     session = warmed(4, (0.0, 0.0, 0.0))
     assert not any(

@@ -406,7 +406,7 @@ def chosen(made, seed=0, temps=TEMPS, steps=None, **kept):
         ("scale + dynamic", {"rate_drift": RateDrift(coefficients=CUBIC)}),
     ],
 )
-@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_device_gets_the_tables_that_it_needs(name, changes, devices):
     for seed in range(devices):
         choice = chosen(device(seed, **changes), seed)

@@ -64,6 +64,7 @@ def learnt(used):
     return learn_drift([day.session for day in days], calibration, dates=on_days(range(8)))
 
 
+@pytest.mark.slow
 def test_eight_days_of_use_show_the_offset_over_temperature_without_a_chamber(used, learnt):
     device, calibration, days = used
     near = ~learnt.extrapolated
@@ -115,6 +116,7 @@ def test_rests_on_a_body_are_among_them(used, learnt):
     assert learnt.rest_kept.all()
 
 
+@pytest.mark.slow
 def test_day_by_day_and_all_at_once_give_the_same(used, learnt):
     _, calibration, days = used
     for part in ([5, 1], [0, 7, 2], [3], [6, 4]):
@@ -180,6 +182,7 @@ def test_new_tables_of_a_thermal_session_leave_nothing_of_learning(used, learnt)
     np.testing.assert_array_equal(fitted.accel.offset, plain.accel.offset)
 
 
+@pytest.mark.slow
 def test_the_same_rests_update_the_accelerometers_and_count_once(used):
     device, calibration, _ = used
     rng = np.random.default_rng(2)
@@ -346,6 +349,7 @@ def nominal(offset_dps, sigma_dps):
     return Calibration(device="A", reference_temp_c=25.0, gravity_m_s2=STANDARD_GRAVITY, gyro=model)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_next_switch_on_of_drawn_devices():
     rng, inside, z = np.random.default_rng(11), [], []
     for _ in range(16):
@@ -493,6 +497,7 @@ def test_two_plateaus_are_learnt_one_day_each_and_their_second_halves_agree():
     assert hottest.max() > 0.3  # what was learnt
 
 
+@pytest.mark.slow
 def test_every_other_three_minutes_of_the_warm_up_predict_the_others(warm_up):
     count = int(warm_up.duration_s // 180.0)
     edges = np.searchsorted(warm_up.time - warm_up.time[0], 180.0 * np.arange(count + 1))

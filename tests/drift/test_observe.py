@@ -218,6 +218,7 @@ def test_rows_are_read_with_count_spread_rate_and_scale(tmp_path):
     assert (means.rate_b[:, :2] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_offsets_over_temperature_are_those_of_the_device_within_what_is_stated(tmp_path):
     inside, worst = [], 0.0
     nodes = np.arange(20.0, 70.5, 0.5)

@@ -23,6 +23,7 @@ def drawn(seed, protocol=SKEW):
     return steps_of(protocol, device, np.zeros((3, 3)), NOTE_BENCH, rng), calibration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cross", [0.0, CROSS_PER_K])
 def test_scale_of_three_axes_by_one_mounting_lies_within_what_is_stated(cross, capsys):
     error, stated = (np.array(part) for part in zip(*(unit(seed, cross) for seed in range(UNITS)), strict=True))

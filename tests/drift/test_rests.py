@@ -47,13 +47,14 @@ def errors(seeds, **changes):
     return value - (POINTS[:, None] - 40.0) * SLOPE, np.array([fit.gyro.curve_uncertainty[::2] for fit in fits])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("poses", "by_pose", "by_rest"),
     [
         (3, 0.05, 0.0),
         (6, 0.05, 0.02),
-        pytest.param(3, 0.0, 0.02, marks=pytest.mark.long),
-        pytest.param(6, 0.05, 0.0, marks=pytest.mark.long),
+        (3, 0.0, 0.02),
+        (6, 0.05, 0.0),
     ],
 )
 def test_the_table_s_intervals_hold_when_poses_or_rests_disagree(poses, by_pose, by_rest):
@@ -76,6 +77,7 @@ def test_more_samples_of_a_rest_do_not_lessen_what_poses_make():
     np.testing.assert_allclose(many, few, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_poses_that_agree_cost_next_to_nothing():
     one, three = (errors(20, poses=poses, visits=6 // poses)[1] for poses in (1, 3))
     show("stated with three poses that agree over one pose", f"{np.median(three) / np.median(one):.2f}", 1.3)
@@ -140,6 +142,7 @@ def courses(rng, *, jagged=0.0, visit=0.0, stated=NOISE):
     return blocks(points[order], gyro, noise=stated, time=600.0 * np.arange(72.0))
 
 
+@pytest.mark.slow
 def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding():
     def of(**changes):
         fit = fit_static(courses(np.random.default_rng(6), **changes), nodes=np.arange(20.0, 75.0, 5.0))
@@ -156,6 +159,7 @@ def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding(
     assert (below.code, below.level) == ("drift.left_out_below", "info")
 
 
+@pytest.mark.slow
 def test_a_log_through_soaks_and_ramps_shows_what_soaks_add():
     # Twelve soaks of an hour and ramps of half an hour in one log; what a soak adds goes over to the next along the ramp.
     inside = []

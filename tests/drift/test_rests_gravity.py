@@ -91,6 +91,7 @@ def test_what_is_known_is_kept():
     assert verdict.reasons == ()
 
 
+@pytest.mark.slow
 def test_nothing_is_felt_where_nothing_is():
     felt = [
         with_g_sensitivity(rests(np.random.default_rng(seed), felt=np.zeros((3, 3)), by_pose=by_pose), NAIVE)[0]

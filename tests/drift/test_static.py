@@ -133,6 +133,7 @@ def test_few_blocks_on_the_way_down_do_not_pull_the_middle_curve():
     np.testing.assert_allclose(fit.table.gyro_offset, line(NODES, rng, 0.0), atol=0.004)
 
 
+@pytest.mark.slow
 def test_sessions_on_several_days_give_the_scatter_of_the_switch_on():
     rng = np.random.default_rng(4)
     temp = np.linspace(20.0, 60.0, 120)

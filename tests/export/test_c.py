@@ -58,6 +58,7 @@ def sizes_of(calibration, gyro, accel):
     return terms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_build_agrees_with_the_corrector(kind, tmp_path):
     options = dict(KINDS[kind])
@@ -132,6 +133,7 @@ def at(calibration, name, temp_c):
     return matrix, offset
 
 
+@pytest.mark.slow
 @settings(few, max_examples=12)
 @given(calibrations(), st.integers(0, 1000))
 def test_fixed_point_stays_within_its_stated_bound(tmp_path_factory, calibration, seed):
@@ -295,6 +297,7 @@ def test_what_is_not_carried_is_listed():
         assert text not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
 def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_in_python(arithmetic, tmp_path):
     for name, unit in (("accel", "g"), ("accel", None), ("gyro", "dps")):

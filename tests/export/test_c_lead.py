@@ -35,6 +35,7 @@ def ramp(rate_hz, seconds, *, uneven=False, seed=4):
     return r, true
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arithmetic", "limit"),
     [
@@ -60,6 +61,7 @@ def test_the_lead_is_that_of_without_lag_on_a_ramp(arithmetic, limit, rate_hz, u
         assert off < 0.5 * np.abs(same.temp_c - true)[-len(r) // 4 :].mean()  # and it takes the lag off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
 def test_the_whole_chain_corrects_as_correct_does_with_a_lag(arithmetic, tmp_path):
     calibration = lagging()
@@ -85,6 +87,7 @@ def test_the_whole_chain_corrects_as_correct_does_with_a_lag(arithmetic, tmp_pat
     assert worst < 0.01 * np.abs(other.gyro - done.gyro).max()
 
 
+@pytest.mark.slow
 def test_a_gap_comes_back_as_one_and_the_next_reading_bridges_it(tmp_path):
     r, _ = ramp(10.0, 60.0)
     temp = r.temp_c.copy()
@@ -97,6 +100,7 @@ def test_a_gap_comes_back_as_one_and_the_next_reading_bridges_it(tmp_path):
     np.testing.assert_allclose(out[held, 6], python[held], atol=1e-11, rtol=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "fixed"])
 def test_wild_readings_and_steps_do_nothing_undefined(arithmetic, tmp_path):
     rng = np.random.default_rng(3)

@@ -66,6 +66,7 @@ def given(exported, arithmetic, r, since):
     return inputs, replace(r, gyro=real[:, :3], accel=real[:, 3:6], temp_c=real[:, 6], time=real[:, 7])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
 @pytest.mark.parametrize("nodes", NODES)
 def test_the_warm_up_comes_off_as_correct_takes_it_off(nodes, arithmetic, tmp_path):
@@ -95,6 +96,7 @@ def test_the_warm_up_comes_off_as_correct_takes_it_off(nodes, arithmetic, tmp_pa
     assert settled.sum() > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "fixed"])
 @pytest.mark.parametrize("nodes", NODES)
 def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(nodes, arithmetic, tmp_path):
@@ -113,6 +115,7 @@ def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(
     np.testing.assert_array_equal(out[before:, :3], out[before:, 6:9])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
 def test_the_estimate_holds_the_warm_up_and_the_lead(arithmetic, tmp_path):
     whole, bare = (
@@ -148,6 +151,7 @@ def test_the_estimate_holds_the_warm_up_and_the_lead(arithmetic, tmp_path):
     assert 0.5 < more / estimate < 2.0 or arithmetic == "double"
 
 
+@pytest.mark.slow
 def test_the_header_tells_of_the_second_entry_and_without_a_warm_up_there_is_none():
     exported = export_c(warming())
     assert "it is zero from 901.3 s on" in exported.header

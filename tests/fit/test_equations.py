@@ -258,6 +258,7 @@ def test_the_size_of_a_group_and_its_parameters_are_found_and_the_other_stays_ou
     assert sigma[1:].min() > 0.9 / 5.25**0.5
 
 
+@pytest.mark.slow
 def test_a_group_that_is_not_there_rarely_shows_and_a_least_size_is_kept():
     shown = 0
     for seed in range(60):
@@ -369,6 +370,7 @@ def test_parameters_and_covariance_are_averages_over_every_walk(walk):
     )
 
 
+@pytest.mark.slow
 def test_the_walk_is_the_most_likely_one():
     reading = walking(np.random.default_rng(3), 0.05)
     grid = np.geomspace(0.01, 0.3, 4000)

@@ -34,6 +34,7 @@ def test_exact_readings_give_back_matrix_and_offset():
     assert triad.model.rank == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_the_covariance_is_the_scatter_of_many_fits(known):
     rng = np.random.default_rng(12)

@@ -191,6 +191,7 @@ def missed(rng, soaks, visit, noise, triads):
     return np.array(error), np.array(stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("visit", [0.0, 0.005, 0.02])
 def test_a_visit_to_come_lies_within_what_is_stated_however_long_the_soaks_were(visit):
     # Twelve soaks of 1 or 600 rows that scatter by 0.01 deg/s, and by what each visit adds; the hyperparameters' spread may widen
@@ -215,6 +216,7 @@ def test_few_soaks_of_three_axes_show_together_how_much_visits_scatter(soaks):
     assert inside >= limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [3, 4])
 def test_few_points_of_a_parabola_state_at_most_three_times_their_error(points):
     rng, error, stated = np.random.default_rng(21), [], []
@@ -262,6 +264,7 @@ def test_bends_of_unit_size_depart_from_their_parabola_as_the_prior_counts_them(
     assert np.sqrt(np.diag(left @ bending(x, x) @ left).mean()) == pytest.approx(smooth._PER_BEND, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_prior_of_bends_is_that_of_drawn_devices():
     # Sixty devices that no other test draws: rms departure from a parabola over 18 to 75 degC, over the range of the triad.
     temp, departure = np.linspace(18.0, 75.0, 20), []

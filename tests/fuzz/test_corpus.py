@@ -53,6 +53,7 @@ def test_a_damaged_input_is_refused_or_read(seed, tmp_path):
         assert found.kind not in BAD, found.text
 
 
+@pytest.mark.slow
 def test_what_is_read_of_damaged_recordings_is_theirs_or_said_otherwise(tmp_path):
     data_path(".")
     counted: Counter[str] = Counter()

@@ -12,8 +12,9 @@ from testkit.data import needs_data, show
 TESTS = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 @needs_data
-@pytest.mark.parametrize("few", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("few", [True, False])
 def test_a_disk_that_is_full_at_any_write_is_one_clear_line_and_costs_nothing(few):
     words = [sys.executable, "-m", "fuzz.full_disk", *(["--few"] if few else [])]
     done = subprocess.run(

@@ -19,6 +19,7 @@ def arrays(n=12):
     return {"t": np.arange(n) / 50, "w": rng.normal(size=(n, 3)), "a": rng.normal(size=(n, 3)), "fs": np.array(50)}
 
 
+@pytest.mark.slow
 @few
 @given(record=records(gaps=True, plain=True))
 def test_native_names_come_back_to_the_last_bit_from_npz(tmp_path_factory, record):

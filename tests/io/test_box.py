@@ -104,6 +104,7 @@ def test_a_crash_is_one_line(file):
         leave(file)
 
 
+@pytest.mark.slow
 @needs_fork
 def test_too_much_memory_is_one_line_and_the_setting_raises_it(file, limits):
     limits.memory_gb = 0.5
@@ -115,6 +116,7 @@ def test_too_much_memory_is_one_line_and_the_setting_raises_it(file, limits):
     assert swell(file) == 8e7
 
 
+@pytest.mark.slow
 @needs_fork
 def test_a_parser_without_end_is_stopped(file, limits):
     limits.start_s = 1.0
@@ -190,6 +192,7 @@ def test_one_box_reads_file_after_file_and_ends_with_its_block(file):
     assert whose(file) != whose(file)
 
 
+@pytest.mark.slow
 @needs_fork
 def test_one_box_keeps_the_limits_of_each_file_and_names_the_one_that_breaks_them(tmp_path, limits):
     limits.start_s, limits.memory_gb = 1.0, 0.5
@@ -221,6 +224,7 @@ def test_a_file_that_fails_beside_others_is_read_again_in_a_box_of_its_own(file,
         assert swell_beside(file, second) == 10.0
 
 
+@pytest.mark.slow
 @needs_fork
 def test_the_time_of_one_box_is_that_of_each_file(file, limits):
     limits.start_s = 1.0
@@ -320,6 +324,7 @@ def test_a_file_larger_than_the_memory_is_not_begun(tmp_path, limits):
     assert len(read_bytes(tmp_path / "a.txt")) == 2000
 
 
+@pytest.mark.slow
 @needs_fork
 def test_a_zip_that_swells_is_refused(tmp_path, limits):
     path = tmp_path / "bomb.npz"

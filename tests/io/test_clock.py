@@ -200,6 +200,7 @@ def test_a_session_states_it_and_a_call_overrules_it(tmp_path) -> None:
         read_session(path)
 
 
+@pytest.mark.slow
 def test_a_format_with_a_clock_of_its_own_is_put_on_a_regular_one() -> None:
     path = data_path("broad", "24_disturbed_tapping_A.hdf5")
     read = read_counted(path, settings=ReadSettings(clock="regular"))

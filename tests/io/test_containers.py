@@ -43,6 +43,7 @@ def test_an_xdf_clock_that_was_reset_keeps_its_rate_and_shows_the_gap():
     assert np.diff(record.time).max() > 100.0
 
 
+@pytest.mark.slow
 def test_an_xdf_stream_without_samples_or_numbers_is_named_as_such():
     path = data_path("makers", "xdf", "empty_streams.xdf")
     with pytest.raises(InputError, match=r"got no samples in 'Empty data stream: test stream 0 counter'; name another"):

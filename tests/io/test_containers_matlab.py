@@ -60,6 +60,7 @@ def test_a_broad_trial_in_a_matlab_file_reads_as_its_hdf5_does_optics_too(tmp_pa
     same(tmp_path / "a.mat", path)
 
 
+@pytest.mark.slow
 def test_a_broad_trial_in_matlab_7_3_is_turned_back(tmp_path, trial):
     path, arrays, rate = trial
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as held:

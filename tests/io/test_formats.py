@@ -22,6 +22,7 @@ def ramp(n=30):
     return Record(time=np.arange(n) / 100, gyro=np.arange(3.0 * n).reshape(n, 3) / 100, accel=np.ones((n, 3)))
 
 
+@pytest.mark.slow
 @few
 @given(record=records(), ending=st.sampled_from(["parquet", "csv", "csv.gz"]))
 def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, ending):
@@ -34,6 +35,7 @@ def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, end
     assert_same(read_record(folder / "renamed.dat"), record)
 
 
+@pytest.mark.slow
 @few
 @given(n=st.integers(2, 50), rows=st.integers(2, 20), ending=st.sampled_from(["parquet", "csv"]))
 def test_chunks_are_the_whole(tmp_path_factory, n, rows, ending):

@@ -59,6 +59,7 @@ def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
         read_csv(tmp_path / "r.csv", unmapped)
 
 
+@pytest.mark.slow
 def test_hdf5_of_each_kind_is_told_apart(tmp_path):
     with h5py.File(tmp_path / "m.mat", "w") as handle:
         handle["w"] = np.zeros((3, 5))

@@ -95,6 +95,7 @@ def test_a_format_of_another_package_is_read_and_described(site, tmp_path):
     assert (found.kind, found.format, found.rows, found.units[1]) == ("recording", "logger", 300, ("gyro", "dps"))
 
 
+@pytest.mark.slow
 def test_undrift_info_shows_a_format_of_another_package(site, tmp_path, monkeypatch):
     install(site, POINTS)
     log(tmp_path / "a.log")

@@ -29,6 +29,7 @@ def write(path, points, labels, *, rate=100.0, unit="mm", screen="+Z"):
     made.write(str(path))
 
 
+@pytest.mark.slow
 @few
 @given(seed=st.integers(0, 9999), n=st.integers(2, 30), lost=st.floats(0.0, 0.5))
 def test_points_come_back_with_their_gaps(tmp_path_factory, seed, n, lost):

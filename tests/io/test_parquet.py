@@ -24,6 +24,7 @@ def joined(chunks):
     return Record(time=np.concatenate([c.time for c in chunks]), gyro=np.concatenate([c.gyro for c in chunks]))
 
 
+@pytest.mark.slow
 @few
 @given(record=records(gaps=True))
 def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
@@ -34,6 +35,7 @@ def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
     assert parquet_names(path)[0] == "time_s"
 
 
+@pytest.mark.slow
 @few
 @given(n=st.integers(2, 60), rows=st.integers(2, 25), group=st.integers(1, 30))
 def test_chunks_are_the_whole_in_order_and_none_is_a_single_sample(tmp_path_factory, n, rows, group):

@@ -17,6 +17,7 @@ from undrift.io.mocap import read_broad
 from undrift.io.reference import ReferenceMap, write_reference
 
 
+@pytest.mark.slow
 @few
 @given(reference=references(), suffix=st.sampled_from(["csv", "parquet"]))
 def test_a_reference_comes_back_from_the_files_it_is_written_to(tmp_path_factory, reference, suffix):
@@ -33,6 +34,7 @@ def test_a_reference_comes_back_from_the_files_it_is_written_to(tmp_path_factory
             np.testing.assert_array_equal(getattr(back, name), getattr(reference, name))
 
 
+@pytest.mark.slow
 @few
 @given(reference=references(), kind=st.sampled_from(["npz", "mat"]))
 def test_a_reference_reads_from_npz_and_mat(tmp_path_factory, reference, kind):

@@ -263,6 +263,7 @@ def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
             read_session(tmp_path)
 
 
+@pytest.mark.slow
 @few
 @given(data=st.data(), serial=st.text(max_size=8).filter(str.isprintable), gravity=st.floats(9.71, 9.89))
 def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, gravity):

@@ -208,6 +208,7 @@ def example(**changes: object) -> Calibration:
     return Calibration(**values)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(calibration=calibrations)
 def test_a_calibration_reads_back_to_the_last_bit(calibration: Calibration, tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ def test_a_mat_file_of_undrift_with_a_broken_statement_is_refused(tmp_path):
         read_record(tmp_path / "r.mat")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["r.parquet", "r.mat"])
 def test_a_flipped_bit_in_a_file_of_undrift_is_refused_or_changes_nothing(tmp_path, name):
     rng = np.random.default_rng(16)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 TESTS = Path(__file__).parents[1]
 CALLERS = (
     "correction/test_correct.py",
@@ -19,6 +21,7 @@ CHOSEN = (
 )
 
 
+@pytest.mark.slow
 def test_kernels_that_are_not_compiled_pass_their_tests():
     modules = [path for path in sorted(TESTS.glob("kernels/test_*.py")) if path != Path(__file__)]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *modules, *(TESTS / name for name in CALLERS)]

@@ -66,6 +66,7 @@ def test_a_shape_is_described_by_three_seconds_of_it_and_read_right(shape: Shape
         np.testing.assert_allclose(np.diff(counter) * sent.tick_s, 0.01, atol=2e-3 + 0.02 * (lost > 1))
 
 
+@pytest.mark.slow
 def test_most_shapes_need_no_description():
     states = [one for one in ALL if one.name not in REFUSED]
     noted = sum(bool(description_of(listened(one), "board", {})[1]) for one in states)

@@ -29,7 +29,8 @@ def on_virtual_clock(pieces, settings: RecorderSettings = QUICK, *, hang_up: boo
     return Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}", clock=clock), settings, clock), clock
 
 
-@pytest.mark.parametrize("minutes", [1, pytest.param(10, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("minutes", [1, 10])
 def test_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss(minutes):
     rng = np.random.default_rng(0)
     block = rng.integers(-250, 250, (12_000, 10))

@@ -268,6 +268,7 @@ def test_chunks_hold_what_they_say():
         assert np.isfinite(chunk.values).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["udp", "serial"])
 def test_ten_channels_at_2_khz_from_a_sender_that_does_not_wait_lose_nothing(way):
     rate, burst = 2000, 20  # as a device would: 20 readings every 10 ms, whether they are taken or not

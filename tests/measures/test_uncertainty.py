@@ -33,6 +33,7 @@ def performed(name, seed):
     return task.at(np.arange(int(task.duration_s * 100.0)) / 100.0, G)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("task", "measured"),
     [("sit_to_stand", sit_to_stand), ("posturography", sway), ("walk", walk), ("step", step), ("tug", up_and_go)],

@@ -22,6 +22,7 @@ def shown_contacts(result, motion):
     return motion.time[0] + np.array([one.onset for one in result.events if one.trial_type == "initial contact"])
 
 
+@pytest.mark.slow
 def test_planted_contacts_durations_and_spread_are_found():
     late, wrong, values = [], [], []
     for person in people(20):
@@ -113,6 +114,7 @@ def near(shown, planned):
     return shown[np.abs(shown[:, None] - planned).argmin(axis=0)] - planned
 
 
+@pytest.mark.slow
 def test_planted_contacts_and_strides_of_a_leg_are_found():
     wrong, late, values = [], [], []
     for person, ends in legs("shank", 20):
@@ -161,6 +163,7 @@ def test_planted_contacts_and_strides_of_a_leg_are_found():
     assert stance < 2.0
 
 
+@pytest.mark.slow
 def test_planted_strides_of_a_thigh_are_found():
     wrong = []
     for person, swings in legs("thigh", 20):

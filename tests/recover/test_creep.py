@@ -40,6 +40,7 @@ def drawn(rng: np.random.Generator, tilt_sd: float) -> tuple[Session, np.ndarray
     return session, truth.matrix, truth.offset
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_sd", [0.0, 0.1 * DEG])
 def test_intervals_of_six_faces_hold_under_creep(tilt_sd: float) -> None:
     rng, own = np.random.default_rng(20261122), np.eye(3, dtype=bool)

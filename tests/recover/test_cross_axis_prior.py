@@ -61,6 +61,7 @@ def test_without_a_prior_the_session_is_refused_and_with_it_all_is_fitted() -> N
     assert fit.accel.verdict.status == "marginal"
 
 
+@pytest.mark.slow
 def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_uncertainty() -> None:
     scaled: dict[str, list[np.ndarray]] = {
         name: [] for name in ("scale", "cross-axis", "offset", "gyro", "gyro offset")

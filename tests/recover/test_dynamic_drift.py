@@ -80,7 +80,8 @@ def sit_to_stand(seed: int) -> Motion:
     return task.at(np.arange(round(task.duration_s * 100.0)) / 100.0, GRAVITY)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long), pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -> None:
     motion = table_motion(dwell_s=1.5)
     dwells = np.concatenate([np.arange(turn.start + 50, turn.stop) for turn in motion.turns])
@@ -134,7 +135,8 @@ def _truth_of_e(device: DeviceModel, fit: DynamicFit, axis: int) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.parametrize("devices", [12, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [12, 20])
 def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> None:
     z_scale, z_dynamic = [], []
     for seed in range(devices):

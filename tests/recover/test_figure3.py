@@ -146,7 +146,7 @@ def print_table(name: str, errors: np.ndarray, excursions_k: tuple[float, ...] =
 
 
 @pytest.mark.parametrize(
-    "tables_of", [true_tables_of, up_tables, pytest.param(there_and_back_tables, marks=pytest.mark.long)]
+    "tables_of", [true_tables_of, up_tables, pytest.param(there_and_back_tables, marks=pytest.mark.slow)]
 )
 def test_the_typical_unit_loses_more_than_three_degrees_and_the_tables_give_them_back(tables_of: TablesOf) -> None:
     errors = pitch_errors(preset("enc03j_3031"), tables_of, seed=0)
@@ -159,7 +159,8 @@ def test_the_typical_unit_loses_more_than_three_degrees_and_the_tables_give_them
     assert errors[:, 2, 0].max() < 0.3
 
 
-@pytest.mark.parametrize("units", [3, pytest.param(10, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("units", [3, 10])
 def test_units_drawn_from_the_preset_keep_a_small_part_of_their_drift(units: int) -> None:
     middle = EXCURSIONS_K[1:2]
     errors = np.stack(

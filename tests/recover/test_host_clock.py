@@ -53,7 +53,8 @@ def outcome(session: Session, record: Record, device: DeviceModel) -> float:
         return float("inf")
 
 
-@pytest.mark.parametrize("devices", [2, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [2, 4])
 @pytest.mark.parametrize(("name", "settings"), [("bursts and drop-outs", BURSTS), ("jitter", JITTER), ("mild", MILD)])
 def test_a_regular_clock_is_as_good_as_the_true_one_on_the_same_samples(
     name: str, settings: HostSettings, devices: int
@@ -75,6 +76,7 @@ def test_a_regular_clock_is_as_good_as_the_true_one_on_the_same_samples(
     assert largest[1] > 2.0 * largest[2] or name == "mild"
 
 
+@pytest.mark.slow
 def test_the_key_in_session_toml_and_the_stated_stills_go_by_the_fitted_clock(tmp_path) -> None:
     device, session, made = session_of(1, BURSTS)
     write_session(replace(session, records=(made.record,)), tmp_path / "s")

@@ -90,6 +90,7 @@ def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationM
     np.testing.assert_allclose(found[12:], wanted[12:], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)

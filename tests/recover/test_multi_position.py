@@ -149,6 +149,7 @@ def test_poses_and_turns_give_back_the_device_without_noise() -> None:
         np.testing.assert_allclose(found.offset, offset, atol=1e-5)  # counts; 1 rad/s is 940
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)

@@ -78,6 +78,7 @@ def check(name: str, ratio: np.ndarray, *, shared: int = 1, bounded: bool = Fals
     assert bounded or square >= low
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "shown"), [("bench", True), ("rate_table", False)])
 def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind: BenchKind, shown: bool) -> None:
     ratio, error, _ = errors(kind, MOUNTED)
@@ -88,6 +89,7 @@ def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind
     assert rms < 2.0 * 1.3e-4 if shown else 1.0e-3 < rms < 2.5e-3
 
 
+@pytest.mark.slow
 def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
     table = BenchErrors(wobble=0.1 * DEG)
     ratio, _, _ = errors("rate_table", table, settings=stated(BenchErrors()))
@@ -95,6 +97,7 @@ def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
     check("cross-axis, wobble", ratio[:, CROSS] / 1.25)
 
 
+@pytest.mark.slow
 def test_a_rate_that_ripples_and_settles_late_is_corrected_by_the_readings_within_the_dwells() -> None:
     ratio, error, made = errors("rate_table", BenchErrors(ripple=0.003, excess=0.003))
     check("scale, ripple", ratio[:, SCALES])
@@ -105,6 +108,7 @@ def test_a_rate_that_ripples_and_settles_late_is_corrected_by_the_readings_withi
     assert all("rate_table.uneven_rate" not in codes(one.verdict.findings) for one in made)
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_a_table_errs_in_every_way() -> None:
     table = replace(MOUNTED, wobble=0.03 * DEG, table_rate=1e-3, ripple=5e-4, excess=5e-4)
     ratio, _, _ = errors("bench", table)

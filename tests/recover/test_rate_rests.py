@@ -194,6 +194,7 @@ def monte_carlo(walk: float, gravity: bool, devices: int) -> Errors:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gravity", [True, False])
 def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_noise(gravity: bool) -> None:
     for seed in range(3):
@@ -212,6 +213,7 @@ def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_nois
             np.testing.assert_allclose(found.g_sensitivity, true.g_sensitivity, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 @pytest.mark.parametrize(
     ("walk", "gravity"), [(0.0, True), (0.0, False), (CONSUMER_WALK, True), (0.3, True), (0.3, False)]
@@ -240,6 +242,7 @@ def test_error_reaches_the_bound_and_the_intervals_hold_whether_the_offset_drift
             assert found.coverage(GRAVITY) >= low
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_gyroscopes_without_g_sensitivity_are_given_none_however_the_offset_drifts(devices: int) -> None:
     limit = binom.ppf(1.0 - FALSE_ALARM, devices, 0.005)  # one in a thousand where the noise is known, q makes it a few
@@ -249,6 +252,7 @@ def test_gyroscopes_without_g_sensitivity_are_given_none_however_the_offset_drif
         assert felt <= limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_a_walk_that_is_not_there_is_rarely_reported_and_one_that_is_mostly(devices: int) -> None:
     reported = [
@@ -262,6 +266,7 @@ def test_a_walk_that_is_not_there_is_rarely_reported_and_one_that_is_mostly(devi
     assert reported[2] == devices
 
 
+@pytest.mark.slow
 def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_session() -> None:
     motion = bench_motion("bench", rng=np.random.default_rng(0), settings=SHORT)
     apart, stale = [], []
@@ -289,6 +294,7 @@ def test_the_offset_of_a_simulated_recording_is_that_of_the_middle_of_its_sessio
     assert off > 3.0
 
 
+@pytest.mark.slow
 def test_rests_on_stated_faces_give_the_offset_without_accelerometers_whatever_the_g_sensitivity() -> None:
     """Dwells have +x, +y and +z up: their mean offset holds a third of three g-sensitivities, which the faces below cancel."""
     errors, named = [], []

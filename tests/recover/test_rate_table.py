@@ -91,6 +91,7 @@ def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
     assert missed < 0.02 * np.abs(without.offset - device.gyro.raw_offset).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
@@ -109,6 +110,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
     paper.check(devices)
 
 
+@pytest.mark.slow
 def test_the_noise_of_dwells_is_told_from_the_readings() -> None:
     rng = np.random.default_rng(3)
     estimated, stated = [], []

@@ -73,6 +73,7 @@ def test_poses_give_back_the_device_without_noise(weights: Weights) -> None:
     assert np.abs(error[9:]).max() < 1e-3  # counts; 1 deg/s is 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
@@ -87,6 +88,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
     tally.check(devices)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_where_noise_is_white(devices: int) -> None:
     rng = np.random.default_rng(3)

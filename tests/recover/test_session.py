@@ -20,6 +20,7 @@ SETTINGS = BenchSettings(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "method"),
     [("bench", "rate-table/affine"), ("ferraris", "known-rotation/affine"), ("multi_position", "multi-position")],

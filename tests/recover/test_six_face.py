@@ -96,6 +96,7 @@ def test_six_faces_give_back_the_device_without_noise(mode: SixFaceMode) -> None
     np.testing.assert_allclose(model.offset, device.accel.raw_offset, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", LARGER_COHORTS)  # 60 cannot tell 0.966 from what is allowed
 def test_error_of_many_devices_on_level_faces_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
@@ -114,6 +115,7 @@ def test_error_of_many_devices_on_level_faces_reaches_the_bound_and_its_interval
         check_groups(tally, devices)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [0.01, 0.1])
 @pytest.mark.parametrize("devices", COHORTS)
 def test_error_of_many_devices_on_tilted_faces_reaches_the_bound_and_its_intervals_hold(

@@ -56,9 +56,10 @@ SOUND = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "labelled", "angle", "temperature"),
-    [case if case[1] == case[3] else pytest.param(*case, marks=pytest.mark.long) for case in SOUND],
+    [case if case[1] == case[3] else pytest.param(*case, marks=pytest.mark.slow) for case in SOUND],
 )
 def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_five(kind, labelled, angle, temperature):
     drawn = sessions(kind, labelled=labelled, **MILD)
@@ -69,8 +70,9 @@ def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_fiv
     assert counts["bad"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["six_face", "ferraris", "multi_position"])
-@pytest.mark.parametrize("devices", [6, pytest.param(len(KINDS), marks=pytest.mark.long)])
+@pytest.mark.parametrize("devices", [6, len(KINDS)])
 def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind, devices):
     counts, _ = verdicts(sessions(kind, devices=devices, temp_c=(22.0, 27.0)))  # 5 K within the session
     assert counts["good"] == 0
@@ -78,6 +80,7 @@ def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind, devices):
     assert (counts["good"], reasons["session.gravity_assumed"]) == (0, devices)
 
 
+@pytest.mark.slow
 def test_full_turns_that_give_no_scale_are_no_information_alone():
     session = sessions("ferraris", **MILD)[0]
     record, stop = session.records[0], session.turns[0].stop + 600  # six faces, one turn and the rest after it
@@ -98,7 +101,8 @@ def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():
     assert made.verdict.status == "good"
 
 
-@pytest.mark.parametrize("devices", [20, pytest.param(40, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [20, 40])
 def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good(devices):
     # Rests before and after a full turn lie on one face as they were laid down: they are one draw of its tilt, not two.
     inside = {"scale": [], "cross": [], "offset": []}

@@ -81,7 +81,8 @@ def coverage(devices, points, on_the_loop=False, **effects):
     return float(np.mean(inside)), 1e3 * float(np.sqrt(np.mean(square))), 1e3 * float(np.sqrt(np.mean(stated)))
 
 
-@pytest.mark.parametrize("devices", [25, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [25, 300])
 def test_intervals_of_the_nodes_hold_the_truth_of_many_axes(devices):
     # Truth: settled offset at the board temperature that belongs to the thermometer's reading; instability and noise are on.
     inside, error, stated = coverage(devices, UP)
@@ -96,7 +97,8 @@ def test_intervals_of_the_nodes_hold_the_truth_of_many_axes(devices):
     assert error < 6.0  # the wander of the offset in a run alone is 7: B sqrt(11 ln(sqrt(10)) / pi)
 
 
-@pytest.mark.parametrize("devices", [25, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [25, 100])
 @pytest.mark.parametrize(
     ("kind", "low", "high", "widest"),
     [("enc03j_3031", 18.0, 75.0, 2.0), ("enc03j_3031", 20.0, 40.0, 1.5), ("icm20948", 18.0, 75.0, 2.0)],
@@ -123,6 +125,7 @@ def test_five_set_points_are_worth_what_their_nodes_state_between_them(kind, low
 # Widest: stated uncertainty over error, both root-mean-square over 8 devices. 1 would be right. A loop seen both ways counts
 # by half its size, 45 mdeg/s, although the truth here is its very middle: a device in use lies anywhere between, where the error
 # is larger. With a warm-up too the same half counts, so the same limit stands.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("points", "effects", "least", "widest"),
     [
@@ -147,6 +150,7 @@ def test_intervals_with_other_effects_are_reported(points, effects, least, wides
         assert inside < 0.93  # the verdict has to say so: next test
 
 
+@pytest.mark.slow
 def test_half_the_loop_is_what_a_device_on_its_way_up_is_off_by():
     # The middle of the loop is known ten times better than stated; the way up, which a device in use goes, is what is stated.
     inside, error, stated = coverage(8, UP_DOWN, hysteresis=True, on_the_loop=True)
@@ -175,6 +179,7 @@ def test_half_the_loop_is_found_with_its_sign():
     assert (fit.table.gyro_uncertainty >= np.abs(loop.half)).all()
 
 
+@pytest.mark.slow
 def test_a_warm_up_is_told_from_temperature_where_soaks_begin_at_power_on():
     fit, *_, per_dps = fitted(5, UP_DOWN, warm_up=True, fit_warm_up=True)
     device = random_device_of("enc03j_3031", np.random.default_rng(5))
@@ -200,6 +205,7 @@ def curve(temp_c):
     return 0.30 + 0.012 * x - 2e-4 * x**2 + 1.5e-6 * x**3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "step", "limit"), [(0.05, 0.0, 0.009), (0.5, 0.0, 0.028), (0.0, 1.0, 0.048)])
 def test_noisy_and_quantised_temperatures_of_a_warm_up_do_not_hurt(noise, step, limit):
     # The rule that keeps only samples above the running maximum reaches these limits. Three seeds of three axes each.

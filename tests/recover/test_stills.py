@@ -35,6 +35,7 @@ def session_of(*records):
     return Session(kind="calibration", serial="", gravity_m_s2=9.81, records=records)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample_rate_hz", [100.0, 25.0])
 @pytest.mark.parametrize("level", TREMORS)
 def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
@@ -48,6 +49,7 @@ def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
     assert np.mean([found for found, _ in counts]) > 9.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.25, 0.5, 2.0, 4.0])
 def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
     """The clock runs ``clock`` times as fast: 400 to 25 samples per stated second."""
@@ -58,6 +60,7 @@ def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
         assert elsewhere <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["light", "medium", "strong"])
 def test_a_hand_held_log_calibrates_the_accelerometer(level):
     record, _ = hand_held_log(np.random.default_rng(2), TREMORS[level], poses=12)
@@ -83,6 +86,7 @@ def test_stills_that_a_caller_describes_are_searched_as_described():
     assert len(seen.stills) == len(many.stills)
 
 
+@pytest.mark.slow
 def test_what_is_adapted_says_so():
     record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
     (found,) = find_poses((record,))
@@ -129,6 +133,7 @@ def test_what_was_left_out_says_why():
     assert [1990 < out[0].start < 2130, out[1].start >= 3000, out[1].stop <= 3400] == [True, True, True]
 
 
+@pytest.mark.slow
 def test_what_is_refused_as_restless_is_above_the_limit_that_is_printed():
     refused = 0
     for seed in range(3):
@@ -194,6 +199,7 @@ def test_a_walk_that_never_rests_gives_no_poses_in_its_slow_moments():
         calibrate(session_of(record))
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_averaged_before_every_window_is_tried():
     """Strong tremor at 4000 samples a second: 240,000 samples, each reading forty times with noise."""
     slow, spans = hand_held_log(np.random.default_rng(1), TREMORS["strong"])

@@ -81,6 +81,7 @@ def error_dps(table, temp, gyro):
     return float(np.sqrt(np.mean(seconds**2))) / GYRO_DPS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [10.0, 20.0, 40.0, 80.0])
 def test_the_lag_is_found_and_taking_it_off_removes_what_it_costs(lag_s):
     slow, fast = ramped(lag_s, SLOW, 1), ramped(lag_s, FAST, 2)
@@ -114,6 +115,7 @@ def test_the_lag_is_found_and_taking_it_off_removes_what_it_costs(lag_s):
     assert without < 0.5 * with_lag
 
 
+@pytest.mark.slow
 def test_one_speed_does_not_tell_a_lag_from_hysteresis():
     found = estimated(ramped(40.0, SLOW, 1))
     assert not found.observable

@@ -95,6 +95,7 @@ def truth() -> dict[str, float]:
     return known | {f"accel_velocity_random_walk_{axis}": ACCEL_WALK for axis in "xyz"}
 
 
+@pytest.mark.slow
 def test_every_parameter_comes_back_within_what_its_standard_error_says():
     z = {}
     for name, value in truth().items():
@@ -108,6 +109,7 @@ def test_every_parameter_comes_back_within_what_its_standard_error_says():
     assert np.sqrt(np.mean(np.square(list(z.values())))) < 2.0
 
 
+@pytest.mark.slow
 def test_standard_errors_are_small_enough_to_be_of_use():
     assert max(found(f"gyro_matrix_{a}{b}")[1] for a in "xyz" for b in "xyz") < 1e-3
     assert max(found(f"accel_matrix_{a}{b}")[1] for a in "xyz" for b in "xyz") < 3e-3
@@ -137,6 +139,7 @@ def test_the_device_of_the_twin_is_the_device():
     assert device.gyro.adc.step == pytest.approx(np.radians(STEP_DPS), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_held_out_windows_of_a_device_that_the_model_holds_are_as_good_as_the_poses():
     trials = compare_held_out(prepared(), rng=np.random.default_rng(3), lengths_s=(5.0,))
     assert [t.recording for t in trials] == ["one", "two"]

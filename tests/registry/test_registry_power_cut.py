@@ -2,6 +2,8 @@
 
 from collections import Counter
 
+import pytest
+
 from testkit.data import show
 from testkit.disk import cuts, logged
 from undrift.registry.registry import open_registry
@@ -18,6 +20,7 @@ for k in range(3):
 """
 
 
+@pytest.mark.slow
 def test_an_entry_that_was_reported_survives_a_power_cut_and_others_are_there_or_not(tmp_path):
     folder = tmp_path / "disk"
     folder.mkdir()

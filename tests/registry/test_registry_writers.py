@@ -10,7 +10,6 @@ import pytest
 from testkit.data import show
 from undrift.registry.registry import open_registry
 
-pytestmark = pytest.mark.waits
 WRITER = """
 import sys, time
 from datetime import UTC, datetime
@@ -36,7 +35,8 @@ def start(place, name, count, go):
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.parametrize("each", [100, pytest.param(1000, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("each", [100, 1000])
 def test_four_stations_at_once_lose_nothing(place, tmp_path, each):
     go = tmp_path / "go"
     writers = [

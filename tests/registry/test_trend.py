@@ -107,7 +107,8 @@ def since(before, after):
     )
 
 
-@pytest.mark.parametrize("devices", [2, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [2, 4])
 def test_on_a_bench_that_errs_a_device_that_did_not_change_is_not_said_to_and_one_that_did_is(devices, tmp_path):
     sigmas = []
     for k in range(devices):

@@ -138,6 +138,7 @@ def coverage(devices: int) -> float:
     return share
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_the_truth_lies_inside_the_expanded_uncertainty(devices: int) -> None:
     assert LEAST <= coverage(devices) <= MOST

@@ -54,6 +54,7 @@ def calibration():
     return calibrate(simulate_session("bench", random_device(rng), rng=rng))
 
 
+@pytest.mark.slow
 def test_every_triad_has_three_rows_under_heads_with_units(calibration):
     for triad, section in zip((calibration.accel, calibration.gyro), calibration_sections(calibration), strict=True):
         heads, rows = section.columns, section.rows

@@ -186,6 +186,7 @@ def test_long_names_of_recordings_and_protocols_are_written_in_lines_that_fit(na
     assert LONG in re.sub(r"<[^>]*>", "", shown)  # in several lines, none of it lost
 
 
+@pytest.mark.slow
 def test_a_legend_has_as_many_columns_as_its_names_leave_room_for():
     columns = []
     for names in (("x", "y", "z"), ("equivalent to the optimum", "worse than the optimum"), (LONG, "x")):

@@ -29,6 +29,7 @@ def test_every_triad_has_a_panel_with_its_unit_and_names(triads):
     assert svg_of(draw_allan(found, title="rest: Allan deviation")) == text
 
 
+@pytest.mark.slow
 def test_the_band_ends_at_the_limits_of_the_deviation_and_the_line_is_the_fitted_model():
     found = fit_noise(Record(time=TIME, **BOTH))
     panel = draw_allan(found, title="").axes[1]

@@ -104,6 +104,7 @@ def test_a_recording_without_rest_gives_the_reason():
     assert "too restless" in reason
 
 
+@pytest.mark.slow
 def test_a_rate_table_session_names_turns_without_a_rate_and_other_temperatures():
     device = random_device(np.random.default_rng(7))
     session = simulate_session("bench", device, rng=np.random.default_rng(8))
@@ -131,6 +132,7 @@ def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
     assert (piece.label, piece.why) == (label, why)
 
 
+@pytest.mark.slow
 def test_stills_at_another_temperature_are_left_out_with_that_reason():
     rng = np.random.default_rng(3)
     record = Record(time=np.arange(900) / 50.0, accel=[0.0, 9.81, 0.0] + 0.01 * rng.standard_normal((900, 3)))

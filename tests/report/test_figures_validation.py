@@ -55,6 +55,7 @@ def choices(method):
     return dict(method_section(method).rows)
 
 
+@pytest.mark.slow
 def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
     small, large = result.trials[0], result.trials[1]
     of = {"end_total_deg": 40.0, "end_interval_deg": (30.0, 60.0), "end_at_most_deg": 55.0}
@@ -200,6 +201,7 @@ def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
     assert shade.get_x() == pytest.approx(20_001 / 286.0)
 
 
+@pytest.mark.slow
 def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
     write_page(tmp_path / "r.html", replace(METHOD, result=result).summary())
     text = (tmp_path / "r.html").read_text()

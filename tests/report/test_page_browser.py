@@ -96,28 +96,32 @@ def rig_run() -> Ran:
     return Ran(output=Path("run"), result=result, registered=[])
 
 
+@pytest.mark.slow
 def test_no_picture_of_a_page_cuts_its_legend_or_a_label(pages: Path) -> None:
     assert json.loads((pages / "cut.json").read_text()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_page_has_its_parts_and_fetches_nothing(pages: Path, name: str) -> None:
     assert faults_of((pages / f"{name}.html").read_text()) == []
 
 
+@pytest.mark.slow
 def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path) -> None:
     with browser() as held:  # the style is one: a page is judged at one of the corners
         corners = zip(NAMES, cycle(CORNERS), strict=False)
         assert [fault for name, at in corners for fault in seen_in(held, pages / f"{name}.html", judged=(at,))] == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
     with browser() as held:
         every = tuple(product(WIDTHS, SCHEMES))
         assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", judged=every)] == []
 
 
+@pytest.mark.slow
 def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:
     text = (pages / "validate.html").read_text()
     assert "2027-01-15T08:00:00+00:00" in text
@@ -132,6 +136,7 @@ def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:
     assert re.sub(r"<code>.*?</code>", "", again) == re.sub(r"<code>.*?</code>", "", first)
 
 
+@pytest.mark.slow
 def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
     session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
     pieces, _ = pieces_of(session, CalibrateSettings(), made)
@@ -158,6 +163,7 @@ def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -
         assert part in text
 
 
+@pytest.mark.slow
 def test_a_calibration_is_headed_by_the_uncertainty_of_its_certificate_and_residuals_are_called_so(pages: Path) -> None:
     text = (pages / "calibrate.html").read_text()
     answer = unescape(re.search(r'<p class="answer">(.*?)</p>', text)[1])
@@ -175,6 +181,7 @@ def test_a_calibration_is_headed_by_the_uncertainty_of_its_certificate_and_resid
     assert section.index("gravity to") < section.index("<svg") < section.index("Residual of each pose and dwell")
 
 
+@pytest.mark.slow
 def test_a_calibration_is_drawn_without_limits_that_no_device_of_the_file_states(pages: Path) -> None:
     assert "data sheet" not in (pages / "calibrate.html").read_text()
     made = read_calibration(pages / "c.json")
@@ -186,6 +193,7 @@ def test_a_calibration_is_drawn_without_limits_that_no_device_of_the_file_states
     assert [np.ptp(bar[:, 1]) / 2.0 for bar in bars] == pytest.approx(percent * expanded[:9])
 
 
+@pytest.mark.slow
 def test_what_no_fit_has_shown_is_said_in_the_headline_and_a_unit_is_what_readings_depart_from(pages: Path) -> None:
     gyro = read_calibration(pages / "c.json").gyro
     offsets = np.diag(np.append(np.zeros(9), np.ones(3)))
@@ -197,6 +205,7 @@ def test_what_no_fit_has_shown_is_said_in_the_headline_and_a_unit_is_what_readin
     assert expanded_words("gyro", unknown) == "gyroscopes not known"
 
 
+@pytest.mark.slow
 def test_repeated_poses_share_what_one_alone_would_give(pages: Path) -> None:
     made = read_calibration(pages / "c.json")
     session = read_session(pages / "session")

@@ -237,6 +237,7 @@ def test_no_terminal_cuts_what_the_details_state(summaries: dict[str, Summary]) 
     assert not cut, "\n".join(cut)
 
 
+@pytest.mark.slow
 def test_every_screen_and_paper_show_each_number_whole(summaries: dict[str, Summary], tmp_path: Path) -> None:
     cut, page, paper = [], tmp_path / "page.html", tmp_path / "page.pdf"
     with browser() as held:

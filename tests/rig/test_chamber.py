@@ -148,6 +148,7 @@ def test_a_chamber_that_does_not_get_there_is_never_soaked(emulated, fault):
         assert 20.0 <= chamber.read() < 30.0
 
 
+@pytest.mark.slow
 def test_a_door_that_opens_ends_a_soak_and_one_that_closes_lets_it_come(emulated):
     with open_chamber(emulated.address, SETTINGS) as chamber:
         chamber.set(40.0)

@@ -117,6 +117,7 @@ def test_crossover_and_margin_are_those_of_the_loop(in_hand, capsys, name):
     assert loop.margin_uncertainty < 1.5 * DEGREE
 
 
+@pytest.mark.slow
 def test_the_notes_step_wave_of_60_s_stays_within_its_error(in_hand):
     bench, rig, clock = in_hand()
     found = check_rig(rig, clock, CheckSettings())
@@ -131,6 +132,7 @@ def test_the_notes_step_wave_of_60_s_stays_within_its_error(in_hand):
     assert bench.clock.now() > 60.0
 
 
+@pytest.mark.slow
 def test_an_error_beyond_the_limit_fails_with_its_numbers(in_hand):
     _, rig, clock = in_hand()
     found = check_rig(rig, clock, replace(SHORT, limit=0.004 * DEGREE))
@@ -173,6 +175,7 @@ def test_a_low_margin_suggests_gains_that_have_45_deg_and_sets_them_only_when_as
     assert ("rig_check.gains_set" in codes, "rig_check.gains" in codes) == (set_gains, not set_gains)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motor_on", [False, True])
 def test_the_table_is_left_as_it_was_found(in_hand, motor_on):
     bench, rig, clock = in_hand(motor_on=motor_on)
@@ -283,7 +286,8 @@ def test_a_stepper_shows_its_reported_positions_and_what_is_not_observable():
     assert math.isnan(found.error.in_run_up)
 
 
-@pytest.mark.parametrize("clock", [VirtualClock(), pytest.param(Clock.started(), marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("clock", [VirtualClock(), Clock.started()])
 def test_over_a_link_the_notes_loop_passes(clock):
     with Emulator(EmulatorSettings(), clock) as emulator:
         settings = RigSettings(limits=LIMITS, reply_timeout_s=10.0, clock=clock)

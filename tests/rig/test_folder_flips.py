@@ -40,7 +40,8 @@ def same(one, other):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("flips", [60, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("flips", [60, 200])
 def test_a_flipped_bit_in_a_finished_run_is_refused_or_changes_nothing(finished, flips):
     sound, rng = read(finished), random.Random(16)
     files = sorted(p for p in finished.rglob("*") if p.is_file() and p.suffix in (".parquet", ".jsonl", ".toml"))

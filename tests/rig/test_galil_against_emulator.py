@@ -18,7 +18,7 @@ from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
 SPEED = 10.0
-CLOCKS = [VirtualClock, pytest.param(lambda: Clock.started(SPEED), marks=pytest.mark.long)]
+CLOCKS = [VirtualClock, pytest.param(lambda: Clock.started(SPEED), marks=pytest.mark.slow)]
 
 
 @pytest.fixture(params=CLOCKS, ids=["virtual", "sockets"])

@@ -48,6 +48,7 @@ def emulated():
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_run_over_a_stepper_board_turns_at_every_rate_and_ends_at_rest(tmp_path):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     with rig_bench.emulated(kind="grbl") as emulator:
@@ -64,7 +65,7 @@ def check_rates(path):
     assert rates == pytest.approx([-90.0, -60.0, -30.0, 30.0, 60.0, 90.0], rel=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_command_turns_a_stepper_board_in_another_process(emulated, tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     words = [word for name in ("rig", "device", "hands") for word in (f"--{name}", emulated[name])]

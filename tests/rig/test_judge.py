@@ -48,6 +48,7 @@ def bumped(record):
     return replace(record, gyro=gyro)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{}, {"count": True}, {"step": 0.1}, {"noise": 0.0}, {"noise": 0.3}])
 def test_sound_rests_are_kept(how):
     rng = np.random.default_rng(1)

@@ -59,6 +59,7 @@ def test_a_link_whose_delays_could_hide_a_tenth_of_the_rate_is_not_believed(with
     assert link_hides(achieved, RunSettings()) is hidden
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 5, 20])
 def test_few_positions_on_a_line_by_chance_do_not_make_the_rate_certain(count):
     rng, delay_s = np.random.default_rng(3), 0.02

@@ -57,6 +57,7 @@ class Slow(Oven):
         return self.clock.now() - self.since_s > self.takes_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("takes_s", [300.0, 3000.0])
 def test_soaks_that_are_over_correct_the_forecast_of_those_to_come(tmp_path, takes_s):
     protocol, said = replace(SHORT, temperatures_c=(35.0, 45.0, 55.0)), []

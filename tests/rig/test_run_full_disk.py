@@ -53,7 +53,7 @@ print(n, dict(counted))
 """
 
 
-@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_disk_that_is_full_at_any_write_ends_a_run_at_rest_and_it_resumes(step):
     words = [sys.executable, "-c", RUNS, str(step)]
     done = subprocess.run(words, env=preloaded(), capture_output=True, text=True, timeout=900.0, check=False)

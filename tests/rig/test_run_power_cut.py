@@ -45,7 +45,7 @@ def log(tmp_path_factory):
     return folder.with_name("log"), folder
 
 
-@pytest.mark.parametrize("everywhere", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("everywhere", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_power_cut_at_each_fsync_loses_no_dwell_that_was_reported(log, tmp_path, everywhere):
     counted, rng = Counter(), random.Random(3)
     digests = set()

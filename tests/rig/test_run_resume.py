@@ -122,7 +122,7 @@ def alike(one, other):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(60, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kills", [3, pytest.param(60, marks=pytest.mark.slow)])
 def test_kill_9_at_random_instants_leaves_a_table_at_rest_and_loses_nothing(tmp_path, kills):
     write_protocol(LONGER, tmp_path / "protocol.toml")
     with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:

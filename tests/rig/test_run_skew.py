@@ -84,6 +84,7 @@ def test_one_mounting_is_heated_and_turned_at_room_temperature_first(tmp_path):
     assert programme_of(written).duration_s == pytest.approx(programme.duration_s, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_forecast_is_what_the_table_needs(skewed):
     result, hands, soaked_s, _ = skewed
     programme = programme_of(SKEW)
@@ -92,6 +93,7 @@ def test_the_forecast_is_what_the_table_needs(skewed):
     assert len(result.pieces) == len(programme.dwells)
 
 
+@pytest.mark.slow
 def test_calibrate_and_drift_find_the_scale_of_three_axes_over_temperature(skewed):
     session = skewed[-1]
     assert {still.face for still in session.stills} == {*SKEW.faces, "+xyz"}
@@ -137,6 +139,7 @@ def test_a_session_of_a_skew_mounting_alone_takes_a_calibration_of_before(skewed
     assert "or a calibration of a known temperature, got neither" in why.text
 
 
+@pytest.mark.slow
 def test_a_device_mounted_another_way_is_refused_at_the_table_and_in_the_fit(tmp_path):
     wrong = CORNER * (1.0, 1.0, -1.0)
     with pytest.raises(RigFault, match=r"wanted \+xyz up in .*, got gravity along another axis; mount it again"):

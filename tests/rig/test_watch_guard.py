@@ -70,6 +70,7 @@ def test_silence_is_an_end(monkeypatch):
     assert stopped == ["rig"]
 
 
+@pytest.mark.slow
 def test_a_program_that_breaks_its_promise_is_taken_for_hanging_and_the_table_stops():
     with on_host() as emulator, Guard(address(emulator)) as guard:
         rig = opened(emulator)
@@ -114,6 +115,7 @@ def test_a_guard_that_does_not_start_is_refused(monkeypatch):
         Guard(NOBODY)
 
 
+@pytest.mark.slow
 def test_an_error_before_the_rig_is_open_troubles_nobody_and_one_after_it_has_the_table_stopped(capfd):
     with pytest.raises(LinkError), Guard(NOBODY):
         open_rig(NOBODY)
@@ -123,6 +125,7 @@ def test_an_error_before_the_rig_is_open_troubles_nobody_and_one_after_it_has_th
     assert "undrift: guard: " in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_chamber_is_off_when_the_program_is_gone():
     with EmulatedBench(EmulatedBenchSettings()) as bench:
         bench.chamber.air.on = True

@@ -166,6 +166,7 @@ def test_a_ramp_goes_up_and_down_and_a_warm_up_begins_at_power_on() -> None:
     np.testing.assert_allclose(lacking, expected, atol=1e-6)  # the low-pass lags by 20 ms of 600 s
 
 
+@pytest.mark.slow
 def test_a_random_walk_goes_on_while_nothing_is_recorded() -> None:
     device = settled()
     walk = RandomWalk(bias_walk=np.full(3, 1e-3))
@@ -191,6 +192,7 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
         assert np.ptp(column[turn.start + 20 : turn.stop]) < 0.5  # counts, of some 600 that the rate makes
 
 
+@pytest.mark.slow
 def test_a_thermal_session_reads_back_as_it_was_written(tmp_path: Path) -> None:
     settings = replace(SHORT, drop_temperature=True, recorded="throughout", one_record=False)
     for made in (
@@ -218,6 +220,7 @@ def test_a_thermal_session_reads_back_as_it_was_written(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(one.temp_c, other.temp_c)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_full_programme_of_the_note_is_simulated_in_seconds() -> None:
     start = time.perf_counter()
     session = simulate_thermal_session("soak", preset("enc03j_3031"), rng=rng())

@@ -319,6 +319,7 @@ def quiet_device() -> str:
     return json.dumps(device_json(replace(made, **chains)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", [BenchErrors(), BenchErrors(mount_tilt=1.0 * DPS), BenchErrors(encoder_lines=53)])
 def test_rates_average_what_a_planted_bench_does_wrong_from_dwell_to_dwell(bench: BenchErrors) -> None:
     base = Protocol(grid="paper", dwell_s=1.1, bracket_s=3.0)  # no rate turns by whole counts in it

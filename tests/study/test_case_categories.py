@@ -124,6 +124,7 @@ def test_a_planted_cost_of_another_categorys_optimum_is_found(
         assert "healthy young with the optimum of Tinetti <= 18" in found.finding.text
 
 
+@pytest.mark.slow
 def test_the_command_line_names_categories_and_prints_who_can_wear_whose(tmp_path: Path, capsys: Any) -> None:
     plan = written(tmp_path, TEXT.replace('categories = ["level_2", "young"]\n', ""))
     out = tmp_path / "out"

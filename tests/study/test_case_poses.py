@@ -64,6 +64,7 @@ def test_a_pose_has_the_same_draws_in_every_set() -> None:
     assert np.abs(one.matrix @ np.linalg.inv(other.matrix) - np.eye(3)).max() > 5e-4
 
 
+@pytest.mark.slow
 def test_five_faces_are_worse_than_six_by_the_tilt_of_one_face_and_by_nothing_else() -> None:
     show("tilt of the start over that of a face: six, without -z, -x, +z", [start_tilt(poses) for poses in POSES[:4]])
     # by hand, worn upright: without -z the face +z alone counts; with it the two share, and the others make the offset
@@ -108,6 +109,7 @@ def test_sets_of_a_plan_arrive_and_an_inclined_plane_is_an_instrument(tmp_path) 
         StudyTask(name="step", base=task.base, space=replace(task.space, further=(("poses", (9.0,)),)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("place", "factor"), [(0, np.sqrt(11.0 / 18.0)), (1, 1.0), (3, np.sqrt(1.5)), (5, None)])
 def test_the_tilt_of_the_start_is_what_the_weights_say(place: int, factor: float | None) -> None:
     tilt, up = 0.1 * RADIAN_PER_DEGREE, np.array([0.0, 0.0, STANDARD_GRAVITY])

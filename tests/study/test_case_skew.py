@@ -39,6 +39,7 @@ def test_the_session_turns_each_axis_at_room_temperature_and_one_skew_axis_at_th
     assert sessions.length_s[0] == pytest.approx(programme_of(protocol).duration_s, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_it_costs_a_third_of_the_minutes_and_errs_as_little() -> None:
     runs = [run_unit(Unit(study=STUDY, task=TASK, subject=k, setting=Setting(45.0))) for k in range(STUDY.subjects)]
     minutes, error = runs[0]["rig_minutes"], np.array([run["error_rms_deg"] for run in runs])

@@ -46,6 +46,7 @@ def optimum_of(plan: Study, folder: object) -> tuple[TaskSurface, Optimum]:
     return surface, optimum
 
 
+@pytest.mark.slow
 def test_soft_tissue_that_rings_chooses_a_cut_off_below_its_resonance(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = study(RINGING)
     surface, optimum = optimum_of(plan, tmp_path)
@@ -61,6 +62,7 @@ def test_soft_tissue_that_rings_chooses_a_cut_off_below_its_resonance(tmp_path) 
     assert "vibration" not in {term.effect for term in split.terms}
 
 
+@pytest.mark.slow
 def test_where_no_filter_is_tried_the_findings_say_that_tissue_and_impacts_make_the_error(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = study(RINGING, cutoff_hz=(30.0, 45.0))
     surface, optimum = optimum_of(plan, tmp_path)
@@ -73,6 +75,7 @@ def test_where_no_filter_is_tried_the_findings_say_that_tissue_and_impacts_make_
     assert "impacts" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trial", [WornErrors(), WornErrors(impact=9.81)])
 def test_a_sensor_that_is_fixed_to_the_bone_needs_no_filter(tmp_path, trial: WornErrors) -> None:  # type: ignore[no-untyped-def]
     surface, optimum = optimum_of(study(trial), tmp_path)
@@ -82,6 +85,7 @@ def test_a_sensor_that_is_fixed_to_the_bone_needs_no_filter(tmp_path, trial: Wor
     assert highest == optimum.best or bool(optimum.equivalent[highest])
 
 
+@pytest.mark.slow
 def test_a_vibration_that_aliases_wants_a_cut_off_or_a_higher_sampling_rate(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = study(WornErrors(vibration=50.0 * DPS, vibration_hz=95.0), "real time", sample_rate_hz=(100.0, 200.0))
     surface, _ = optimum_of(plan, tmp_path)
@@ -93,6 +97,7 @@ def test_a_vibration_that_aliases_wants_a_cut_off_or_a_higher_sampling_rate(tmp_
     assert fast[-1] < 0.75 * slow[-1]  # at 200 Hz it is read as it is, and integrates to next to nothing
 
 
+@pytest.mark.slow
 def test_a_coarse_converter_costs_accuracy_and_a_fine_one_does_not(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = study(WornErrors(), "real time", cutoff_hz=(20.0,), bits=(6.0, 12.0, 16.0))
     surface, _ = optimum_of(plan, tmp_path)

@@ -58,6 +58,7 @@ def four() -> LevelComparison:
     return compared([worn(person) for person in range(4)])
 
 
+@pytest.mark.slow
 def test_tables_take_what_temperature_adds_and_the_twin_predicts_it(four):
     rows = by_level(four)
     means = {name: (row.actual_deg.mean(), row.simulated_deg.mean()) for name, row in rows.items()}
@@ -92,6 +93,7 @@ def test_trials_too_short_for_an_offset_from_motion_are_named(four):
     assert row.missing.startswith("missing in 4 of 4 trials: offset from motion: wanted 20 s or more")
 
 
+@pytest.mark.slow
 def test_errors_are_averaged_by_person_and_a_verdict_needs_three():
     pairs = [worn(0), worn(0, "step"), worn(1)]
     row = by_level(compared(pairs, people=("a", "a", "b")))["constants"]
@@ -102,6 +104,7 @@ def test_errors_are_averaged_by_person_and_a_verdict_needs_three():
     assert by_level(compared(pairs))["static tables"].decision is not None
 
 
+@pytest.mark.slow
 def test_what_the_calibration_lacks_is_named():
     constant = by_level(compared([worn(0)], replace(FULL, drift=None)))
     assert constant["static tables"].missing == "missing in 1 of 1 trials: no static table"
@@ -154,6 +157,7 @@ def test_the_twin_of_exact_tables_is_corrected_to_the_reference():
     assert errors[1] < 0.1  # whole counts of a gyroscope of 12 bits, over 3 s, and of an accelerometer at the start
 
 
+@pytest.mark.slow
 def test_the_twin_sits_as_the_device_does(turned):
     record, reference = turned
     gyro = replace(plain_triad("rad/s", "rad/s"), matrix=np.diag(1.0 / SCALE), offset=OFFSET)
@@ -171,6 +175,7 @@ def test_the_twin_sits_as_the_device_does(turned):
         assert rows["motion offset"].missing == "missing in 1 of 1 trials: no twin, as the reference has no positions"
 
 
+@pytest.mark.slow
 def test_gaps_of_the_optics_cost_the_twin_no_more_than_the_device():
     record, reference = worn(3)
     start = int(np.argmax(reference.moving > 0.0))

@@ -55,6 +55,7 @@ def typical() -> Figure3:
     return figure3(back=True)
 
 
+@pytest.mark.slow
 def test_the_tables_take_more_than_the_notes_three_degrees_off_the_typical_unit(typical: Figure3) -> None:
     told("up and down", typical)
     assert typical.decrease_deg > NOTE_DECREASE_DEG
@@ -67,6 +68,7 @@ def test_the_tables_take_more_than_the_notes_three_degrees_off_the_typical_unit(
     assert np.abs(np.array(typical.lag_ms) - 20.3).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_rest_before_the_motion_is_compared_and_beside_tables_it_takes_what_they_leave(typical: Figure3) -> None:
     none, _, full, rest, both = typical.actual_max_deg
     show("re-zeroed at a rest; tables; tables and rest, deg", f"{rest:.2f}; {full:.2f}; {both:.2f}", "recorded")
@@ -150,7 +152,8 @@ def test_a_device_with_a_clock_of_its_own_is_read_with_the_motion() -> None:
     assert (held.gyro_averaging, held.accel_averaging) == ("instant", "instant")
 
 
-@pytest.mark.parametrize("others", [1, pytest.param(4, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("others", [1, 4])
 def test_tables_of_both_ways_with_hysteresis_bring_both_devices_within_the_notes_difference(
     typical: Figure3, others: int
 ) -> None:
@@ -171,9 +174,10 @@ def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_differe
     assert figure.decrease_deg > NOTE_DECREASE_DEG
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "climate",
-    [FEW, pytest.param(Climate(), marks=pytest.mark.long)],
+    [FEW, Climate()],
     ids=["6 set-points", "12 set-points"],
 )
 def test_no_hidden_effect_sets_simulated_and_actual_further_apart_than_the_note(

@@ -73,6 +73,7 @@ def long_table(folder: Path, task: TaskOutcome, name: str) -> pd.DataFrame:
     return runs.dropna()
 
 
+@pytest.mark.slow
 def test_a_whole_study_is_judged_by_analysis_of_variance_and_holms_pairs_as_statsmodels_does(tmp_path: Path) -> None:
     from scipy.stats import ttest_rel
     from statsmodels.stats.anova import AnovaRM
@@ -96,6 +97,7 @@ def test_a_whole_study_is_judged_by_analysis_of_variance_and_holms_pairs_as_stat
     assert effect_of(task, "turn_rate_step_dps").untested == finding("study.one_value", "info")
 
 
+@pytest.mark.slow
 def test_a_missing_unit_is_judged_by_a_mixed_model_as_statsmodels_fits_it(tmp_path: Path) -> None:
     import statsmodels.formula.api as smf
     from scipy.stats import f as f_distribution
@@ -179,6 +181,7 @@ def test_too_few_subjects_are_not_made_fewer(tmp_path: Path) -> None:
     assert without_lost(small) is small
 
 
+@pytest.mark.slow
 def test_a_level_that_calibrates_fewer_than_half_is_left_out_of_its_effect(tmp_path: Path) -> None:
     plant(tmp_path, missing=tuple((subject, 20.0) for subject in range(7)))
     effect = effect_of(judged(tmp_path), "cutoff_hz")
@@ -187,6 +190,7 @@ def test_a_level_that_calibrates_fewer_than_half_is_left_out_of_its_effect(tmp_p
     assert effect.anova is not None
 
 
+@pytest.mark.slow
 def test_the_page_says_what_decides_which_values_differ_and_why_a_mixed_model_was_used(tmp_path: Path) -> None:
     plant(tmp_path, missing=((3, 11.4),))
     outcome = judge_study(STUDY, InProcess(), tmp_path)

@@ -27,7 +27,7 @@ from undrift.study.statistics import (
 DRAWS = 2000
 SIGMA = (0.05 * 0.95 / DRAWS) ** 0.5
 MOST_WRONG = 0.05 + 3.0 * SIGMA  # the level and three sigma of so many draws
-WHOLE_STUDIES = pytest.mark.parametrize("draws", [500, pytest.param(DRAWS, marks=pytest.mark.long)])
+WHOLE_STUDIES = pytest.mark.parametrize("draws", [500, pytest.param(DRAWS, marks=pytest.mark.slow)])
 COVERED = 0.95 - 3.0 * SIGMA, 0.95 + 3.0 * SIGMA
 M = 0.15
 NAMES = ("cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps")
@@ -152,6 +152,7 @@ def test_a_difference_of_the_margin_itself_needs_more_subjects_than_there_are() 
 # ---- effect sizes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dz", [0.0, 0.5, 2.0])
 def test_intervals_of_dz_cover(dz: float) -> None:
     rng = np.random.default_rng(3)
@@ -172,6 +173,7 @@ def test_intervals_of_dz_scale_where_t_is_beyond_the_tables() -> None:
         assert b / a == pytest.approx(1e4, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_intervals_of_partial_eta_squared_cover() -> None:
     rng, means, n = np.random.default_rng(5), np.array([0.0, 0.3, 0.8]), 20
     noncentrality = n * float(((means - means.mean()) ** 2).sum())
@@ -264,6 +266,7 @@ def test_a_planted_study_that_is_too_small_says_so_and_how_many_subjects_would_d
     assert found.cheapest == found.best  # nothing shorter is shown to be equivalent
 
 
+@pytest.mark.slow
 @WHOLE_STUDIES
 @pytest.mark.parametrize(
     ("apart", "margin", "wrong"),
@@ -284,6 +287,7 @@ def test_wrong_verdicts_of_a_parameter_keep_to_the_level(
     assert count / draws <= most
 
 
+@pytest.mark.slow
 @WHOLE_STUDIES
 @pytest.mark.parametrize(
     ("apart", "margin"),

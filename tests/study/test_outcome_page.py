@@ -86,6 +86,7 @@ def test_a_row_that_was_not_tried_is_not_judged() -> None:
     assert (found.verdict, found.finding.code) == ("not tried", "study.note_uncalibrated")
 
 
+@pytest.mark.slow
 def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyOutcome) -> None:
     other = other_study(outcome.study)
     assert other.group == "testing"
@@ -100,6 +101,7 @@ def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyO
             assert tested.error_rms_deg < tested.error_max_deg
 
 
+@pytest.mark.slow
 def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
     for task in outcome.tasks:
         assert task.stopping is not None
@@ -111,6 +113,7 @@ def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
     assert [cohort.group for cohort in outcome.cohorts] == ["simulation", "testing"]
 
 
+@pytest.mark.slow
 def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path: Path) -> None:
     write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     text = (tmp_path / "report.html").read_text()
@@ -152,6 +155,7 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
     assert "no sit-to-stand" not in (tmp_path / "b.html").read_text()  # nor does such a study speak of it
 
 
+@pytest.mark.slow
 def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome, tmp_path: Path) -> None:
     task = outcome.tasks[0]
     best, count = task.optimum.best, len(task.surface.cutoff_hz)
@@ -178,6 +182,7 @@ def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome
     assert cut == []
 
 
+@pytest.mark.slow
 def test_optimal_rates_beat_the_grid_by_their_own_measure_for_the_cohorts_motions(outcome: StudyOutcome) -> None:
     assert {row.task for row in outcome.designs} == {"sit_to_stand", "step"}
     for task in ("sit_to_stand", "step"):
@@ -215,6 +220,7 @@ def test_the_ends_of_a_study_are_a_first_look() -> None:
         assert len(task.space.cutoff_hz) == 2
 
 
+@pytest.mark.slow
 def test_what_a_study_costs_is_told_by_stage_and_what_is_done_already_costs_nothing(tmp_path: Path) -> None:
     study = note_study(quick=True, subjects=3)
     study = replace(study, tasks=study.tasks[1:2])

@@ -96,6 +96,7 @@ def test_a_parameter_that_decides_needs_no_cover() -> None:
     assert [each.code for each in split_findings((found,))] == ["study.error_split"]
 
 
+@pytest.mark.slow
 def test_shares_are_covered_by_their_intervals() -> None:
     """Errors are normal, so their squares are skewed: the interval of 100 subjects may hold a little less than 95 %."""
     inside, true = 0, 0.8**2 / (0.8**2 + 0.3**2)
@@ -170,6 +171,7 @@ def effect_of(optimum: Optimum, name: str):  # type: ignore[no-untyped-def]
     return next(effect for effect in optimum.effects if effect.name == name)
 
 
+@pytest.mark.slow
 def test_a_filter_decides_in_real_time_and_is_better_the_higher_its_cut_off(tmp_path: Path) -> None:
     study = planted_study(device(), timing="real time", cutoffs=(5.0, 11.1, 20.0, 40.0), tops_dps=(90.0,))
     study = replace(study, subjects=10)
@@ -198,6 +200,7 @@ def test_a_filter_decides_in_real_time_and_is_better_the_higher_its_cut_off(tmp_
     assert delay.span_deg < 0.2 * float(np.ptp(mean))
 
 
+@pytest.mark.slow
 def test_a_bend_decides_by_the_greatest_rate_and_is_hidden_by_the_accelerometers_drift(tmp_path: Path) -> None:
     words = {"timing": "offline", "cutoffs": (20.0,), "tops_dps": (30.0, 60.0, 90.0)}
     bent = planted_study(device(bend=0.05), **words)  # type: ignore[arg-type]

@@ -60,6 +60,7 @@ def mean_of(study, pipeline, method="strapdown", of="all"):
     return next(g for g in study.groups if (g.of, g.pipeline, g.method) == (of, pipeline, method))
 
 
+@pytest.mark.slow
 def test_each_step_of_the_correction_leaves_less_and_the_optics_agree_with_the_last():
     study = found()
     assert study.quantity == "pitch"
@@ -101,6 +102,7 @@ def test_what_cannot_be_made_says_why_and_the_others_stand():
     assert mean_of(study, "as read").limits is None
 
 
+@pytest.mark.slow
 def test_a_device_without_a_calibration_takes_its_other_recordings():
     trials = [trial(p, "free", calibration=None) for p in (1, 2)]
     by_name = {(one.pipeline, one.method): one for one in study_people(trials, margin_deg=0.15).errors}
@@ -113,6 +115,7 @@ def test_a_device_without_a_calibration_takes_its_other_recordings():
     assert "device B has one recording" in next(o for o in apart.errors if o.pipeline == "calibrated").missing
 
 
+@pytest.mark.slow
 def test_no_trial_that_can_be_judged_is_refused():
     record, reference = worn(1)
     asleep = replace(record, gyro=0.0 * record.gyro + 100.0)

@@ -130,6 +130,7 @@ def test_a_device_file_is_taken_in_and_every_subject_wears_it(tmp_path: Path) ->
     assert (surfaces[0].error_rms_deg == again[0].error_rms_deg).all()
 
 
+@pytest.mark.slow
 def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tmp_path: Path) -> None:
     recorded(tmp_path)
     own = TEXT.replace('"sit_to_stand"', '"rising"') + '[task.motion]\nfile = "poses.parquet"\nrest_s = 2.0\n'
@@ -145,6 +146,7 @@ def test_a_motion_of_ones_own_is_performed_by_every_subject_with_another_unit(tm
     assert 0.0 < surface.error_rms_deg.mean() < 1.5  # deg: with tables a sit-to-stand is good to that
 
 
+@pytest.mark.slow
 def test_a_folder_of_people_is_performed_one_by_each_subject_and_their_rests_are_found(tmp_path: Path) -> None:
     own = TEXT.replace('"sit_to_stand"', '"rising"').replace("subjects = 3", "subjects = 30\ntarget_deg = 1.0")
     own += '[task.motion]\nfolder = "captures"\n'
@@ -200,6 +202,7 @@ def test_people_who_were_recorded_are_each_judged_with_what_the_others_choose(tm
     assert leave_one_out(drawn, poor, optimum, study, other) is other
 
 
+@pytest.mark.slow
 def test_a_captured_sit_to_stand_is_a_motion_of_ones_own(tmp_path: Path) -> None:
     trial = data_path("mocap_sit_to_stand", "STS1.trc.gz")
     own = TEXT.replace('"sit_to_stand"', '"rising"').replace("excursion_k", "name = 'captured'\nexcursion_k")

@@ -67,6 +67,7 @@ def with_table(folder: Path, rows: tuple[str, ...] = ROWS, more: str = "", head:
     return plan(folder, "rising", end=f'[task.motion]\ntable = "captures/people.csv"\n{more}')
 
 
+@pytest.mark.slow
 def test_trials_of_one_person_in_a_table_are_one_subject_with_their_mean_error(tmp_path: Path) -> None:
     study = read_study(with_table(tmp_path))
     (task,) = study.tasks
@@ -93,6 +94,7 @@ def test_trials_of_one_person_in_a_table_are_one_subject_with_their_mean_error(t
     assert surface.error_rms_deg[0, 0] == whole["error_rms_deg"][0]
 
 
+@pytest.mark.slow
 def test_a_label_chooses_the_rows_of_a_table(tmp_path: Path) -> None:
     (task,) = read_study(with_table(tmp_path, more='label = "frail"\n')).tasks
     assert task.motion is not None
@@ -210,6 +212,7 @@ def test_categories_of_tasks_that_do_not_serve_are_refused(tmp_path: Path) -> No
         read_study(plan(tmp_path, "rising", more='category = "young"', end=both))
 
 
+@pytest.mark.slow
 def test_angles_that_no_duration_allows_end_with_the_bound(tmp_path: Path) -> None:
     study = read_study(plan(tmp_path, end=KNEE.replace("[2.6, 0.5]", "[0.2, 0.01]")))
     person = subject_of(study, 0, "knee")

@@ -57,6 +57,7 @@ def test_noise_of_cameras_is_no_motion() -> None:
     assert measure_rest(leaning(0.0, from_s=0.0, noise_deg=0.1), 2.0).still_s > 5.5
 
 
+@pytest.mark.slow
 def test_people_who_stand_are_at_rest_and_a_squat_that_has_begun_is_not() -> None:
     stood = data_path("mocap_sit_to_stand", "static1.trc.gz")
     standing = fit_pose_spline(read_poses(stood, Posed(body="pelvis", up="y")), SKIN)

@@ -180,6 +180,7 @@ def test_trials_in_foreign_columns_and_units_are_read_and_judged_as_the_same_one
     assert totals["none"] < 0.5  # half a sample at up to 3 rad/s: the lag is left in
 
 
+@pytest.mark.slow
 def test_a_map_that_is_missing_or_does_not_fit_is_told_with_the_file(tmp_path: Path) -> None:
     path, _ = foreign(tmp_path, with_map=False)
     with pytest.raises(FileFormatError, match=r"real\.toml: .*t0\.csv: columns: wanted names such as"):

@@ -42,6 +42,7 @@ def told(spread: Spread) -> str:
     return f"{spread.median:.2f} ({spread.least:.2f}-{spread.greatest:.2f})"
 
 
+@pytest.mark.slow
 def test_every_method_has_the_rate_tables_time_and_a_row_in_both_tasks(rows: dict[tuple[str, str], RivalRow]) -> None:
     for (task, method), row in rows.items():
         show(
@@ -53,6 +54,7 @@ def test_every_method_has_the_rate_tables_time_and_a_row_in_both_tasks(rows: dic
     assert len(rows) == 2 * len(METHODS)
 
 
+@pytest.mark.slow
 def test_the_rate_table_leaves_less_than_all_that_cannot_turn_the_device(rows: dict[tuple[str, str], RivalRow]) -> None:
     table = rows["sit_to_stand", "rate_table"]
     for method in ("data_sheet", "inclined_plane", "trolley", "piston"):
@@ -63,6 +65,7 @@ def test_the_rate_table_leaves_less_than_all_that_cannot_turn_the_device(rows: d
     assert table.error_max_deg.median < 0.1
 
 
+@pytest.mark.slow
 def test_poses_with_positions_calibrate_both_triads(rows: dict[tuple[str, str], RivalRow], compared: Rivals) -> None:
     triads = {(row.triad, row.method): row for row in compared.triads}
     for method in ("mocap", "robot_arm"):
@@ -77,6 +80,7 @@ def test_poses_with_positions_calibrate_both_triads(rows: dict[tuple[str, str], 
     assert triads["accel", "data_sheet"].worth[0].error_deg.least > 1.0
 
 
+@pytest.mark.slow
 def test_each_triad_is_judged_against_the_rate_table(compared: Rivals) -> None:
     assert [(row.triad, row.method) for row in compared.triads] == [
         (triad, method) for triad in ("gyro", "accel") for method in METHODS
@@ -95,6 +99,7 @@ def test_each_triad_is_judged_against_the_rate_table(compared: Rivals) -> None:
         assert gyro.calibrated == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("planted", "verdict"), [("trolley", "better"), ("rate_table", "worse")])
 def test_a_perfect_bench_for_one_method_is_seen(monkeypatch: pytest.MonkeyPatch, planted: Method, verdict: str) -> None:
     how = rivals._HOW[planted]
@@ -115,6 +120,7 @@ def test_a_perfect_bench_for_one_method_is_seen(monkeypatch: pytest.MonkeyPatch,
     assert decision.verdict == verdict
 
 
+@pytest.mark.slow
 def test_optics_and_an_arm_are_mounted_alike_by_one_state() -> None:
     device = random_device_of("enc03j_3031", np.random.default_rng(4))
     crooked = BenchErrors(mount_tilt=1.0 * np.pi / 180.0)
@@ -128,6 +134,7 @@ def test_optics_and_an_arm_are_mounted_alike_by_one_state() -> None:
     assert np.abs(found[0] - found[2]).max() > 5e-3  # two draws of 17 mrad about three axes
 
 
+@pytest.mark.slow
 def test_what_a_method_cannot_see_is_a_finding_of_its_own_fit(rows: dict[tuple[str, str], RivalRow]) -> None:
     words = {method: " ".join(rows["sit_to_stand", method].notes) for method in METHODS}
     for method in METHODS:
@@ -139,6 +146,7 @@ def test_what_a_method_cannot_see_is_a_finding_of_its_own_fit(rows: dict[tuple[s
     assert "nothing was recorded" in words["data_sheet"]
 
 
+@pytest.mark.slow
 def test_same_seed_same_bits() -> None:
     device = random_device_of("enc03j_3031", np.random.default_rng(4))
     one, two = (

@@ -19,7 +19,6 @@ from undrift.study.case import Unit, run_unit, units_of
 from undrift.study.plan import Study, read_study
 from undrift.study.run import MOST_LOSSES, Dask, Executor, InProcess, Pool, run_study
 
-pytestmark = pytest.mark.waits
 TEXT = """
 [study]
 subjects = 4
@@ -130,6 +129,7 @@ def sleeps(seconds: float) -> float:
     return seconds
 
 
+@pytest.mark.slow
 def test_a_unit_of_work_is_worth_sending(study: Study) -> None:
     import pickle
 
@@ -147,6 +147,7 @@ def test_a_unit_of_work_is_worth_sending(study: Study) -> None:
     assert min(worked) >= 20.0 * min(sent)  # of the same machine: the quickest of three is no pause of its scheduler
 
 
+@pytest.mark.slow
 def test_a_pool_whose_worker_is_killed_gives_the_same_bits(study: Study, expected: np.ndarray, tmp_path: Path) -> None:
     executor = KillsOne(Pool(2), own_worker)
     found = run_study(study, executor, tmp_path)
@@ -170,11 +171,13 @@ def test_the_process_that_asks_works_beside_the_others() -> None:
     assert done[0] != os.getpid()
 
 
+@pytest.mark.slow
 def test_work_that_kills_its_workers_is_given_up() -> None:
     with pytest.raises(UndriftError, match=f"wanted workers that live, got {MOST_LOSSES + 1} losses"):
         list(Pool(1).run(dies, [0]))
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_bits_with_a_worker_killed_in_the_middle(
     study: Study, expected: np.ndarray, cluster: Any, tmp_path: Path
 ) -> None:
@@ -186,6 +189,7 @@ def test_dask_gives_the_same_bits_with_a_worker_killed_in_the_middle(
     assert (found[0].error_rms_deg == expected).all()
 
 
+@pytest.mark.slow
 def test_work_that_kills_the_workers_of_a_scheduler_is_given_up(cluster: Any) -> None:
     cluster.scheduler.allowed_failures = 0  # of the default four, so that the test need not wait for four new workers
     with pytest.raises(UndriftError, match="wanted workers that live, got 1 losses"):
@@ -215,6 +219,7 @@ def where(unit: Unit) -> int:
     return os.getpid()
 
 
+@pytest.mark.slow
 def test_dask_gives_work_to_each_of_two_workers_and_then_to_the_one_that_is_left(study: Study, cluster: Any) -> None:
     executor = Dask(cluster.scheduler_address)
     units = units_of(study) * 2
@@ -231,11 +236,13 @@ def test_dask_gives_work_to_each_of_two_workers_and_then_to_the_one_that_is_left
     show("Dask, two workers over one: speed-up", took[1] / took[2], "2 on two idle processors; told, not held")
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_named() -> None:
     with pytest.raises(InputError, match=r"wanted a Dask scheduler at tcp://127\.0\.0\.1:9, got no answer"):
         list(Dask("tcp://127.0.0.1:9", timeout_s=1.0).run(sleeps, [0.0]))
 
 
+@pytest.mark.slow
 def test_a_client_that_is_killed_loses_nothing_that_was_finished(
     plan: Path, study: Study, expected: np.ndarray, tmp_path: Path
 ) -> None:

@@ -58,6 +58,7 @@ def test_the_notes_study_has_400_protocols_a_task_and_the_notes_own_among_them()
         )
 
 
+@pytest.mark.slow
 def test_a_pool_gives_the_bits_of_one_process_and_the_store_both(tmp_path: Path) -> None:
     one = run_study(SMALL, InProcess(), tmp_path / "one")
     two = run_study(SMALL, Pool(2), tmp_path / "two")
@@ -159,6 +160,7 @@ def test_a_minimum_is_not_flat_where_a_parameter_decides_though_many_protocols_s
     assert not found.flat
 
 
+@pytest.mark.slow
 def test_the_winners_luck_does_not_reach_the_stated_error() -> None:
     rng = np.random.default_rng(4)
     drawn = [surface(1.0 + rng.normal(0.0, 0.5, (20, 30)), np.arange(30.0)) for _ in range(100)]
@@ -230,6 +232,7 @@ def test_executors_are_chosen_by_what_is_asked_for() -> None:
         choose_executor(workers=0)
 
 
+@pytest.mark.slow
 def test_the_stated_error_of_the_optimum_holds_for_other_seeds(tmp_path: Path) -> None:
     found = []
     for seed in range(4):  # other people, units, noise

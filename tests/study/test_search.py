@@ -92,12 +92,10 @@ TWO = {  # values of each parameter that can be searched, two each
 # ---- what is tried
 
 
-ONE_OF_A_KIND = {"cutoff_hz", "turn_rate_max_dps", "gain", "poses", "set_points", "dynamic_step_c"}
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [name if name in ONE_OF_A_KIND else pytest.param(name, marks=pytest.mark.long) for name in HEADINGS],
+    list(HEADINGS),
 )
 def test_a_study_of_any_parameter_comes_to_its_page_its_summary_and_its_lines(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -238,6 +236,7 @@ def test_the_presets_grids_reach_beyond_the_notes_values_on_both_sides() -> None
 # ---- planted in the device: the whole flow has to find it
 
 
+@pytest.mark.slow
 def test_a_gain_that_clips_and_one_with_few_codes_lose() -> None:
     # 20 takes 186 deg/s, 150 takes 25, which a sit-to-stand exceeds; a code of gain 1 is 1.8 deg/s, below which no noise dithers
     space = {"turn_rate_min": (5.0 * DPS,), "turn_rate_step": (5.0 * DPS,), "turn_rate_max": (20.0 * DPS,)}
@@ -253,6 +252,7 @@ def test_a_gain_that_clips_and_one_with_few_codes_lose() -> None:
     assert clipped > middle + 0.087
 
 
+@pytest.mark.slow
 def test_a_bend_needs_fast_turns(tmp_path: Path) -> None:
     made = preset("enc03j_3031")
     quiet = dict.fromkeys(("white_noise", "instability", "random_walk", "warm_up", "hysteresis", "g_sensitivity"))
@@ -349,6 +349,7 @@ def test_cma_finds_a_planted_optimum_of_eight_parameters_in_bounded_runs(tmp_pat
     np.testing.assert_array_equal(resumed.every.error_rms_deg, found.every.error_rms_deg)
 
 
+@pytest.mark.slow
 def test_halving_of_a_drawn_part_finds_the_best_of_it(tmp_path: Path) -> None:
     study = replace(BOWL, search="halving", candidates=200)
     points = drawn(study, TASK)
@@ -399,6 +400,7 @@ def test_the_nearest_rates_that_a_step_divides_are_taken() -> None:
     assert tuple(points[0, 1:4]) in set(TASK.space.grids())
 
 
+@pytest.mark.slow
 def test_cma_of_real_runs_is_judged_and_its_front_stands_in_the_outcome(tmp_path: Path) -> None:
     pytest.importorskip("cma")
     task = task_of("step", cutoff_hz=(5.0, 11.4, 20.0), further=(("gain", (10.0, 20.0)), ("dwell_s", (0.5, 1.0))))

@@ -83,6 +83,7 @@ def test_with_two_conditions_it_is_the_paired_t_test() -> None:
     assert pair.p_holm == pytest.approx(float(t.pvalue), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_holm_is_the_one_of_statsmodels() -> None:
     from statsmodels.stats.multitest import multipletests
 
@@ -90,6 +91,7 @@ def test_holm_is_the_one_of_statsmodels() -> None:
     np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_level_is_kept_on_null_data_spherical_or_not() -> None:
     rng = np.random.default_rng(4)
     mixed = np.linalg.cholesky(0.7 ** np.abs(np.subtract.outer(np.arange(6), np.arange(6))))  # neighbours alike
@@ -100,6 +102,7 @@ def test_the_level_is_kept_on_null_data_spherical_or_not() -> None:
         assert 0.04 <= rate <= 0.06
 
 
+@pytest.mark.slow
 def test_power_is_what_was_predicted() -> None:
     rng, means, sd = np.random.default_rng(5), np.array([0.0, 0.1, 0.25, 0.4]), 1.0
     for n in (20, 40):

@@ -138,7 +138,8 @@ def test_a_session_at_the_edge_of_what_decides_is_never_enough(rng: np.random.Ge
     assert judged(skewed(falling, rng), skewed(falling, rng), [10.0] * 3, **cutoffs).verdict == "enough"
 
 
-@pytest.mark.parametrize("repeats", [200, pytest.param(2000, marks=pytest.mark.long)])
+@pytest.mark.slow
+@pytest.mark.parametrize("repeats", [200, 2000])
 def test_a_session_that_is_not_enough_is_called_enough_as_seldom_as_stated(
     rng: np.random.Generator, repeats: int
 ) -> None:

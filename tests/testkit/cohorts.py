@@ -1,6 +1,6 @@
 """How many devices a Monte Carlo run draws, and how far chance alone carries what is counted in it.
 
-`make test` draws few and allows for chance, `make test-long` draws many. Tests that `make mutants` runs draw more, so that they
+`make test` draws few and allows for chance, `make test-slow` draws many. Tests that `make mutants` runs draw more, so that they
 see small faults.
 """
 
@@ -11,17 +11,17 @@ import pytest
 from scipy.stats import binom, chi2
 
 FEW = 60
-COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.long))
-LARGER_COHORTS = (200, pytest.param(1000, marks=pytest.mark.long))
+COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.slow))
+LARGER_COHORTS = (200, pytest.param(1000, marks=pytest.mark.slow))
 FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
 RATIO = 1.05  # of a root-mean-square error to its bound: what a method may lose
 SHARES = (0.93, 0.97)  # of nominal 95 % intervals that hold the truth: what a method may be off
 
 
 def first_and_long(each: Iterable[object]) -> list[object]:
-    """Return values of a parameter: the first in `make test`, the others in `make test-long`."""
+    """Return values of a parameter: the first in `make test`, the others in `make test-slow`."""
     first, *others = each
-    return [first, *(pytest.param(one, marks=pytest.mark.long) for one in others)]
+    return [first, *(pytest.param(one, marks=pytest.mark.slow) for one in others)]
 
 
 def share_limits(trials: int, nominal: float = 0.95) -> tuple[float, float]:

@@ -82,6 +82,7 @@ def test_a_twin_says_about_which_axes_it_was_never_turned(share: float, axes: tu
         assert 0.1 < found.values["off_deg"] < 1.0
 
 
+@pytest.mark.slow
 def test_a_real_twin_of_turns_about_x_says_that_those_about_y_are_beyond_it() -> None:
     # BROAD trial 02 turns about x for its first 100 s (about y at 13 deg/s rms); 07 and 09 turn at 300 deg/s about all axes.
     record, poses = trial(2)
@@ -104,6 +105,7 @@ def test_a_real_twin_of_turns_about_x_says_that_those_about_y_are_beyond_it() ->
     assert excited(prepared, [2], 1).finding("07") is None
 
 
+@pytest.mark.slow
 def test_recordings_that_begin_and_end_in_motion_make_a_twin_that_predicts_their_ends() -> None:
     rng = np.random.default_rng(8)
     forward, offset = np.eye(3) + 0.01 * rng.standard_normal((3, 3)), np.radians([0.5, -0.3, 0.8])

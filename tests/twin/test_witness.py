@@ -69,6 +69,7 @@ def split(found: Match) -> OpticsSplit:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_shares_come_back_with_errors_that_hold(share: float) -> None:
     found = [split(seen(share, seed)) for seed in (1, 2)]
@@ -86,11 +87,13 @@ def test_shares_come_back_with_errors_that_hold(share: float) -> None:
         assert np.hypot(one.optics, one.gyro) == pytest.approx(one.tilt, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_an_accelerometer_that_is_wrong_by_two_per_cent_leaves_the_shares() -> None:
     right, wrong = split(seen(0.5, 1)), split(seen(0.5, 1, scale=1.02))
     assert abs(wrong.optics_share - right.optics_share) < 0.2 * right.standard_error
 
 
+@pytest.mark.slow
 def test_an_origin_away_from_the_markers_middle_is_in_the_standard_error() -> None:
     right, wrong = split(seen(0.9, 1)), split(seen(0.9, 1, origin_m=0.01))
     moved = abs(wrong.optics_share - right.optics_share)

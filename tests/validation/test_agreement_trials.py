@@ -23,6 +23,7 @@ def pairs():
     return [make_recording(np.random.default_rng(seed), DEVICE, turn_s=40.0, optics_noise=5e-4) for seed in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_means_and_medians_are_those_of_the_trials(pairs):
     result = validate_trials(pairs, settings=TrialSettings(offset="rest"), names=("a", "b", "c"))
     ends = [t.figures.end_total_deg for t in result.trials]
@@ -47,6 +48,7 @@ def test_each_recording_may_bring_its_calibration(pairs):
     assert same.mean.rmse_total_deg == pytest.approx(none.mean.rmse_total_deg)
 
 
+@pytest.mark.slow
 def test_leave_one_out_beats_the_rest_offset(pairs):
     rest = validate_trials(pairs, settings=TrialSettings(offset="rest"))
     held = validate_leave_one_out(pairs, names=("a", "b", "c"))
@@ -56,6 +58,7 @@ def test_leave_one_out_beats_the_rest_offset(pairs):
     assert held.mean.end_total_deg < 0.3
 
 
+@pytest.mark.slow
 def test_extrapolation_is_noted():
     slow = make_recording(np.random.default_rng(5), DEVICE, turn_s=30.0, speed=0.3)
     fast = make_recording(np.random.default_rng(6), DEVICE, turn_s=30.0, speed=1.2)
@@ -92,6 +95,7 @@ def test_a_recording_cannot_judge_itself(pairs):
         validate_leave_one_out([pairs[0], pairs[0]])
 
 
+@pytest.mark.slow
 def test_recordings_of_two_devices_are_told_apart():
     one = make_recording(np.random.default_rng(4), Device(), turn_s=40.0)
     other = make_recording(np.random.default_rng(5), Device(offset=np.radians([0.0, 0.4, 0.0])), turn_s=40.0)

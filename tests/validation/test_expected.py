@@ -165,6 +165,7 @@ def test_an_offset_from_motion_takes_a_wrong_scale_back_where_gravity_shows_it()
     assert shown.end_total_deg < 0.2 * plain.end_total_deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [OTHER, SHOWN])
 def test_drawn_calibrations_err_as_often_as_their_intervals_say(source):
     # Matrix and offset drawn from the stated covariance, correlated; the record itself is exact. Where motion shows the offset, it

@@ -119,6 +119,7 @@ def test_gaps_of_the_optics_count_nowhere_and_are_reported(perfect):
     assert np.isfinite(figures.rmse_total_deg)
 
 
+@pytest.mark.slow
 def test_truncated_codes_are_given_back_on_their_own_evidence():
     # Truncation toward zero takes half a step along the sign of the rate: 2.5e-3 rad/s of up to 2 rad/s.
     lsb = 5e-3
@@ -236,6 +237,7 @@ def test_a_recording_without_a_rest_starts_from_the_reference(start_s):
     assert found.figures.end_total_deg < 0.3  # of the last three seconds of the motion, half a sample late
 
 
+@pytest.mark.slow
 def test_without_a_rest_nothing_is_subtracted_but_what_motion_shows():
     offset = np.array([0.004, -0.006, 0.005])
     record, reference = make_recording(np.random.default_rng(6), Device(noise=1e-4, offset=offset), mark=False)
@@ -249,6 +251,7 @@ def test_without_a_rest_nothing_is_subtracted_but_what_motion_shows():
     assert moved.figures.rmse_inclination_deg < 0.2 < 5.0 < at_rest.figures.rmse_inclination_deg
 
 
+@pytest.mark.slow
 def test_rows_that_fill_a_file_up_are_left_out_with_a_word():
     record, reference = make_recording(np.random.default_rng(7), Device(noise=1e-3), mark=False)
     ended = record.between(9.0, 66.0)

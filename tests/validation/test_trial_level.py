@@ -47,6 +47,7 @@ def test_a_recording_that_begins_in_motion_takes_the_rates_as_always():
     assert level.figures == rates.figures
 
 
+@pytest.mark.slow
 def test_the_filter_holds_the_inclination_where_the_offset_is_left_in_and_states_no_error_to_expect():
     raw, filtered = (judged((0.0, 0.0, 0.0), method=method, offset="none")[0] for method in ("strapdown", "vqf"))
     angles = [one.figures.rmse_inclination_deg for one in (raw, filtered)]

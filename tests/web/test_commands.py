@@ -18,6 +18,7 @@ def test_a_command_answers_with_its_envelope(tmp_path: Path) -> None:
     assert outcome.answer["sets"]
 
 
+@pytest.mark.slow
 def test_a_command_that_refuses_gives_its_line(tmp_path: Path) -> None:
     outcome = asyncio.run(run_command(["info", "none.csv"], tmp_path, lambda line: None))
     assert (outcome.code, outcome.done) == (2, False)
@@ -25,6 +26,7 @@ def test_a_command_that_refuses_gives_its_line(tmp_path: Path) -> None:
     assert "\n" not in outcome.error
 
 
+@pytest.mark.slow
 def test_no_text_of_a_command_names_the_folders_of_the_bench(tmp_path: Path) -> None:
     place = tmp_path / "uploads" / "0123456789ab"
     place.mkdir(parents=True)

@@ -104,6 +104,7 @@ def steps_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(feeds, "PERIOD_S", 1e6)
 
 
+@pytest.mark.slow
 def test_two_hundred_hertz_to_two_browsers_take_little_of_a_core() -> None:
     way = Way()
     (used,) = asyncio.run(way.play(10.0))
@@ -115,6 +116,7 @@ def test_two_hundred_hertz_to_two_browsers_take_little_of_a_core() -> None:
     assert share < 10.0
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_once_what_is_kept_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (
         ("commands.bench.source.KEEP_S", 4.0),

@@ -82,6 +82,7 @@ def test_what_is_captured_is_written_at_once_with_the_gravity_of_the_place(bench
     assert guided.error == ""
 
 
+@pytest.mark.slow
 def test_without_a_place_no_gravity_is_written_into_the_session(bench, feed):
     bench.source = Fed(feed)
     step(guided_of(bench), feed, 12.0)

@@ -73,6 +73,7 @@ def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
     assert client.opened == ["/result"]
 
 
+@pytest.mark.slow
 def test_a_page_that_is_closed_is_forgotten():
     closed = Client(page("/parts"), request=None)
     with closed:

@@ -98,6 +98,7 @@ def request_of(rng: random.Random, k: int) -> tuple[bytes, bool]:
     return ("\r\n".join([*heads, "Connection: close"]) + "\r\n\r\n").encode("latin-1", "replace") + body, cut
 
 
+@pytest.mark.slow
 def test_a_thousand_malformed_uploads_and_fuzzed_routes_break_nothing(server: BenchServer) -> None:
     rng = random.Random(17)
     outside = {path for path in server.folder.parent.rglob("*") if server.folder not in path.parents}

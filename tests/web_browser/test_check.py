@@ -78,6 +78,7 @@ def rests_used(folder: Path, count: int) -> str:
     return str(json.loads(newest.read_text())["provenance"]["settings"]["stills"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
 def test_a_stretch_is_zoomed_to_and_left_out_of_what_is_calibrated(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path, turned: Record, width: int, height: int,
@@ -115,6 +116,7 @@ def test_a_stretch_is_zoomed_to_and_left_out_of_what_is_calibrated(
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_a_finger_drags_a_stretch_sideways_and_scrolls_the_page_up_and_down(
     open_page: Callable[..., Page], tmp_path: Path, turned: Record
 ) -> None:
@@ -149,6 +151,7 @@ def test_a_finger_drags_a_stretch_sideways_and_scrolls_the_page_up_and_down(
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_the_device_turns_as_the_recording_says(open_page: Callable[..., Page], tmp_path: Path, turned: Record) -> None:
     write_parquet(turned, tmp_path / "turns.parquet")
     page = open_page("/check", width=1280, height=800)
@@ -239,6 +242,7 @@ def test_columns_and_units_prove_themselves_and_what_nothing_shows_stays_empty(
     assert complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
 def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path, turned: Record, width: int, height: int,

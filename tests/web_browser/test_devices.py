@@ -50,6 +50,7 @@ def filled(bench_server: BenchServer, known: undrift.Calibration, tmp_path: Path
     return bench_server
 
 
+@pytest.mark.slow
 def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_downloaded(
     filled: BenchServer, open_page: Callable[..., Page]
 ) -> None:
@@ -83,6 +84,7 @@ def test_a_device_is_chosen_its_trend_read_and_its_calibration_used_and_download
     assert faults_of(page) == []
 
 
+@pytest.mark.slow
 def test_by_keyboard_on_a_narrow_screen_and_an_odd_name_is_text(
     filled: BenchServer, open_page: Callable[..., Page]
 ) -> None:

@@ -37,6 +37,7 @@ def parsed(svg):
     return ElementTree.fromstring(svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("face", FACES)
 def test_three_sides_of_a_right_handed_box_are_seen_the_wanted_one_on_top(draw, face):
     drawn = parsed(draw("box", face))
@@ -51,6 +52,7 @@ def test_three_sides_of_a_right_handed_box_are_seen_the_wanted_one_on_top(draw, 
     assert np.cross(unit_vector(left), unit_vector(right)) == pytest.approx(unit_vector(face))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("turn", "words"), [("+", "counter-clockwise"), ("-", "clockwise")])
 def test_the_arrow_goes_round_the_way_the_words_say(draw, turn, words):
     svg = draw("box", "+z", turn)
@@ -61,6 +63,7 @@ def test_the_arrow_goes_round_the_way_the_words_say(draw, turn, words):
     assert (after[0] > front[0]) == (turn == "+")  # seen from above, counter-clockwise goes to the right in front
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up", FACES)
 def test_a_worn_device_is_drawn_with_right_handed_axes(draw, up):
     for forward in FACES:
@@ -90,6 +93,7 @@ def judge_axes(draw, forward, up):
         assert np.dot(unit_vector(side), np.array([x, y, z]) @ np.array(way)) == 1
 
 
+@pytest.mark.slow
 def test_every_light_has_a_shape_of_its_own_and_is_green_only_where_all_is_well(draw):
     shapes = {state: draw("lamp", state) for state in get_args(State)}
     assert [state for state, svg in shapes.items() if "--good" in svg] == ["still", "captured"]
@@ -101,6 +105,7 @@ def test_every_light_has_a_shape_of_its_own_and_is_green_only_where_all_is_well(
     assert len({re.sub(r"var\([^)]*\)", "", svg) for svg in shapes.values()}) == len(shapes)
 
 
+@pytest.mark.slow
 def test_the_ring_closes_and_shows_whole_seconds(draw):
     gone = [float(re.search(r'stroke-dasharray="([\d.]+)', draw("ring", left, 6.0))[1]) for left in (6.0, 3.0, 0.0)]
     assert gone == pytest.approx([0.0, 125.7, 251.3], abs=0.1)
@@ -108,6 +113,7 @@ def test_the_ring_closes_and_shows_whole_seconds(draw):
     assert parsed(draw("ring", None, 6.0)).find(f"{SVG}text") is None
 
 
+@pytest.mark.slow
 def test_lines_are_drawn_with_gaps_and_their_newest_values_are_in_words(draw):
     assert draw("lines", "Temperature", "°C", "min", [["device", "none", [[0.0, 20.0]]]]) == ""
     air, device = [[0.0, None], [1.0, None]], [[0.0, 20.0], [1.0, None], [2.0, 24.5]]

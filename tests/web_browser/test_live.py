@@ -57,6 +57,7 @@ def test_the_practice_device_is_drawn_and_its_values_are_said(open_page: Callabl
     assert faults == []
 
 
+@pytest.mark.slow
 def test_pause_holds_the_picture_and_the_time_shown_changes(open_page: Callable[..., Page]) -> None:
     page = connected(open_page)
     page.get_by_role("button", name="Pause").press("Enter")
@@ -78,6 +79,7 @@ def test_pause_holds_the_picture_and_the_time_shown_changes(open_page: Callable[
     expect(line.first).to_have_attribute("aria-pressed", "false")
 
 
+@pytest.mark.slow
 def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     open_page: Callable[..., Page], bench_server: BenchServer
 ) -> None:
@@ -114,6 +116,7 @@ def test_a_calibration_of_the_bench_corrects_and_the_pitch_follows(
     shoot(second, "live-corrected-390-dark")
 
 
+@pytest.mark.slow
 def test_a_recording_goes_on_without_the_browser_and_is_what_the_device_sent(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path
 ) -> None:
@@ -135,6 +138,7 @@ def test_a_recording_goes_on_without_the_browser_and_is_what_the_device_sent(
     assert list(bench_server.folder.glob("uploads/live-*/*.part")) == []
 
 
+@pytest.mark.slow
 def test_a_recording_outlives_a_bench_that_is_killed(
     tmp_path: Path, new_context: Callable[..., BrowserContext]
 ) -> None:
@@ -191,6 +195,7 @@ def turned_over(k: int) -> str:
     return f"{rate + noise[0]:.4f},{noise[1]:.4f},{noise[2]:.4f},{noise[2]:.4f},{other:.4f},{up:.4f},25.0"
 
 
+@pytest.mark.slow
 def test_the_device_is_drawn_as_it_lies_once_a_rest_has_shown_it(open_page: Callable[..., Page]) -> None:
     page = open_page("/live", width=390)
     drawn = page.locator("undrift-drawing[kind=body]")
@@ -207,6 +212,7 @@ def test_the_device_is_drawn_as_it_lies_once_a_rest_has_shown_it(open_page: Call
         shoot(page, "live-body-1280")
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_said_in_plain_words(open_page: Callable[..., Page]) -> None:
     page = open_page("/live")
     expect(page.locator(".panel-state")).to_have_text("No device connected.")
@@ -227,6 +233,7 @@ def test_what_is_wrong_is_said_in_plain_words(open_page: Callable[..., Page]) ->
         expect(page.get_by_role("alert").filter(has_text="tries again by itself")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_the_panel_connects_again_when_its_socket_is_cut(open_page: Callable[..., Page]) -> None:
     page = open_page("/")
     page.add_init_script(
@@ -244,6 +251,7 @@ def test_the_panel_connects_again_when_its_socket_is_cut(open_page: Callable[...
     expect(page.locator(".panel-state")).to_have_text("Live.")
 
 
+@pytest.mark.slow
 def test_less_motion_is_drawn_once_a_second(open_page: Callable[..., Page]) -> None:
     counts = {}
     for motion in ("no-preference", "reduce"):

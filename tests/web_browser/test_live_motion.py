@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import Page, expect
 
 from testkit.guided_motion import guided_recording
@@ -18,6 +19,7 @@ from commands.test_live_motion import TurnedTalker  # isort: skip
 COMMAND_MS = 60_000
 
 
+@pytest.mark.slow
 def test_a_device_that_is_moved_is_calibrated_when_each_element_is_known(
     bench_server: BenchServer, open_page: Callable[..., Page]
 ) -> None:
@@ -49,6 +51,7 @@ def test_a_device_that_is_moved_is_calibrated_when_each_element_is_known(
     assert made.with_name("motion.parquet").exists()
 
 
+@pytest.mark.slow
 def test_the_prior_of_the_part_and_the_magnetometer_are_options_of_the_page(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:

@@ -104,6 +104,7 @@ def answer(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
     return answered
 
 
+@pytest.mark.slow
 def test_the_registry_shows_each_number_whole_on_both_screens(
     filled: BenchServer, open_page: Callable[..., Page], answer: Callable[..., Any]
 ) -> None:
@@ -127,6 +128,7 @@ def test_the_registry_shows_each_number_whole_on_both_screens(
     assert not missing, "\n".join(sorted(missing))
 
 
+@pytest.mark.slow
 def test_what_is_said_of_a_recording_stands_whole_on_check_calibrate_and_use(
     bench_server: BenchServer, open_page: Callable[..., Page], answer: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -164,6 +166,7 @@ def test_what_is_said_of_a_recording_stands_whole_on_check_calibrate_and_use(
     assert not missing, "\n".join(sorted(missing))
 
 
+@pytest.mark.slow
 def test_no_other_page_cuts_a_number(open_page: Callable[..., Page]) -> None:
     page = open_page("/")
     start = page.url.rstrip("/")

@@ -10,7 +10,7 @@ from undrift.web.parts import texts
 from web_browser.conftest import faults_of, measured_faults_of, shoot
 
 
-@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_every_page_opens_and_is_accessible_wide_and_narrow_light_and_dark(
     open_page: Callable[..., Page], every: bool
 ) -> None:

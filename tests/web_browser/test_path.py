@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 
+import pytest
 from playwright.sync_api import Page, expect
 
 from testkit.bench import BenchServer, environment_of
@@ -31,6 +32,7 @@ def captured(page: Page, name: str) -> None:
     page.get_by_role("listitem").filter(has_text=name).filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
 
 
+@pytest.mark.slow
 @quick_and_real_time
 def test_from_start_to_certificate_with_the_pointer_and_the_gravity(
     open_page: Callable[..., Page], bench_server: BenchServer

@@ -59,6 +59,7 @@ def running(server: BenchServer) -> RigRun:
     return found
 
 
+@pytest.mark.slow
 def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_calibration(
     bench_server: BenchServer, open_page: Callable[..., Page], table: Any
 ) -> None:
@@ -115,6 +116,7 @@ def test_a_whole_run_is_mounted_watched_reloaded_closed_and_ends_in_the_true_cal
         np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
 
 
+@pytest.mark.slow
 def test_a_killed_bench_leaves_the_run_to_the_next_which_pauses_it_when_it_ends(
     tmp_path: Path, table: Any, new_context: Callable[..., BrowserContext]
 ) -> None:
@@ -185,6 +187,7 @@ def test_the_emergency_stop_reaches_the_table_at_once(
     expect(page.get_by_label("Address of the table")).to_have_value(bench.rig_address)
 
 
+@pytest.mark.slow
 def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open_page: Callable[..., Page]) -> None:
     page = open_page("/rate-table")
     page.set_default_timeout(RUN_MS)
@@ -220,6 +223,7 @@ def test_temperatures_of_the_emulated_chamber_fill_a_table_and_end_in_a_fit(open
     shoot(page, "temperature-result")
 
 
+@pytest.mark.slow
 def test_a_warm_up_is_recorded_from_the_practice_device_and_what_is_missing_is_said(
     open_page: Callable[..., Page],
 ) -> None:

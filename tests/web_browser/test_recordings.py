@@ -28,6 +28,7 @@ def name_sides(page: Page, forward: str, up: str) -> None:
     page.get_by_label("Side that points up").select_option(up)
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     bench_server: BenchServer, open_page: Callable[..., Page]
@@ -70,6 +71,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     shoot(page, "recordings-corrected")
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[..., Page]) -> None:
     page = open_page("/check", width=390)
@@ -104,6 +106,7 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     expect(page.get_by_text("Registered as entry 1")).to_be_visible(timeout=COMMAND_MS)
 
 
+@pytest.mark.slow
 def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
     open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
@@ -137,6 +140,7 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
     assert faults_of(page) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
 def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Page], tmp_path: Path, width: int) -> None:
     undrift.write_calibration(perfect_calibration(), tmp_path / "calibration.json")
@@ -177,6 +181,7 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
     assert faults_of(page) == []
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Callable[..., Page]) -> None:
     page = open_page("/check")
@@ -198,6 +203,7 @@ def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Calla
     assert faults_of(page) == []
 
 
+@pytest.mark.slow
 def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
@@ -237,6 +243,7 @@ def test_what_commands_notice_is_listed_with_its_action_in_names_without_paths(
     shoot(page, "live-other-device-1280")
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: Callable[..., Page]) -> None:
     page = open_page("/check", width=390)
@@ -268,6 +275,7 @@ def test_a_wrong_sample_rate_is_refused_with_the_field_that_mends_it(open_page: 
     shoot(page, "recordings-oriented-390")
 
 
+@pytest.mark.slow
 @needs_data
 def test_a_refused_calibration_is_tried_with_the_accelerometers_alone_and_says_what_it_lacks(
     open_page: Callable[..., Page],
@@ -289,6 +297,7 @@ def test_a_refused_calibration_is_tried_with_the_accelerometers_alone_and_says_w
     expect(page.get_by_role("heading", name="Verdict:")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_calibration_that_lacks_a_sensor_says_so_where_it_is_offered(
     bench_server: BenchServer, open_page: Callable[..., Page]
 ) -> None:
@@ -346,6 +355,7 @@ def phone_files(folder: Path) -> list[Path]:
     return [folder / "Accelerometer.csv", folder / "Gyroscope.csv"]
 
 
+@pytest.mark.slow
 def test_files_of_a_phone_chosen_together_are_one_recording_and_others_are_two(
     open_page: Callable[..., Page], tmp_path: Path
 ) -> None:
@@ -362,6 +372,7 @@ def test_files_of_a_phone_chosen_together_are_one_recording_and_others_are_two(
     expect(files).to_have_text(["Gyroscope.csv", "again.csv", "Accelerometer, Gyroscope"], timeout=COMMAND_MS)
 
 
+@pytest.mark.slow
 def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
     page = open_page("/check")
     page.set_default_timeout(COMMAND_MS)
@@ -370,6 +381,7 @@ def test_a_folder_can_be_dropped(open_page: Callable[..., Page]) -> None:
     expect(page.locator(".bench-main")).to_contain_text("60 samples at 50 Hz", timeout=COMMAND_MS)
 
 
+@pytest.mark.slow
 def test_parameters_of_an_autopilot_are_a_calibration(
     bench_server: BenchServer, open_page: Callable[..., Page], tmp_path: Path
 ) -> None:

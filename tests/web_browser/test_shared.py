@@ -48,6 +48,7 @@ def test_two_tabs_choose_and_type_for_themselves(open_page: Callable[..., Page],
     assert faults_of(second) == []
 
 
+@pytest.mark.slow
 def test_files_and_jobs_outlive_a_bench_that_is_killed(
     tmp_path: Path, new_context: Callable[..., BrowserContext]
 ) -> None:
@@ -111,6 +112,7 @@ LARGE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "limit", "rows", "refusal"),
     [

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 from playwright.sync_api import Page
 
 from testkit.bench import BenchServer
@@ -42,6 +43,7 @@ def wait_for_step(page: Page, name: str) -> None:
     row.filter(has_text="captured").wait_for(timeout=CAPTURE_MS)
 
 
+@pytest.mark.slow
 @quick_and_real_time
 def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
     open_page: OpenPage, bench_server: BenchServer

@@ -90,6 +90,7 @@ def turned_line(k: int) -> bytes:
     )
 
 
+@pytest.mark.slow
 def test_from_a_board_at_a_serial_port_to_a_calibration(open_page: Callable[..., Page]) -> None:
     page, problems = open_page("/", width=1280, height=800), list[str]()
     page.set_default_timeout(COMMAND_MS)
@@ -121,6 +122,7 @@ def test_from_a_board_at_a_serial_port_to_a_calibration(open_page: Callable[...,
     assert hand.clicks == 6
 
 
+@pytest.mark.slow
 def test_from_the_first_page_to_a_calibration_by_the_emulated_table(open_page: Callable[..., Page]) -> None:
     page, problems = open_page("/", width=1280, height=800), list[str]()
     page.set_default_timeout(2.0 * COMMAND_MS)  # of a run of 15 min at 100 times the speed

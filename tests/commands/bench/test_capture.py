@@ -23,6 +23,7 @@ def guide(tmp_path):
     return SixFaces(Capture(tmp_path / "session", serial="A17", gravity_m_s2=9.81))
 
 
+@pytest.mark.slow
 def test_the_folder_holds_serial_and_gravity_and_is_written_anew_as_more_is_captured(guide):
     with HandFeed(seed=5) as feed:
         feed.watch(guide, 12.0)
@@ -38,6 +39,7 @@ def test_the_folder_holds_serial_and_gravity_and_is_written_anew_as_more_is_capt
     assert (session.serial, session.gravity_m_s2) == ("A17", 9.81)
 
 
+@pytest.mark.slow
 def test_a_lost_connection_begins_another_recording_and_all_of_them_calibrate(guide):
     with HandFeed(seed=5) as feed:
         feed.held.lay("+x")
@@ -87,6 +89,7 @@ def test_readings_in_which_nothing_is_captured_are_forgotten(guide, keep_s):
         assert kept_s(guide.capture) < 2.0 * keep_s + 20.0
 
 
+@pytest.mark.slow
 def test_what_was_captured_is_kept_while_the_rest_is_forgotten(guide, keep_s):
     with HandFeed(seed=5, sample_rate_hz=20.0) as feed:
         feed.watch(guide, 12.0)

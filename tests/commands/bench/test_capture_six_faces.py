@@ -23,7 +23,7 @@ from undrift.sim.device.presets import random_device_of
 
 def in_long(*cases):
     """Return cases that `make test-long` adds."""
-    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.long) for case in cases]
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
 
 
 @pytest.fixture
@@ -46,6 +46,7 @@ def complete(tmp_path_factory):
         yield feed, guide
 
 
+@pytest.mark.slow
 def test_six_faces_are_captured_at_rest_and_calibrate_reads_them(complete, capsys):
     feed, guide = complete
     capture = guide.capture
@@ -68,6 +69,7 @@ def test_six_faces_are_captured_at_rest_and_calibrate_reads_them(complete, capsy
     assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(accel.covariance)[:12])).all()
 
 
+@pytest.mark.slow
 def test_a_face_may_come_in_any_order(guide, feed):
     order = ["-y", "+x", "+z", "-x", "+y", "-z"]
     for face in order:
@@ -93,6 +95,7 @@ def test_the_light_says_what_the_device_does_and_what_to_do(guide, feed):
     assert guide.wanted == ORDER[0]
 
 
+@pytest.mark.slow
 def test_a_device_that_is_touched_again_and_again_is_never_captured(guide, feed):
     for _ in range(6):  # it rests for 5 s at most
         feed.held.lay("+z")
@@ -101,6 +104,7 @@ def test_a_device_that_is_touched_again_and_again_is_never_captured(guide, feed)
     assert guide.capture.faces == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_counts", [False, True])
 def test_a_device_that_hands_hold_is_never_captured(guide, in_counts):
     rng = np.random.default_rng(3)
@@ -115,6 +119,7 @@ def test_a_device_that_hands_hold_is_never_captured(guide, in_counts):
     assert guide.capture.faces == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *in_long(1, 2)])
 def test_a_device_in_counts_that_hands_hold_on_a_face_is_never_captured(guide, feed, seed):
     rng, gain, time = np.random.default_rng(seed), feed.held.device.accel.gain, np.arange(6001) / 100.0
@@ -133,6 +138,7 @@ def test_a_device_in_counts_that_hands_hold_on_a_face_is_never_captured(guide, f
     assert states.count("moving") > 0.6 * len(states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, *in_long(2, 3)])
 def test_whatever_an_operator_does_no_captured_face_holds_a_move(guide, seed):
     rng = np.random.default_rng(seed)
@@ -170,6 +176,7 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(complete):
     assert sorted(still.face for still in stills) == sorted(FACES)
 
 
+@pytest.mark.slow
 def test_redo_of_the_face_that_is_up_counts_down_anew(guide, feed):
     feed.watch(guide, 12.0)
     first = guide.capture.faces["+z"]
@@ -182,6 +189,7 @@ def test_redo_of_the_face_that_is_up_counts_down_anew(guide, feed):
     assert guide.again is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost_s", [0.15, 0.6, 2.0])
 def test_a_gap_in_the_readings_restarts_the_countdown(guide, feed, lost_s):
     lights = feed.watch(guide, 5.0)
@@ -213,6 +221,7 @@ def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_
     assert (guide.capture.faces["+z"].start_s > at) == restarts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [7, 9, *in_long(11, 14, 15, 20, 33)])
 def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
     """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
@@ -256,6 +265,7 @@ def captured_of(record, folder, lossy=0.0):
     return guide.capture.faces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("in_counts", "lossy", "found"), [(False, 0.0, 5), (False, 0.002, 5), (True, 0.0, 2), (True, 0.002, 2)]
 )
@@ -270,6 +280,7 @@ def test_faces_of_a_real_session_are_what_they_are(tmp_path, in_counts, lossy, f
         assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) > 9.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "in_counts"), [(0, False), (1, True), (2, True), *in_long((0, True), (1, False), (2, False))]
 )
@@ -290,6 +301,7 @@ def test_silence_is_said(guide, feed):
     assert guide.light.text == "No readings. Check power and connection of the device."
 
 
+@pytest.mark.slow
 def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
     device = random_device_of("enc03j_3031", np.random.default_rng(5))
     with HandFeed(seed=5, device=device) as feed:
@@ -303,6 +315,7 @@ def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
             assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) == pytest.approx(9.8, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_accelerometers_does_not_matter(tmp_path):
     found = []
     for number, factor in enumerate((1.0, 1e-6, 1e6)):

@@ -51,6 +51,7 @@ def complete(tmp_path_factory):
         yield feed, guide
 
 
+@pytest.mark.slow
 def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(complete, capsys):
     feed, guide = complete
     assert list(guide.done) == list(WAYS)
@@ -75,11 +76,12 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
     assert np.abs(np.diag(scale) - 1.0).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "seed"),
     [
         *[("enc03j_3031", 2), ("shimmer3", 1), ("bmi088", 2)],
-        *[pytest.param("enc03j_3031", seed, marks=pytest.mark.long) for seed in (1, 3)],
+        *[("enc03j_3031", seed) for seed in (1, 3)],
     ],
 )
 def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, preset, seed):
@@ -128,6 +130,7 @@ def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(comple
         assert not any(move[0] + 0.1 < stop and start < move[1] - 0.2 for move in moves)
 
 
+@pytest.mark.slow
 def test_a_turn_the_other_way_is_what_it_was(guide, feed):
     assert guide.wanted == "+x"
     lights = turn(feed, guide, "z", -TURN)
@@ -140,6 +143,7 @@ def test_a_turn_the_other_way_is_what_it_was(guide, feed):
     assert "Turning. Go back to the mark." in [light.text for light in lights]
 
 
+@pytest.mark.slow
 def test_a_device_that_is_laid_on_another_face_was_not_turned(guide, feed):
     for face in ("+x", "-z", "+y"):
         feed.watch(guide, 6.0)
@@ -177,6 +181,7 @@ def test_half_a_turn_is_not_counted(guide):
     assert guide.outcome in [f"That was {n} deg. Turn by 360 deg, back to the mark." for n in (179, 180, 181)]
 
 
+@pytest.mark.slow
 def test_in_counts_a_turn_is_compared_with_the_others(guide, feed):
     turn(feed, guide, "z")
     turn(feed, guide, "z", -2.0 * TURN)
@@ -184,6 +189,7 @@ def test_in_counts_a_turn_is_compared_with_the_others(guide, feed):
     assert guide.outcome == "That was shorter or longer than the other turns. Turn once, back to the mark."
 
 
+@pytest.mark.slow
 def test_in_counts_two_turns_that_agree_stand_against_the_only_other_one(guide, feed):
     turn(feed, guide, "z", 2.0 * TURN)
     turn(feed, guide, "z", -TURN)
@@ -208,6 +214,7 @@ def test_silence_forgets_the_rest_before(guide, feed):
     assert guide._before is None
 
 
+@pytest.mark.slow
 def test_redo_replaces_one_turn(guide, feed):
     turn(feed, guide, "z")
     first = guide.done["+z"]
@@ -221,6 +228,7 @@ def test_redo_replaces_one_turn(guide, feed):
         guide.redo("up")
 
 
+@pytest.mark.slow
 def test_one_turn_about_each_axis_is_enough_and_six_are_all(guide, feed):
     for axis in "xyz":
         assert not guide.enough

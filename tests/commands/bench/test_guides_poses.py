@@ -25,6 +25,7 @@ def guide(tmp_path) -> Poses:
     return Poses(Capture(tmp_path / "session"))
 
 
+@pytest.mark.slow
 def test_poses_that_differ_are_captured_and_calibrate(guide):
     rng = np.random.default_rng(5)
     record, _ = hand_held_log(rng, STEADY, poses=POSES + 3, hold_s=(6.0, 8.0))

@@ -113,6 +113,7 @@ def test_what_a_tab_chooses_and_types_is_its_own_and_is_there_when_it_comes_back
     bench.close()
 
 
+@pytest.mark.slow
 def test_a_folder_has_one_bench_and_the_second_is_shown_the_first(tmp_path):
     lock = lock_folder(tmp_path)
     lock.write("http://127.0.0.1:8765/")

@@ -34,6 +34,7 @@ def at_rest(bench):
     return not bench.rig.motor_on and abs(rate[0]) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_run_is_followed_paused_found_and_goes_on_to_its_end(bench, tmp_path):
     with ended_at_last(new_run(bench, tmp_path / "jobs" / "a" / "session")) as run:
         run.launch()
@@ -68,6 +69,7 @@ def test_a_run_is_followed_paused_found_and_goes_on_to_its_end(bench, tmp_path):
         begin_run(run.folder, SHORT, run.order)
 
 
+@pytest.mark.slow
 def test_each_question_is_answered_once_by_its_number(bench, tmp_path):
     hands = BenchHands(bench.hands_address)
     protocol = SHORT.replace('["+z"]', '["+x", "+z"]')
@@ -119,6 +121,7 @@ def test_a_killed_run_says_so_and_its_guard_stops_the_table(bench, tmp_path):
             time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_what_the_command_refuses_is_shown_in_its_own_words(bench, tmp_path):
     order = RunOrder(rig=bench.rig_address, device="tcp://127.0.0.1:9?rate=100")
     with ended_at_last(begin_run(tmp_path / "a" / "session", SHORT, order)) as run:
@@ -134,6 +137,7 @@ def test_what_the_command_refuses_is_shown_in_its_own_words(bench, tmp_path):
         assert "127.0.0.1:9" in run.view.standby  # there is no connection to stop by, and the page says so
 
 
+@pytest.mark.slow
 def test_a_supervisor_whose_folder_is_taken_does_not_start(bench, tmp_path):
     with ended_at_last(new_run(bench, tmp_path / "session")) as run:
         run.launch()
@@ -219,6 +223,7 @@ def test_a_skew_mounting_and_a_slow_turn_are_not_judged_by_one_reading(axis, rat
     assert view.wrong == ""
 
 
+@pytest.mark.slow
 def test_an_emulator_ends_after_its_last_client_and_after_the_program_that_started_it(tmp_path):
     words, place = (
         [sys.executable, "-m", "undrift", "rig", "emulate", "--json", "--idle-s", "1"],

@@ -215,6 +215,7 @@ def device() -> DeviceModel:
     return random_device(np.random.default_rng(7), grade="consumer")
 
 
+@pytest.mark.slow
 def test_corrected_signals_and_orientation_are_those_of_the_batch(device: DeviceModel):
     calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     settings = EmulatedBenchSettings(device=device, stream=StreamSettings(sample_rate_hz=200.0, framing="frame"))
@@ -256,6 +257,7 @@ def test_the_pitch_is_that_of_the_segment_by_the_mounting_until_sides_are_set(so
     assert source.mounting is None
 
 
+@pytest.mark.slow
 def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(source: LiveDevice, device: DeviceModel):
     calibration = calibrate(simulate_session("bench", device, rng=np.random.default_rng(1)))
     source.set_calibration(replace(calibration, gyro=replace(calibration.gyro, unit_in="count")))
@@ -268,6 +270,7 @@ def test_a_calibration_of_another_unit_leaves_the_raw_readings_and_says_why(sour
     assert source.status().correction == ""
 
 
+@pytest.mark.slow
 def test_a_calibration_of_another_device_is_a_warning_beside_the_corrected_readings(
     source: LiveDevice, device: DeviceModel
 ):

@@ -73,6 +73,7 @@ def test_a_stop_reaches_the_table_at_once_also_when_the_run_is_halted(bench, hal
         assert wait(run, at_end).state == "paused"
 
 
+@pytest.mark.slow
 def test_a_stop_needs_the_key_and_a_known_place(bench, tmp_path):
     started, _ = bench
     with ended_at_last(new_run(started, tmp_path / "session")) as run:
@@ -86,6 +87,7 @@ def test_a_stop_needs_the_key_and_a_known_place(bench, tmp_path):
         assert wait(run, at_end).state == "paused"
 
 
+@pytest.mark.slow
 def test_a_stop_works_without_the_supervisor(bench, tmp_path):
     started, obeyed = bench
     with ended_at_last(new_run(started, tmp_path / "session")) as run:

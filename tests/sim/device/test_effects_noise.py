@@ -59,6 +59,7 @@ def test_a_random_walk_rises_with_the_root_of_the_time(rest) -> None:  # type: i
     assert (np.abs(ratio - 1.0) < [0.03, 0.1, 0.2]).all()  # 4 / sqrt(6 T / tau), T = 4000 s
 
 
+@pytest.mark.slow
 def test_bias_instability_is_flat_at_its_floor(rest) -> None:  # type: ignore[no-untyped-def]
     flicker = BiasInstability(instability=np.full(3, 0.01), shortest_s=0.01, longest_s=1e4)
     made = run(device_of(chain(instability=flicker)), rest).gyro.of("instability")

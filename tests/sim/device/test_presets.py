@@ -64,6 +64,7 @@ def test_the_data_sheet_alone_is_within_tolerance_and_the_true_calibration_is_wi
     ) + (4.0 * grade.gyro.g_sensitivity_sd * STANDARD_GRAVITY)
 
 
+@pytest.mark.slow
 def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
     device = random_device_of("enc03j_3031", np.random.default_rng(2)).without_noise()
     device = replace(
@@ -89,6 +90,7 @@ def test_a_preset_that_is_not_one_is_refused() -> None:
         preset("gold")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["enc03j_3031", "mpu6050"])
 def test_the_prior_of_a_part_is_the_scatter_of_its_units_over_temperature(name: str) -> None:
     prior, units = sensitivity_of(name), [random_device_of(name, np.random.default_rng(k)) for k in range(400)]

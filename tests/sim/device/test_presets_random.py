@@ -15,6 +15,7 @@ def test_the_same_seed_gives_the_same_device() -> None:
     np.testing.assert_array_equal(one.gyro.forward_matrix, two.gyro.forward_matrix)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["consumer", "industrial", "wearable"])
 def test_units_spread_as_the_grade_says(name: str) -> None:
     grade = grade_named(name).gyro  # type: ignore[arg-type]

@@ -42,6 +42,7 @@ def test_the_true_calibration_undoes_a_reading_without_noise() -> None:
     np.testing.assert_allclose(done.gyro, motion.mean_rate_b, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pose_to_device_to_correction_to_strapdown_closes_within_a_hundredth_of_a_degree() -> None:
     rng = np.random.default_rng(4)
     task = draw_task("free", rng=rng, rest_s=30.0)  # 30 + 60 + 30 s

@@ -65,6 +65,7 @@ def test_each_face_reads_plus_g_on_the_axis_that_points_up() -> None:
         )  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_tilted_faces_keep_the_length_of_gravity_and_spread_as_asked() -> None:
     tilt = math.radians(0.5)
     across = []

@@ -117,6 +117,7 @@ def gauss_integral(spline: PoseSpline, time, q):
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_integrating_the_rate_gives_the_pose_back_within_0_01_deg_over_120_s_at_286_hz():
     rng = np.random.default_rng(4)
     clean = poses_of(tumble(121.0))
@@ -161,6 +162,7 @@ def without(poses: Reference, hidden) -> Reference:
     return Reference(time=poses.time, q_nb=q, position=p)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     cuts=strategies.lists(

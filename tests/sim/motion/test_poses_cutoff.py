@@ -33,6 +33,7 @@ def test_the_cut_off_lies_above_the_motion_and_well_below_half_the_sample_rate(m
     assert 4.0 <= chosen.cutoff_hz <= 15.0  # products of angles reach beyond 4 Hz
 
 
+@pytest.mark.slow
 def test_more_noise_asks_for_a_lower_cut_off():
     for method, choose in METHODS.items():
         quiet, loud = (choose(swung(noise), "orientation").cutoff_hz for noise in (1e-4, 1e-2))

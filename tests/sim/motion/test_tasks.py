@@ -102,6 +102,7 @@ def test_integrating_the_rate_gives_back_the_pose(name: str) -> None:
     assert off < 0.01
 
 
+@pytest.mark.slow
 def test_peak_rates_stay_within_what_the_note_calibrates_for() -> None:
     rng = np.random.default_rng(3)
     sitting = [np.abs(_rates("sit_to_stand", rng)).max() for _ in range(30)]

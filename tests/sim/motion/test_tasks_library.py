@@ -54,6 +54,7 @@ def share_below(x: np.ndarray, limit_hz: float) -> float:
     return float(power[np.fft.rfftfreq(len(x), 0.01) <= limit_hz].sum() / power.sum())
 
 
+@pytest.mark.slow
 def test_sitting_to_standing_keeps_its_bounds() -> None:
     name: TaskName = "sit_to_stand"
     all_of = drawn(name)
@@ -89,6 +90,7 @@ def test_sitting_to_standing_keeps_its_bounds() -> None:
     assert max(np.abs(d.roll - d.roll[0]).max() for d in all_of) < 5.0  # 3 deg and the sway
 
 
+@pytest.mark.slow
 def test_rising_a_step_keeps_its_bounds() -> None:
     name: TaskName = "step"
     all_of = drawn(name)
@@ -113,6 +115,7 @@ def test_rising_a_step_keeps_its_bounds() -> None:
     np.testing.assert_allclose(rises, 0.17, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_each_foot_knocks_with_the_stated_acceleration_and_frequency() -> None:
     knocks, heard = [], []
     for d in drawn("step"):
@@ -129,6 +132,7 @@ def test_each_foot_knocks_with_the_stated_acceleration_and_frequency() -> None:
     assert loudest.max() < 15.1
 
 
+@pytest.mark.slow
 def test_standing_on_foam_keeps_its_bounds() -> None:
     name: TaskName = "posturography"
     all_of = drawn(name)

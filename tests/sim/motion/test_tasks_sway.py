@@ -32,6 +32,7 @@ def stepped_response(balance: Balance, frequency_hz: float) -> float:
     return float(np.hypot(2.0 * np.mean(tail * np.sin(turn)), 2.0 * np.mean(tail * np.cos(turn))))
 
 
+@pytest.mark.slow
 def test_the_spectrum_is_that_of_a_delayed_pendulum_stepped_through_time() -> None:
     for frequency_hz in (0.1, 0.35, 1.0):
         stepped = stepped_response(BALANCE, frequency_hz)
@@ -40,6 +41,7 @@ def test_the_spectrum_is_that_of_a_delayed_pendulum_stepped_through_time() -> No
         assert stepped == pytest.approx(closed, rel=0.01)  # steps of 1 ms beside a delay of 170 ms
 
 
+@pytest.mark.slow
 def test_sinusoids_have_the_wanted_rms_and_on_average_the_spectrum() -> None:
     rng = np.random.default_rng(0)
     time = np.arange(0.0, 50.0, 0.05)

@@ -209,6 +209,7 @@ def test_an_axis_that_the_board_lacks_is_refused():
         GrblSettings(axes="XY")
 
 
+@pytest.mark.slow
 def test_ten_thousand_random_lines_crash_nothing_and_are_answered():
     rng = random.Random(5)
     bench = Bench()

@@ -50,6 +50,7 @@ def test_a_joint_that_rounding_has_passed_does_not_disturb_a_steady_rate():
     assert min(60.0 + duration * change for duration, change in legs[:-1]) > 59.999
 
 
+@pytest.mark.slow
 @given(waits=st.lists(st.floats(0.0, 0.4), min_size=5, max_size=60))
 def test_a_steady_chain_never_leaves_its_rate_whenever_its_jogs_come(waits):
     clock = VirtualClock()
@@ -71,6 +72,7 @@ def test_a_steady_chain_never_leaves_its_rate_whenever_its_jogs_come(waits):
     assert angle == pytest.approx(goal, abs=0.5 * len(waits) / board.of_axis(100))
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.sampled_from("jjjjc!~"), st.floats(-30.0, 30.0), st.floats(0.0, 0.3)), max_size=40))
 def test_whatever_jogs_and_cancels_come_the_axis_keeps_within_the_feed_and_rests(events):
     clock = VirtualClock()

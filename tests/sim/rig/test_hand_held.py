@@ -58,6 +58,7 @@ def test_a_device_that_was_laid_on_a_face_rests_there_and_feels_gravity(held, fa
     assert 0.0 < tilt < 5.0 * HandSettings().tilt_sd * math.sqrt(2.0)  # two axes, five standard deviations
 
 
+@pytest.mark.slow
 def test_a_face_is_off_level_by_another_tilt_each_time(held):
     tilts = []
     for face in ("+x", "+z") * 20:
@@ -97,6 +98,7 @@ def test_a_rate_is_the_mean_rate_of_a_short_step(held):
     assert mean == pytest.approx(rate, abs=5e-4)
 
 
+@pytest.mark.slow
 def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
     settings, errors = HandSettings(), []
     for axis in ("x", "y", "z") * 6:

@@ -202,6 +202,7 @@ def test_what_cannot_be_is_refused():
         StreamSettings(sample_rate_hz=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["galil", "grbl"])
 def test_a_whole_bench_works_over_its_sockets(kind):
     settings = EmulatedBenchSettings(
