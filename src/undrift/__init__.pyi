@@ -84,7 +84,6 @@ from undrift.commands.demo import demo as demo
 from undrift.commands.drift import drift as drift
 from undrift.commands.export import export as export
 from undrift.commands.info import info as info
-from undrift.commands.learn import learn as learn
 from undrift.commands.noise import noise as noise
 from undrift.commands.simulate import simulate as simulate
 from undrift.commands.study import study as study

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, Shape, freeze
+from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import AnyNumber, Gap, Key, Named, TableRows, stored, tree_of
 from undrift.base.summary import Shown
 from undrift.errors import InputError
@@ -326,47 +326,6 @@ class DynamicDrift:
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestForces:
-    """Specific force in rests of daily use, k of them, by the accelerometers before: what these are updated from."""
-
-    force: Annotated[
-        FloatArray, Shape("k", 3, gaps=False)
-    ]  # Mean direction times mean length, m/s2, corrected as before
-    variance: Annotated[FloatArray, Shape("k", gaps=False)]  # Of the length, (m/s2)^2
-    temp_c: Annotated[FloatArray, Shape("k", gaps=False)]  # Mean temperature, degC
-    recording: Annotated[IntArray, Shape("k")]  # Which of the recordings learnt from
-    model: TriadModel  # Before
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Learnt:
-    """Rests of daily use behind a static table, n of them, and the tables before: all that is needed to learn more."""
-
-    temp_c: Annotated[FloatArray, Shape("n", gaps=False)]  # Mean temperature, degC
-    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # Reading at rest, raw unit
-    gyro_variance: Annotated[FloatArray, Shape("n", 3)]  # Of it, raw unit squared
-    recording: Annotated[IntArray, Shape("n")]  # Which of ``recordings``
-    # sha256 of the readings and date (ISO 8601, UTC) of each
-    recordings: Annotated[tuple[tuple[str, str], ...], TableRows(("sha256", "date"))]
-    since: str  # Date of the tables before, ISO 8601, UTC
-    before: "DriftTables | None" = None  # None for constant offsets
-    accel: Annotated[RestForces | None, LATER] = None  # None without accelerometers, or of an earlier version
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        rows, known = self.recording, len(self.recordings)
-        if len(rows) and not 0 <= rows.min() <= rows.max() < known:
-            raise InputError(
-                f"learnt rests: wanted {len(rows)} numbers of {known} recordings, got others; write the file anew"
-            )
-
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
     """The tuning tables of one device.
 
@@ -382,8 +341,6 @@ class DriftTables:
         Time constant by which the thermometer lags the sensors, s; the tables are over the temperature without it.
     lag_smooth_s : float
         Time constant of the smoothing that removing the lag needs, s; above 0 where there is a lag.
-    learnt : Learnt or None
-        Rests of daily use that the static table was updated from; None where there are none.
     """
 
     static: StaticDrift | None = None
@@ -391,7 +348,6 @@ class DriftTables:
     dynamic: DynamicDrift | None = None
     lag_s: Annotated[float, Ge(0.0), LATER] = 0.0
     lag_smooth_s: Annotated[float, Ge(0.0), LATER] = 0.0
-    learnt: Annotated[Learnt | None, LATER] = None
 
     def __post_init__(self) -> None:
         lag, smooth = self.lag_s, self.lag_smooth_s
@@ -590,15 +546,6 @@ class Calibration(Shown):
     file_map: Annotated[FileMap | None, LATER] = None
     magnetometer: Annotated[Magnetometer | None, LATER] = None
     mounting: Annotated[BodyMounting | None, LATER] = None
-
-    @property
-    def accel_in_use(self) -> int:
-        """Count of the daily recordings whose rests updated the accelerometers; 0 where they are as they were calibrated."""
-        learnt = None if self.drift is None else self.drift.learnt
-        if learnt is None or learnt.accel is None or self.accel is None:
-            return 0
-        changed = not np.array_equal(learnt.accel.model.offset, self.accel.offset)
-        return len(learnt.recordings) if changed else 0
 
     def triad(self, sensor: Sensor) -> "Triad":
         """Return all that is known of one sensor: model, tables, codes."""

@@ -27,7 +27,6 @@ GOOD = {  # a call of each command, and the kind of its answer
     "calibrate": ("calibrate {bench}/session", "undrift.calibration"),
     "session new": ("session new {here}/bare.parquet -o {here}/made", "undrift.session"),
     "drift": ("drift {warm} --map {here}/warm.toml", "undrift.calibration"),
-    "learn": ("learn {bench}/trial.parquet --calibration {bench}/calibration.json", "undrift.learn"),
     "correct": (
         "correct {bench}/trial.parquet --calibration {bench}/calibration.json -o {here}/c.csv",
         "undrift.correction",
@@ -68,7 +67,6 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
     **{name: (f"{name} nowhere.csv", "undrift.calibration") for name in ("calibrate", "drift")},
     "session new": ("session new nowhere.csv -o {here}/made", "undrift.session"),
-    "learn": ("learn nowhere.csv --calibration nowhere.json", "undrift.learn"),
     "correct": ("correct a.csv --calibration nowhere.json -o {here}/c.csv", "undrift.correction"),
     "sync": ("sync nowhere.csv nothing.csv", "undrift.sync"),
     "orient": ("orient nowhere.csv -o {here}/o.csv", "undrift.orientation"),

@@ -23,8 +23,6 @@ from undrift.drift.observe import RestBlocks
 from undrift.drift.static import StaticSettings
 from undrift.errors import InputError, NotObservable
 from undrift.export.autopilots import export_ardupilot, export_px4
-from undrift.findings import finding
-from undrift.model import Verdict
 from undrift.report.page import write_page
 from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import preset, random_device_of
@@ -211,15 +209,9 @@ def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
     np.testing.assert_array_equal(again.calibration.drift.static.gyro_offset, fit.calibration.drift.static.gyro_offset)
 
 
-def test_the_verdict_before_a_thermal_fit_is_found_again_in_files_with_and_without_codes(fit):
+def test_the_verdict_before_a_thermal_fit_is_found_again(fit):
     assert verdict_before(fit.calibration).reasons == CALIBRATION.verdict.reasons
     assert verdict_before(fit.calibration).status == CALIBRATION.verdict.status
-    of_old = replace(fit.calibration.provenance, settings=(("drift_reasons_before", "marginal 2"),))
-    texts = ("six faces: a", "reference: b", "hysteresis is not observable: c")
-    earlier = tuple(finding("earlier.text", "info", text=text) for text in texts)
-    verdict = Verdict(status="bad", findings=earlier)
-    before = verdict_before(replace(fit.calibration, verdict=verdict, provenance=of_old))
-    assert (before.status, before.reasons) == ("marginal", texts[:2])
     assert verdict_before(CALIBRATION) is CALIBRATION.verdict
 
 

@@ -72,7 +72,6 @@ CALLS = {
     "drift": Call(
         "drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.pdf", slow=True
     ),
-    "learn": Call("learn {b}/2026-03-01.parquet {b}/2026-03-02.parquet --calibration {b}/learn.json -o {o}/c.json"),
     "correct .parquet": Call(CORRECT + "x.parquet --report {o}/r.html"),
     "correct .csv": Call(CORRECT + "x.csv", together=True),
     "correct .csv.gz": Call(CORRECT + "x.csv.gz", together=True),
@@ -108,7 +107,6 @@ CALLS = {
     ),
     "simulate .csv": Call("simulate sit_to_stand --device mpu6050 -o {o}/x.csv --truth {o}/t.parquet"),
     "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
-    "simulate days": Call("simulate daily_use --device mpu6050 --days 2 --sample-rate-hz 5 -o {o}/days"),
     "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
     "data": Call("data fetch sample -o {o}/sample", fresh=True, together=True),
     "registry add": Call("registry add {b}/calibration.json --registry {o}/r.sqlite", fresh=True),
@@ -131,13 +129,13 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
 
     from testkit.bench_and_commands import make_bench
     from testkit.command_line import at_rest
+    from testkit.daily_use import DailyUseSettings, draw_day, simulate_daily_use
     from testkit.data import data_path
     from testkit.walking import perfect_calibration, walk
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
     from undrift.io.store import read_calibration, write_calibration
     from undrift.model import BodyMounting
-    from undrift.sim.daily_use import DailyUseSettings, draw_day, simulate_daily_use
     from undrift.sim.device.presets import preset, random_device_of
     from undrift.sim.device.truth import true_calibration
 
@@ -147,7 +145,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     device = random_device_of("mpu6050", rng)
     for day in simulate_daily_use(device, rng=rng, settings=use, motions=[draw_day(rng, use)]):
         write_record(day.session.records[0], folder / f"2026-03-0{day.number + 1}.parquet")
-    write_calibration(true_calibration(device), folder / "learn.json")
     write_calibration(true_calibration(preset("mpu6050")), folder / "mpu6050.json")
     at_rest(folder, Path("rest.parquet"))
     write_record(read_record(next(folder.glob("session/*.parquet"))), folder / "poses.parquet")

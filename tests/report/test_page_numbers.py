@@ -56,7 +56,6 @@ EXCEPT = {  # numbers of JSON that no reader needs as figures, and why
     "drift: file_map.*": "how the file was read, as it was stated",
     "noise: adev.*": "the curve that is drawn",
     "noise: taus_s": "the curve that is drawn",
-    "learn: nodes.*": "the curve that is drawn: the table has some of its temperatures",
     "*.uncertainty_parts_*": "parts that round to nothing beside the others",
     "noise: *.interval": "from zero: the table says under",
     "noise: angle_after_60_s_deg.*_*": "the answer has the terms of the worst axis, the table the angle of each",

@@ -27,12 +27,13 @@ from pathlib import Path
 import numpy as np
 
 import undrift
+from testkit.daily_use import DailyUseSettings, simulate_daily_use
 from testkit.hand_turns import Device, make_recording
 from testkit.printing_board import sketch_line
 from testkit.walking import hinge, walk
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
-from undrift.sim.device.model import DeviceModel, read_device
+from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
@@ -272,11 +273,11 @@ def _warm_up(path: Path) -> None:
 
 def _days(path: Path) -> None:
     """Make the recordings of four days, and days.json, a calibration of their device."""
-    words = ["simulate", "daily_use", "--device", "mpu6050", "--draw", "--days", "4"]
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        assert run([*words, "-o", str(path), "--save-device", "days-device.json"]) == 0
-    session = undrift.simulate_session("bench", read_device("days-device.json"), rng=np.random.default_rng(8))
-    undrift.write_calibration(undrift.calibrate(session), "days.json")
+    device, rng = _device()
+    path.mkdir()
+    for day in simulate_daily_use(device, rng=rng, settings=DailyUseSettings(days=4)):
+        undrift.write_record(day.session.records[0], path / f"2026-01-0{day.number + 1}.parquet")
+    undrift.write_calibration(undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), "days.json")
 
 
 def _rest(path: Path) -> None:

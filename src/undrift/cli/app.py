@@ -31,7 +31,6 @@ COMMANDS = {  # one line of 80 columns each
     "calibrate": "Fit what a session allows, with verdict and findings.",
     "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
-    "learn": "Update the tables by the rests of daily recordings; no chamber.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "sync": "Recordings of several devices, and optics, on one clock.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",

@@ -644,8 +644,6 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
 
 
 def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[str]:
-    if in_use := calibration.accel_in_use:
-        yield f"Accelerometers: offset and scale updated since by rests in daily use (recordings: {in_use}), as in U."
     if calibration.magnetometer is not None:
         yield "The magnetometer is not part of this certificate."
     for name, triad in triads.items():

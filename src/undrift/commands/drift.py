@@ -51,8 +51,8 @@ def drift(
     ----------
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
-        changes, or tables of set-points (a map with set_points). Several are combined; how far they differ counts as
-        uncertainty. Recordings whose clock runs on within 60 s are one session.
+        changes, daily recordings with a rest in each, or tables of set-points (a map with set_points). Several are combined;
+        how far they differ counts as uncertainty. Recordings whose clock runs on within 60 s are one session.
     calibration : Path or None
         calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
     output : Path or None

@@ -1,4 +1,4 @@
-"""``undrift simulate``: simulated sensor output for recorded poses, a task, a thermal session, or days of use."""
+"""``undrift simulate``: simulated sensor output for recorded poses, a task, or a thermal session."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from undrift.sim.thermal import ThermalKind
 
 THERMAL = "thermal_"  # before the kind of a thermal session
-DAILY = "daily_use"
 
 
 @verb
@@ -44,7 +43,6 @@ def simulate(
     truth: Path | None = None,
     save_device: Path | None = None,
     stamps: Literal["device", "host"] = "device",
-    days: int | None = None,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Summary:
@@ -54,15 +52,15 @@ def simulate(
     ----------
     motion : str
         A file of poses or markers, or a task: sit_to_stand, step, posturography, free; or a thermal session: thermal_soak,
-        thermal_ramp, thermal_warm_up, thermal_multi_position; or daily_use: a recording a day, on a table and worn.
+        thermal_ramp, thermal_warm_up, thermal_multi_position.
     device : str
         A preset (enc03j_3031, mpu6050, icm20948, bmi160, bmi270, bmi088, lsm6dso, xsens_mti1, shimmer3) or a device.json.
     output : Path
-        Recording to write: .parquet, .csv or .csv.gz; a folder for a thermal session and for daily_use.
+        Recording to write: .parquet, .csv or .csv.gz; a folder for a thermal session.
     draw : bool
         Draw a unit of the preset within its tolerances; the typical one otherwise.
     sample_rate_hz : float
-        Samples per second; 100 where not given, 50 in a thermal session, 25 in daily_use.
+        Samples per second; 100 where not given, 50 in a thermal session.
     temp_c : float or None
         Temperature of the board, degC; the device's reference temperature where not given.
     power_on_s : float
@@ -80,8 +78,6 @@ def simulate(
     stamps : str
         "host" writes the time at which a host would have received each sample, in bursts and with drop-outs: a task to try
         --clock regular on.
-    days : int or None
-        Of daily_use; 10 where not given.
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
@@ -98,14 +94,11 @@ def simulate(
     rng = np.random.default_rng(seed)
     model, rate_hz = device_at(device, rng, draw=draw), sample_rate_hz or 100.0
     progress(f"simulating {motion}", 0.0)
-    if days is not None or motion == DAILY or motion.startswith(THERMAL):
+    if motion.startswith(THERMAL):
         unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
         unused |= {"cutoff_hz": cutoff_hz, "truth": truth, "stamps": None if stamps == "device" else stamps}
-        _check_unused(motion, days, [name for name, value in unused.items() if value is not None], power_on_s)
-        if motion == DAILY:
-            answer = _daily(model, output, 10 if days is None else days, sample_rate_hz, rng, progress)
-        else:
-            answer = _thermal(motion, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
+        _check_unused(motion, [name for name, value in unused.items() if value is not None], power_on_s)
+        answer = _thermal(motion, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
         moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
         simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
@@ -119,24 +112,17 @@ def simulate(
     return answer
 
 
-def _check_unused(motion: str, days: int | None, stated: list[str], power_on_s: float | None) -> None:
-    """Refuse what a thermal session or days of use have no use for; ``stated`` are names of options."""
+def _check_unused(motion: str, stated: list[str], power_on_s: float | None) -> None:
+    """Refuse options that a thermal session does not use; ``stated`` are their names."""
     from undrift.sim.thermal import ThermalKind
 
     kinds = [THERMAL + kind for kind in get_args(ThermalKind)]
-    if motion == DAILY:
-        if stated or power_on_s is not None:
-            raise InputError(
-                f"{DAILY}: wanted `device`, `days`, `sample_rate_hz`, `draw`, `seed` alone; leave the others out"
-            )
-    elif days is not None:
-        raise InputError(f"{motion}: wanted no `days`; only {DAILY} goes over days")
-    elif motion not in kinds:
+    if motion not in kinds:
         raise InputError(f"motion: wanted one of {', '.join(kinds)}, got '{motion}'; name one")
-    elif stated:
+    if stated:
         wrong = ", ".join(f"--{name.replace('_', '-')}" for name in stated)
         raise InputError(f"{motion}: wanted none of {wrong}, which a thermal session has no use for; leave out")
-    elif motion == f"{THERMAL}warm_up" and power_on_s is not None:
+    if motion == f"{THERMAL}warm_up" and power_on_s is not None:
         raise InputError(
             f"{motion}: wanted no `power_on_s`, got {power_on_s:g}; this session begins at power-on, leave it out"
         )
@@ -169,34 +155,6 @@ def _thermal(
         "{stills} stills, {turns} turns."
     )
     return _answer(motion, output, model, record, figures, line.format(**figures))
-
-
-def _daily(
-    model: "DeviceModel",
-    output: Path,
-    days: int,
-    sample_rate_hz: float | None,
-    rng: "np.random.Generator",
-    progress: Progress,
-) -> Summary:
-    """Simulate a recording for each day and write it, named by its date."""
-    from datetime import date, timedelta
-
-    from undrift.io.formats import write_record
-    from undrift.sim.daily_use import DailyUseSettings, simulate_daily_use
-
-    check_folder(output)
-    settings = DailyUseSettings(days=days, sample_rate_hz=sample_rate_hz or DailyUseSettings().sample_rate_hz)
-    spans = list[float]()
-    for day in simulate_daily_use(model, rng=rng, settings=settings):
-        record = day.session.records[0]
-        output.mkdir(exist_ok=True)
-        write_record(record, output / f"{date(2026, 1, 1) + timedelta(days=day.number)}.parquet")
-        spans += _span(record) or []
-        progress(f"simulating {DAILY}", (day.number + 1) / days)
-    figures = _of_record(model, record) | {"days": days, "temp_c": [min(spans), max(spans)]}
-    line = f"{days} recordings from 2026-01-01 on, {min(spans):.1f} to {max(spans):.1f} degC."
-    return _answer(DAILY, output, model, record, figures, line)
 
 
 def _span(record: "Record") -> list[float] | None:

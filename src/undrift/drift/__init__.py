@@ -9,7 +9,6 @@
     rate_steps    M(T), and e(w, T) of what is left
     accel         accelerometers: offset(T) and M(T) from poses
     checks        what a fit is worth; do sessions and calibration belong to one device
-    learn         rests of daily recordings update offset(T)
 
 In go ``Session`` values of kind thermal, readings (N, 3) in the device's unit and frame b, temperatures (N,) in degC. Offsets and
 their uncertainties keep the device's unit; rates are rad/s, rows of means (n, 3). Out comes ``DriftFit``: a Calibration with

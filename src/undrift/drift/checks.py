@@ -204,7 +204,6 @@ FAR_DPS = 10.0  # no switch-on moves an offset so far
 MOST_BEND, LEAST_MISS_DPS = 0.01, 0.25  # (deg/s)/K2, five times what consumer gyroscopes do [assumed]; what is reported
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
 STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status before a thermal fit
-_REASONS_BEFORE = "drift_reasons_before"  # the same in files whose reasons had no codes: status and number of reasons
 _SIGNIFICANT = 3.0  # standard uncertainties, from which a difference is taken as one
 _CERTAIN = 10.0  # from which it may be bad
 _TEMPERATURE_OFF_C = 2.0  # between the thermometer of the calibration and that of the session
@@ -227,20 +226,10 @@ _MORE = 2.0  # times what noise and bias instability explain: disagreement that 
 
 def verdict_before(calibration: Calibration) -> Verdict:
     """Return the verdict of a calibration without the findings of an earlier thermal fit."""
-    before, (_, _, count) = calibration.provenance, calibration.provenance.text(_REASONS_BEFORE).partition(" ")
-    status = before.status(_REASONS_BEFORE)
-    if status is not None and count.isdigit():  # texts without codes: those of the thermal fit come last
-        texts = calibration.verdict.reasons[: int(count)]
-        return Verdict(status=status, findings=tuple(finding("earlier.text", "info", text=t) for t in texts))
-    return verdict_without("drift.", calibration, STATUS_BEFORE)
-
-
-def verdict_without(prefix: str, calibration: Calibration, setting: str) -> Verdict:
-    """Return a verdict with the status that a setting remembers, and without findings whose codes begin with a prefix."""
-    status = calibration.provenance.status(setting)
+    status = calibration.provenance.status(STATUS_BEFORE)
     if status is None:
         return calibration.verdict
-    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith(prefix))
+    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith("drift."))
     return Verdict(status=status, findings=kept)
 
 

@@ -40,7 +40,6 @@ from undrift.calibration.observe import ROOM_C, in_one_unit
 from undrift.drift import checks, observe, rate_steps
 from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
-from undrift.drift.accel_in_use import accel_before
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
 from undrift.drift.rests import felt_by_gyro, with_g_sensitivity
@@ -276,8 +275,8 @@ def fit_drift(
     report = progress or (lambda what, share: None)
     sessions = _checked(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, accel=accel_before(device), verdict=checks.verdict_before(device))
-    sessions = [observe.in_units_of(session, device) for session in sessions]
+    device = replace(device, verdict=checks.verdict_before(device))
+    sessions, of_rests = observe.with_rests([observe.in_units_of(session, device) for session in sessions])
     static_settings = replace(settings.static, accel_unit=observe.accel_unit_of(sessions, device))
     report("smoothing the temperature", 0.0)
     checked = partial(thermometer.trusted_temperature, settings=settings.temperature)
@@ -309,6 +308,7 @@ def fit_drift(
     of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
     of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
     verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
+    verdict = verdict.also(of_rests)
     verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
     return DriftFit(
         calibration=_calibrated(device, _tables(static, choice, accel, lags_s), verdict, sessions, settings, choice),

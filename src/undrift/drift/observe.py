@@ -203,6 +203,22 @@ def find_rests(session: Session) -> tuple[Still, ...]:
     return tuple(rests)
 
 
+def with_rests(sessions: Sequence[Session]) -> tuple[list[Session], Verdict]:
+    """Return the sessions without the bare recordings that never rest, unless there is nothing else; a finding names those."""
+    kept, left_out = list[Session](), list[str]()
+    for number, session in enumerate(sessions):
+        try:
+            if not (session.stills or session.turns or session.means):
+                find_rests(session)
+        except NotObservable:
+            left_out.append(session.inputs[0][0] if session.inputs else f"session {number + 1}")
+        else:
+            kept.append(session)
+    if not kept or not left_out:
+        return list(sessions), Verdict()
+    return kept, Verdict.of(finding("drift.no_rests", "warn", count=len(left_out), names=tuple(left_out[:5])))
+
+
 def _never_moves(record: Record) -> bool:
     """Whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
     size = max(4, round(record.sample_rate_hz))

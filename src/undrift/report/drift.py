@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from undrift.arrays import BoolArray, FloatArray
     from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import Alternatives, DriftFit
-    from undrift.drift.learn import LearnFit
     from undrift.model import DynamicDrift
     from undrift.registry.trend import Dated, TrendStep
 
@@ -119,37 +118,6 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
     for k, (start, stop) in enumerate(runs(extrapolated)):
         low, high = max(temp_c[start] - half, temp_c[0]), min(temp_c[stop - 1] + half, temp_c[-1])
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
-
-
-def draw_learnt(fit: "LearnFit") -> "Figure":
-    """Draw the offsets before and now with the 95 % band of a switch-on to come, and the rests with theirs; less the axis' mean."""
-    figure, panels = figures.new_figure(3, height=2.0)
-    for k, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
-        level = float(fit.after[:, k].mean())
-        before, after, rests = ((v[:, k] - level) / RADIAN_PER_DEGREE for v in (fit.before, fit.after, fit.rest_offset))
-        doubt = NORMAL_95 * fit.after_uncertainty[:, k] / RADIAN_PER_DEGREE
-        _shade(axes, fit.temp_c, fit.extrapolated)
-        axes.fill_between(
-            fit.temp_c, after - doubt, after + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="now, 95 %"
-        )
-        axes.plot(fit.temp_c, before, color=figures.LIMIT, linestyle="--", linewidth=0.9, label="before")
-        axes.plot(fit.temp_c, after, color="black", linewidth=0.9, label="now")
-        kept, bars = fit.rest_kept, NORMAL_95 * fit.rest_uncertainty[:, k] / RADIAN_PER_DEGREE
-        style: Any = {"fmt": ".", "markersize": 4.5, "color": figures.DEVICE, "linewidth": 0.6, "alpha": 0.7}
-        axes.errorbar(fit.rest_temp_c[kept], rests[kept], yerr=bars[kept], label="rests, 95 %", **style)
-        if not kept.all():
-            marked: Any = {"marker": "x", "s": 16.0, "linewidths": 0.9, "color": figures.ERROR}
-            axes.scatter(fit.rest_temp_c[~kept], rests[~kept], label="left out", **marked)
-        near = ~fit.extrapolated if not fit.extrapolated.all() else fit.extrapolated
-        every = np.concatenate(((after - doubt)[near], (after + doubt)[near], rests[kept]))
-        margin = 0.08 * max(float(np.ptp(every)), 1e-12)
-        axes.set_ylim(float(every.min()) - margin, float(every.max()) + margin)
-        axes.set_xlim(float(fit.temp_c[0]), float(fit.temp_c[-1]))
-        axes.set_ylabel(f"{axis} (deg/s)")
-    panels[-1].set_xlabel("temperature (degC)")
-    panels[0].set_title("gyroscope offset less the mean of the table", loc="left", fontsize=10)
-    figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
-    return figure
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":

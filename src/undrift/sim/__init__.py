@@ -8,7 +8,7 @@ effect added to it.
 ``motion``      bench sessions, tasks of daily life and what cameras see of them, in closed form: nothing is differentiated
 ``sessions``    a device in a motion: calibration sessions and trials; ``thermal`` the same over temperature, hours long
 ``table_sessions``, ``bench_errors``   sessions dwell by dwell on a bench that errs, for studies of thousands
-``host``, ``daily_use``                a host that stamps late, and a device that is worn day after day
+``host``                             a host that stamps late
 ``rig``         emulated controllers, chamber, device and operator behind real sockets or on a virtual clock
 
 Rates are rad/s, forces m/s2, temperatures degC; b is the case, n level with z up, quaternions turn b to n and are scalar first.

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError
 from undrift.record import Session
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -42,13 +41,6 @@ class DailyUseSettings:
     rest_s: float = 40.0  # on the table, before and after use, s
     worn_s: float = 60.0  # quiet stance, s
     sample_rate_hz: float = 25.0
-
-    def __post_init__(self) -> None:
-        if self.days < 1 or min(self.rest_s, self.worn_s, self.warming_s, self.sample_rate_hz) <= 0.0:
-            raise InputError(
-                f"daily use: wanted a day or more and times above 0 s, got {self.days}, {self.rest_s:g}, {self.worn_s:g} and "
-                f"{self.warming_s:g} s; correct the settings"
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
