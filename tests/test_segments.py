@@ -12,18 +12,11 @@ from undrift.record import Record, Still
 from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, still_means, unpadded
 
 FS = 100.0
-DPS = np.pi / 180.0
 
 
 def table(path, skip=0, delimiter=","):
     with gzip.open(path, "rt") as file:
         return np.genfromtxt(file, delimiter=delimiter, skip_header=skip)
-
-
-def xsens():
-    accel = table(data_path("multipos_xsens", "xsens_acc.txt.gz"), delimiter=None)
-    gyro = table(data_path("multipos_xsens", "xsens_gyro.txt.gz"), delimiter=None)
-    return Record(time=accel[:, 0], gyro=gyro[:, 1:], accel=accel[:, 1:], gyro_unit="count", accel_unit="count")
 
 
 def nilspod():
@@ -180,18 +173,6 @@ def test_a_phase_that_is_all_gap_has_no_mean():
         still_means(values, (Still(start=0, stop=10),))
 
 
-@pytest.mark.slow
-def test_the_xsens_session_opens_with_its_long_standstill_and_holds_38_phases():
-    record = xsens()
-    found = find_still(record)
-    show("xsens still phases", len(found.stills), "38, +- 1")
-    show("xsens first phase ends, s", record.time[found.stills[0].stop - 1], "51.5 +- 1")
-    assert 37 <= len(found.stills) <= 39
-    assert found.stills[0].start == 0
-    assert record.time[found.stills[0].stop - 1] == pytest.approx(51.5, abs=1.0)
-    assert {t.unit for t in found.thresholds} == {"count"}
-
-
 @pytest.mark.parametrize("unit", [0, 1, 2])
 def test_the_hand_held_mpu9150_sessions_hold_17_to_22_phases(unit):
     d = table(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), delimiter=None)
@@ -252,18 +233,6 @@ def test_the_rate_table_steps_are_seven_plateaus_about_y_and_none_is_still(name)
     assert all(np.abs(record.gyro[s.start : s.stop]).max() < 5.0 for s in stills)
     assert [t.axis for t in turns.plateaus] == ["y"] * 7
     np.testing.assert_allclose(turns.plateau_rate[:, 1], [60, 120, 180, 240, 360, 540, 720], rtol=0.01)
-
-
-@pytest.mark.slow
-def test_the_warm_up_and_the_static_log_are_one_long_still_phase_each():
-    d = table(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), skip=1)
-    time = d[:, -1] / 1000.0
-    forward = np.concatenate(([True], np.diff(time) > 0.0))
-    warm = Record(time=time[forward], gyro=d[forward, 3:6], accel=d[forward, :3], gyro_unit="count", accel_unit="count")
-    d = table(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz"), skip=5)
-    static = Record(time=np.arange(len(d)) / FS, gyro=d[:, 3:], accel=d[:, :3], gyro_unit="count", accel_unit="count")
-    for record in (warm, static):
-        assert [(s.start, s.stop) for s in find_still(record).stills] == [(0, len(record))]
 
 
 @pytest.mark.parametrize(

@@ -80,26 +80,6 @@ def test_a_wrong_call_is_told_in_one_line(undrift, words, expected):
     assert "--help" in line
 
 
-NAMES = ["走路.csv", "مشي.csv", "Gehübung groß.csv", "[1] gait.csv", "{a}.csv", "l" * 240 + ".csv"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES, ids=["chinese", "arabic", "umlauts", "brackets", "braces", "long"])
-def test_a_file_of_any_name_is_read_and_written(undrift, tmp_path, monkeypatch, name):
-    monkeypatch.chdir(tmp_path)
-    noise = np.random.default_rng(1).normal(0.0, 0.02, (6000, 6))
-    cells = np.column_stack(
-        (np.arange(6000) / 4, np.array([0, 0, 0, 0, 0, 9.8]) + noise, np.linspace(20.0, 40.0, 6000))
-    )
-    heads = [f"{kind}_{x}_{unit}" for kind, unit in (("gyro", "dps"), ("accel", "m_s2")) for x in "xyz"]
-    lines = [",".join(["time_s", *heads, "temp_c"]), *(",".join(f"{cell:.6g}" for cell in row) for row in cells)]
-    (tmp_path / name).write_text("\n".join(lines) + "\n")
-    assert undrift("info", name, "--json").json()["rows"] == 6000
-    written = name.removesuffix("csv") + "json"
-    undrift("drift", name, "--output", written)
-    assert (tmp_path / written).is_file()
-
-
 @pytest.mark.parametrize("words", [["info"], ["info", "--json"], ["calibrate"], ["drift", "--json"]])
 def test_a_name_that_is_not_utf_8_is_refused_in_one_line(undrift, tmp_path, words):
     named = str(tmp_path / "caf\udce9.csv")  # as the shell hands over the byte 0xe9
@@ -175,18 +155,7 @@ def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]
 
 
-@pytest.mark.slow
-def test_a_reader_that_stops_early_makes_no_noise():
-    path = data_path("c3d", "duplicate_labels.c3d")
-    command = f"{sys.executable} -m undrift info {path} | head -c 1"
-    done = subprocess.run(
-        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.stderr == ""
-
-
 def test_json_knows_what_results_are_made_of():
-    import numpy as np
 
     from undrift.base.summary import plain
 

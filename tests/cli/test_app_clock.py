@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.io.clock import fit_clock
 from undrift.io.formats import read_record, write_record
 from undrift.record import Record
 from undrift.sim.host import HostSettings, stamp_on_host
@@ -18,16 +17,6 @@ def stamped(bench, tmp_path) -> Record:
     made = stamp_on_host(read_record(bench / "trial.parquet"), rng=np.random.default_rng(5), settings=WHOLE).record
     write_record(made, tmp_path / "host.parquet")
     return made
-
-
-@pytest.mark.slow
-def test_correct_and_orient_write_the_fitted_time(undrift, bench, stamped, tmp_path):
-    words = (tmp_path / "host.parquet", "--calibration", bench / "calibration.json", "--clock", "regular")
-    undrift.good("correct", *words, "-o", tmp_path / "corrected.parquet")
-    own = fit_clock(stamped.time).time
-    np.testing.assert_array_equal(read_record(tmp_path / "corrected.parquet").time, own)
-    told = undrift.good("orient", *words, "-o", tmp_path / "angles.csv", "--json").json()
-    assert told["samples"] == len(own)
 
 
 @pytest.mark.slow

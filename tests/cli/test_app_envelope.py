@@ -1,10 +1,7 @@
 """Every answer in JSON has one envelope; examples in every --help; completion; progress where stderr is no terminal."""
 
-import json
 import re
 import shlex
-import subprocess
-import sys
 import time
 from types import SimpleNamespace
 
@@ -152,13 +149,6 @@ def test_a_refused_call_says_so_in_the_envelope_too_and_keeps_its_exit_code(undr
     assert answer.err == f"undrift: {told['error']['text']}\n"
 
 
-@pytest.mark.slow
-def test_a_call_of_no_command_has_an_envelope_as_well(undrift):
-    told = undrift("bogus", "--json").json()
-    assert (told["kind"], told["error"]["kind"]) == ("undrift.bogus", "InputError")
-    assert undrift("--json").json()["kind"] == "undrift.call"
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_every_help_ends_with_examples_that_parse(undrift, name):
     shown = undrift.good(*name.split(), "--help").out
@@ -184,19 +174,6 @@ def test_the_usage_line_names_what_is_required(undrift, name):
         assert usage.endswith("S...")
 
 
-@pytest.mark.slow
-def test_the_version_has_a_short_option_and_completion_knows_every_command(undrift, tmp_path, monkeypatch):
-    assert undrift.good("-V").out == undrift.good("--version").out == f"{__version__}\n"
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for shell in ("bash", "zsh", "fish"):
-        undrift.good("--install-completion", "--shell", shell, "-o", tmp_path / shell)
-        script = (tmp_path / shell).read_text()
-        assert all(name in script for name in program.COMMANDS)
-        assert "turn-deg" in script
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bash", "fish", "zsh"]  # no start file is touched
-    assert subprocess.run(["bash", "-n", tmp_path / "bash"], check=False).returncode == 0
-
-
 def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch, capsys):
     clock = SimpleNamespace(now=100.0)  # a busy machine does not change what is printed
     monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: clock.now))
@@ -212,23 +189,3 @@ def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch
     assert lines[-1] == "undrift twin: held out: recording 2 of 4, 30 s so far, about 10 s left (75 %)"
     time.sleep(0.1)
     assert capsys.readouterr().err == ""  # nothing more once it ends
-
-
-@pytest.mark.slow
-def test_a_piped_leave_one_out_tells_how_far_it_is(tmp_path):
-    files = [
-        data_path("broad", f"{name}_B.hdf5")
-        for name in ("02_undisturbed_slow_rotation", "07_undisturbed_fast_rotation")
-    ]
-    words = ["validate", *map(str, files), "--calibrate-from", "reference", "--leave-one-out", "--json"]
-    code = f"from undrift.cli import common, app; common.SAID_EVERY_S = 0.02; app.main({words!r})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0
-    assert json.loads(done.stdout)["kind"] == "undrift.validation"
-    lines = done.stderr.splitlines()
-    show("lines", lines)
-    assert all(
-        re.fullmatch(r"undrift validate: .+, \d+ s so far, (about \d+ s left \(\d+ %\)|time left not known yet)", line)
-        for line in lines
-    )
-    assert any("fit without recording 2 of 2" in line for line in lines)

@@ -6,12 +6,9 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-import undrift as package
 from testkit.command_line import contents
-from testkit.data import data_path
 from undrift.commands import batch
 from undrift.io.formats import read_record, write_record
 from undrift.record import Record
@@ -39,30 +36,6 @@ def folder(bench, tmp_path):
 def rows_of(out: Path) -> dict[str, dict[str, str]]:
     with (out / "summary.csv").open(newline="", encoding="utf-8") as file:
         return {row["name"]: row for row in csv.DictReader(file)}
-
-
-@pytest.mark.slow
-def test_correct_goes_on_after_an_error_and_ends_with_one_table(undrift, bench, folder, tmp_path):
-    words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
-    answer = undrift(*words)
-    assert (answer.code, answer.err) == (1, "")
-    assert "folder, 2 of 3 done, 1 with an error" in answer.out
-    assert "no recordings: README.md" in answer.out
-    rows = rows_of(tmp_path / "out")
-    assert list(rows) == NAMES
-    assert (rows["torn.parquet"]["verdict"], "torn.parquet" in rows["torn.parquet"]["error"]) == ("error", False)
-    assert (rows["gap.csv"]["gaps"], rows["walk.parquet"]["gaps"]) == ("7", "0")
-    record = read_record(folder / "walk.parquet")
-    assert float(rows["walk.parquet"]["sample_rate_hz"]) == pytest.approx(record.sample_rate_hz)
-    assert len(read_record(tmp_path / "out" / "walk.parquet")) == len(record)
-    assert not (tmp_path / "out" / "torn.parquet").exists()
-    assert pq.read_table(tmp_path / "out" / "summary.parquet").column("name").to_pylist() == NAMES
-    assert "torn.parquet" in (tmp_path / "out" / "summary.html").read_text()
-    told = undrift(*words, "--json").json()
-    assert [(file["name"], file["verdict"]) for file in told["files"]] == [
-        (name, row["verdict"]) for name, row in rows.items()
-    ]
-    assert told["standing"] == 2
 
 
 @pytest.mark.slow
@@ -195,22 +168,6 @@ def test_info_lists_every_entry_and_writes_its_table_where_it_is_asked_to(undrif
     assert rows["README.md"]["gaps"] == ""
     again = undrift.good("info", folder, "-o", tmp_path / "out", "--json").json()
     assert again["standing"] >= 2
-
-
-@pytest.mark.slow
-def test_given_folders_end_with_a_table(undrift, tmp_path):
-    told = undrift.good("validate", data_path("broad", "SOURCE.md").parent, "-o", tmp_path / "out", "--json").json()
-    assert [file["error"] for file in told["files"]] == [""] * 8
-    assert {round(file["sample_rate_hz"], 1) for file in told["files"]} == {285.7}
-
-
-@pytest.mark.slow
-def test_python_gets_rows(bench, folder, tmp_path):
-    found = package.commands.correct(
-        folder, calibration=bench / "calibration.json", gaps="keep", output=tmp_path / "out"
-    )
-    assert [row["name"] for row in found.rows] == NAMES
-    assert "2 of 3 done" in repr(found)
 
 
 def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):

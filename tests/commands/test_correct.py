@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from testkit.command_line import contents
-from undrift.correction.correct import correct, correct_checked
+from undrift.correction.correct import correct_checked
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, Hysteresis, StaticDrift, WarmUp
@@ -86,21 +86,6 @@ def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, benc
     before = contents(tmp_path / "out")
     undrift.good("correct", *records, *calibration, "-o", tmp_path / "out")  # again: the same bytes
     assert contents(tmp_path / "out") == before
-
-
-@pytest.mark.slow
-def test_one_bad_recording_among_good_ones_writes_nothing_at_all(undrift, bench, tmp_path):
-    torn = tmp_path / "torn.parquet"
-    torn.write_bytes((bench / "trial.parquet").read_bytes()[:5000])
-    (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / "trial.parquet").write_text("older result")
-    before = contents(tmp_path)
-    for out in ("new", "kept"):
-        line = undrift.refused(
-            "correct", bench / "trial.parquet", torn, "--calibration", bench / "calibration.json", "-o", tmp_path / out
-        )
-        assert "torn.parquet" in line
-        assert contents(tmp_path) == before
 
 
 def test_a_recording_at_another_temperature_is_corrected_with_a_warning_on_stdout(undrift, bench, tmp_path):
@@ -288,61 +273,6 @@ def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(un
 
 
 @pytest.mark.slow
-def test_the_time_since_power_on_is_given_in_seconds_and_a_wrong_one_leaves_nothing(undrift, tuned, tmp_path):
-    words = [tmp_path / "ramp.parquet", "--calibration", tmp_path / "tuned.json", "--policy", "hold"]
-    told = undrift.good("correct", *words, "-o", tmp_path / "a.parquet", "--power-on-s", "30", "--json").json()
-    assert not any("warm-up" in note for note in told["recordings"][0]["notes"])
-    undrift.good("correct", *words, "-o", tmp_path / "b.parquet")
-    with_it, without = (read_record(tmp_path / name).gyro[0] for name in ("a.parquet", "b.parquet"))
-    matrix = read_calibration(tmp_path / "tuned.json").gyro.matrix
-    np.testing.assert_allclose(without - with_it, matrix @ np.full(3, 9.0 * 0.95), rtol=1e-9)  # 30 of 600 s are over
-    before = contents(tmp_path)
-    line = undrift.refused("correct", *words, "-o", tmp_path / "new", "--power-on-s", "-1")
-    assert "wanted the time since power-on at the first sample, 0 s or more, got -1" in line
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.slow
-def test_what_correct_refuses(undrift, bench, tmp_path):
-    raw = read_record(bench / "trial.parquet")
-    (tmp_path / "a").mkdir()
-    for name in ("x.csv", "x.parquet", "a/x.csv"):
-        write_record(raw, tmp_path / name)
-    before = contents(tmp_path)
-    calibration = ["--calibration", bench / "calibration.json"]
-
-    def refused(*words):
-        line = undrift.refused("correct", *words)
-        assert contents(tmp_path) == before
-        return line
-
-    assert "parameter RECORDS requires an argument. Say undrift correct --help." in refused(
-        *calibration, "-o", tmp_path / "o.csv"
-    )
-    assert "--calibration" in refused(tmp_path / "x.csv", "-o", tmp_path / "o.csv")
-    assert "--output" in refused(tmp_path / "x.csv", *calibration)
-    assert "got a corrected record" in refused(bench / "corrected.parquet", *calibration, "-o", tmp_path / "o.csv")
-    assert "than those that are read" in refused(tmp_path / "x.csv", *calibration, "-o", tmp_path / "x.csv")
-    assert "than those that are read" in refused(tmp_path / "x.parquet", *calibration, "-o", tmp_path)
-    twice = (tmp_path / "x.csv", tmp_path / "a" / "x.csv")
-    assert "x.parquet twice" in refused(*twice, *calibration, "-o", tmp_path / "o")
-    assert "a folder for several recordings" in refused(*twice, *calibration, "-o", tmp_path / "o.csv")
-    assert "wanted a name ending in .parquet, .csv, .csv.gz, .mat or _motion.tsv" in refused(
-        twice[0], *calibration, "-o", tmp_path / "o.txt"
-    )
-    assert "got a folder" in refused(twice[0], *calibration, "-o", _folder(tmp_path, before))
-    assert 'Invalid value "drop" for --policy' in refused(
-        twice[0], *calibration, "-o", tmp_path / "o.csv", "--policy", "drop"
-    )
-
-
-def _folder(tmp_path, before):
-    (tmp_path / "f.csv").mkdir()
-    before["f.csv"] = None
-    return tmp_path / "f.csv"
-
-
-@pytest.mark.slow
 def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
     import distributed
 
@@ -372,46 +302,6 @@ def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
 
 
-@pytest.mark.slow
-def test_readings_beyond_what_the_fit_has_seen_are_told_and_left_as_they_are(undrift, bench, tmp_path):
-    known = read_calibration(bench / "calibration.json")
-    narrow = replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2)))  # the trial turns at up to 0.46 rad/s
-    write_calibration(narrow, tmp_path / "narrow.json")
-    raw, done = read_record(bench / "trial.parquet"), read_record(bench / "corrected.parquet")
-    write_record(raw, tmp_path / "trial.csv")
-    share = float((np.abs(done.gyro) > 0.22).any(axis=1).mean())
-    worst = float(done.gyro.flat[np.abs(done.gyro).argmax()])
-    for path in (bench / "trial.parquet", tmp_path / "trial.csv"):
-        words = ["correct", path, "--calibration", tmp_path / "narrow.json", "-o", tmp_path / f"c{path.suffix}"]
-        row = undrift.good(*words, "--json").json()["recordings"][0]
-        (told,) = row["beyond_range"]
-        assert (told["sensor"], told["range"], told["unit"]) == ("gyro", [-0.2, 0.2], "rad/s")
-        assert told["share"] == pytest.approx(share, abs=1e-12) == told["samples"] / len(done)
-        assert told["worst"] == pytest.approx(worst, abs=1e-9)
-        (line,) = [text for text in row["warnings"] if "by more than a tenth: range -11.5 to 11.5 deg/s" in text]
-        assert f"worst {np.degrees(worst):.4g} deg/s" in line
-        assert f"  warning: {line}\n" in undrift.good(*words).out
-        made = read_record(tmp_path / f"c{path.suffix}")
-        np.testing.assert_allclose(made.gyro, done.gyro, atol=1e-12, rtol=0.0)
-    plain = ["--calibration", bench / "calibration.json", "-o", tmp_path / "p.parquet", "--json"]
-    assert undrift.good("correct", bench / "trial.parquet", *plain).json()["recordings"][0]["beyond_range"] == []
-
-
-@pytest.mark.slow
-def test_orient_and_validate_tell_of_readings_beyond_the_fit_too(undrift, bench, tmp_path):
-    known = read_calibration(bench / "calibration.json")
-    write_calibration(replace(known, gyro=replace(known.gyro, valid_range=(-0.2, 0.2))), tmp_path / "narrow.json")
-    said = "by more than a tenth: range -11.5 to 11.5 deg/s"
-    for calibration, count in ((tmp_path / "narrow.json", 1), (bench / "calibration.json", 0)):
-        words = [bench / "trial.parquet", "--calibration", calibration, "--json"]
-        oriented = undrift.good("orient", *words, "-o", tmp_path / "o.csv").json()["notes"]
-        judged = undrift.good("validate", *words, "--reference", bench / "reference.parquet").json()["trials"][0][
-            "notes"
-        ]
-        for notes in (oriented, judged):
-            assert sum(said in note for note in notes) == count
-
-
 @pytest.mark.parametrize("name", ["out.csv", "out.parquet"])
 def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_unit(undrift, bench, tmp_path, name):
     """A file in m/s2 that says g reads 9.8 g; 2.5 times gravity from one shaken hard is told and written."""
@@ -426,41 +316,6 @@ def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_un
     write_record(replace(record, accel=record.accel * 2.5), tmp_path / "hard.parquet")
     assert "far from 1 g" in undrift.good("correct", tmp_path / "hard.parquet", *command).out
     assert (tmp_path / name).exists()
-
-
-@pytest.mark.slow
-def test_a_file_that_correct_wrote_as_text_is_known_again(undrift, bench, tmp_path):
-    """Its first line is undrift's own, before the names of the columns."""
-    for name in ("x.csv", "x.csv.gz"):
-        undrift.good(
-            "correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / name
-        )
-        found = undrift.good("info", tmp_path / name, "--json").json()
-        assert found["kind"] == "recording"
-        assert found["rows"] == len(read_record(bench / "trial.parquet"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("triad", ["gyro", "accel"])
-def test_a_triad_in_counts_without_a_model_is_left_out_and_said_so(undrift, bench, tmp_path, triad):
-    """The rest is corrected as ever, in a file of either kind."""
-    held = read_calibration(bench / "calibration.json")
-    record, name = read_record(bench / "trial.parquet"), {"gyro": "gyroscopes", "accel": "accelerometers"}[triad]
-    other = "accel" if triad == "gyro" else "gyro"
-    kept = held.gyro if other == "gyro" else held.accel
-    model = replace(held, **{triad: None, other: replace(kept, g_sensitivity=None)})
-    write_calibration(model, tmp_path / "part.json")
-    write_record(replace(record, **{f"{triad}_unit": "count"}), tmp_path / "raw.parquet")
-    for ending in ("csv", "parquet"):
-        out = tmp_path / f"out.{ending}"
-        said = undrift.good("correct", tmp_path / "raw.parquet", "--calibration", tmp_path / "part.json", "-o", out).out
-        assert f"the {name} are left out of the result: their readings are in count" in said
-        done = read_record(out)
-        assert getattr(done, triad) is None
-        assert done.state == "corrected"
-        np.testing.assert_array_equal(
-            getattr(done, other), getattr(correct(replace(record, **{triad: None}), model), other)
-        )
 
 
 def test_the_offset_at_a_rest_is_subtracted_the_same_from_a_stream_and_at_once_and_stated(undrift, bench, tmp_path):

@@ -11,31 +11,20 @@ import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from testkit.command_line import contents
-from testkit.pages import browser, faults_of, seen_in
-from testkit.pdf_text import pages_of
-from testkit.pictures import cut_texts
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Section
-from undrift.commands.demo import PAGES
 from undrift.errors import LinkError, RigTimeout
 from undrift.io import store as store_module
-from undrift.io.formats import read_record, read_reference
 from undrift.io.session import read_session
-from undrift.io.store import read_calibration
 from undrift.model import Verdict
 from undrift.report import page as page_module
-from undrift.report.figures import draw_levels
 from undrift.rig.folder import room
-from undrift.rig.programme import read_protocol
 from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
-FILES = {"trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", *PAGES, "summary.json"}
 
 
 @pytest.fixture(scope="module")
@@ -70,109 +59,6 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
     named = " ".join(check["name"] for check in told["checks"])
     for word in ("accelerometers: matrix", "gyroscopes: matrix", "gyroscopes: offset over temperature", "pitch"):
         assert word in named
-
-
-@pytest.mark.slow
-def test_its_report_is_six_printed_pages_at_most_and_names_the_pages_behind_it(quick):
-    out, _ = quick
-    with browser() as held:
-        for name in PAGES:
-            assert seen_in(held, out / name, judged=()) == []
-        tab = held.new_page()
-        tab.goto((out / "report.html").resolve().as_uri())
-        tab.emulate_media(media="print")
-        (out.parent / "report.pdf").write_bytes(tab.pdf(format="A4"))
-        tab.close()
-    assert 1 <= pages_of(out.parent / "report.pdf") <= 6
-    text = (out / "report.html").read_text()
-    assert all(name in text for name in PAGES[1:])
-
-
-@pytest.mark.slow
-def test_it_says_on_stderr_what_it_does_and_how_long_it_will_take(quick):
-    # a computer that is too busy loses an answer: the run resumes, slower, with a line that says so
-    lines = [line for line in quick[1].stderr.splitlines() if "; resuming, attempt " not in line]
-    told = re.compile(r"undrift demo: .+, \d+ s so far, (about \d+ s left \(\d+ %\)|time left not known yet)")
-    assert len(lines) >= 1
-    assert [line for line in lines if not told.fullmatch(line)] == []
-    assert any(re.match(r"undrift demo: (virtual bench: )?(bench|thermal) ", line) for line in lines)
-
-
-@pytest.mark.slow
-def test_the_page_says_once_what_the_note_is(quick):
-    page = (quick[0] / "report.html").read_text()
-    assert page.count("EMBC 2007") == 1
-    assert page.index("EMBC 2007") < page.index("<h2>Details")
-
-
-@pytest.mark.slow
-def test_the_page_opens_with_the_errors_of_all_rivals_over_the_course_that_it_draws(quick):
-    path = quick[0] / "report.html"
-    page = path.read_text()
-    answer = re.search(r'<p class="answer">(.*?)</p>', page)[1]
-    span, *stated = map(float, re.findall(r"\d+\.\d+", answer))
-    fit = virtual_bench.fit_bench(read_session(quick[0] / "bench"), read_session(quick[0] / "thermal"))
-    record, optics = read_record(quick[0] / "trial.parquet"), read_reference(quick[0] / "reference.parquet")
-    figure = draw_levels(virtual_bench.judge_levels(fit, record, optics))
-    assert cut_texts(figure) == []
-    courses = {line.get_label(): line for line in figure.axes[1].lines[:5]}
-    named = ("constant calibration", "offset re-zeroed at a rest", "all tables", "all tables, re-zeroed at a rest")
-    shade = figure.axes[1].patches[0].get_extents().transformed(figure.axes[1].transData.inverted())
-    low, high = shade.intervalx  # of the motion, shaded in every panel
-    assert [len(axes.patches) for axes in figure.axes] == [1, 1, 1]
-    assert figure.axes[2].get_ylim() == (-0.3, 0.3)
-    times = {name: np.asarray(courses[name].get_xdata()) for name in named}
-    seen = {name: (low - 1e-6 <= at) & (at <= high + 1e-6) for name, at in times.items()}
-    drawn = [np.nanmax(np.abs(np.asarray(courses[name].get_ydata())[seen[name]])) for name in named]
-    assert stated == pytest.approx(drawn, abs=0.0051)  # two digits are printed
-    assert high - low == pytest.approx(span, abs=0.1)
-    assert "re-zeroed at a rest" in answer
-    assert stated[2] < 0.2 * stated[0]
-    assert page.index('class="answer"') < page.index("<svg") < page.index('class="verdict')
-    assert faults_of(page) == []
-    with browser() as held:
-        assert seen_in(held, path) == []
-
-
-@pytest.mark.slow
-def test_what_it_writes_reads_back_and_leaves_no_scraps(quick):
-    out = quick[0]
-    assert {path.name for path in out.iterdir()} == FILES | {"bench", "thermal", "study"}
-    calibration = read_calibration(out / "calibration.json")
-    assert calibration.drift is not None
-    assert calibration.drift.static is not None
-    assert calibration.drift.scale is not None or calibration.drift.dynamic is not None
-    bench, thermal = read_session(out / "bench"), read_session(out / "thermal")
-    assert (len(bench.stills), len(bench.turns)) == (12, 12)
-    set_points = np.array(read_protocol(out / "thermal" / "protocol.toml").temperatures_c)
-    measured = np.array([still.temp_c for still in thermal.stills], float)
-    apart = np.abs(measured[:, None] - set_points)  # by the device's own thermometer, trimmed to 2 K
-    assert apart.min(axis=1).max() < 2.0
-    assert len(np.unique(apart.argmin(axis=1))) == len(set_points)
-    page = "".join((out / name).read_text() for name in PAGES)
-    assert page.count("<svg") >= 7
-    for title in ("Compared with the hidden truth", "The virtual bench", "Rates that the encoder showed", "Table 1"):
-        assert re.search(f"<h[23]>{title}", page)
-    assert ">nan<" not in page
-
-
-@pytest.mark.slow
-def test_demo_keeps_off_a_folder_with_other_files_and_takes_an_earlier_one(quick, undrift, tmp_path):
-    from undrift.commands.demo import _is_demo
-
-    (tmp_path / "walk.csv").write_text("mine")
-    before = contents(tmp_path)
-    assert "wanted a new folder, or that of an earlier demo" in undrift.refused("demo", "--out", tmp_path)
-    assert "got a file of that name" in undrift.refused("demo", "--out", tmp_path / "walk.csv")
-    assert "make it first" in undrift.refused("demo", "--out", tmp_path / "a" / "b")
-    assert contents(tmp_path) == before
-    assert _is_demo(quick[0])
-    begun = tmp_path / "begun" / "bench"
-    begun.mkdir(parents=True)
-    assert not _is_demo(begun.parent)
-    (begun / "journal.jsonl").write_text("")
-    (begun.parent / "calibration.json").write_text("{}")
-    assert _is_demo(begun.parent)
 
 
 def short_plan():

@@ -2,14 +2,12 @@
 
 import gzip
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit.command_line import contents, lines_of, write_lines
-from testkit.data import data_path, show
+from testkit.command_line import contents
 from undrift.io.formats import write_record
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration, write_calibration
@@ -29,18 +27,6 @@ BENCH = BenchSettings(
 SOAKS = ThermalSettings(
     bench=BENCH, chamber=QUICK, set_points_c=(18.0, 28.0, 38.0, 47.0, 57.0, 66.0, 75.0), back=True, faces="six"
 )
-MPU_MAP = f"""columns = {{ time = "Time", gyro = ["Gx", "Gy", "Gz"], accel = ["Ax", "Ay", "Az"], temp = "dTemp" }}
-units = {{ time = "ms", gyro = "dps", accel = "g", temp = "degC" }}
-scale = {{ gyro = {{ gain = {1 / 16.4} }}, accel = {{ gain = {1 / 16384} }}, temp = {{ gain = {1 / 340}, offset = 36.53 }} }}
-"""
-BMI_MAP = """columns = { temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }
-units = { temp = "degC", accel = "g", gyro = "dps" }
-header = false
-skip_rows = 1
-sample_rate_hz = 50.0
-drop_bad_rows = true
-"""
-HEAD = '[session]\nkind = "thermal"\nserial = "{serial}"\ngravity_m_s2 = 9.80665\n'
 
 
 @pytest.fixture(scope="module")
@@ -58,80 +44,6 @@ def slopes_of(text):
     rows = re.findall(r"^ ([xyz]) +([-+][\d.]+) \+- ([\d.]+)", text, re.MULTILINE)[:3]
     assert [row[0] for row in rows] == ["x", "y", "z"]
     return np.array([row[1:] for row in rows], float)
-
-
-@pytest.mark.slow
-def test_a_warm_up_of_a_bare_board_gives_its_slopes_and_says_what_it_cannot_tell(undrift, tmp_path):
-    (tmp_path / "map.toml").write_text(MPU_MAP)
-    log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
-    words = ["drift", log, "--map", tmp_path / "map.toml"]
-    answer = undrift.good(*words, "-o", tmp_path / "mpu.json", "--report", tmp_path / "mpu.html", "--details")
-    found = 1e3 * slopes_of(answer.out)[:, 0]
-    show("slopes as shown, mdeg/s per degC", found, "-3.5 / +27.9 / -2.4 within 0.5")
-    np.testing.assert_allclose(found, [-3.5, 27.9, -2.4], atol=0.5)
-    for said in (
-        "verdict: marginal",
-        "Gyroscope offset over temperature: 10.8 to 28.9 degC seen, ",
-        "No calibration given",
-        "Gyroscope scale over temperature not observable",
-    ):
-        assert answer.out.count(said) == 1, said
-    assert f"--calibration {tmp_path / 'mpu.json'}" in answer.out
-    assert len(answer.out.splitlines()) < 50  # three findings take up to three lines each
-    corrected = tmp_path / "corrected.parquet"
-    undrift.good(
-        "correct", log, "--map", tmp_path / "map.toml", "--calibration", tmp_path / "mpu.json", "-o", corrected
-    )
-    assert corrected.is_file()
-    page = (tmp_path / "mpu.html").read_text()
-    assert page.count("<svg") == 2
-    assert "Verdict: marginal" in page
-
-
-@pytest.mark.slow
-def test_two_plateaus_with_torn_lines_name_the_fourfold_error(undrift, tmp_path):
-    session = HEAD.format(serial="BMI270")
-    for name in ("cold", "hot"):
-        shutil.copy(data_path("thermal_bmi270_two_point", f"BMI_270_{name}_test.csv.gz"), tmp_path)
-        session += (
-            f'[[recording]]\nfile = "BMI_270_{name}_test.csv.gz"\nsample_rate_hz = 50\nheader = false\nskip_rows = 1\n'
-            "drop_bad_rows = true\ncolumns = { temp = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }\n"
-            'units = { temp = "degC", accel = "g", gyro = "dps" }\n'
-        )
-    (tmp_path / "session.toml").write_text(session)
-    answer = undrift.good("drift", tmp_path, "--details")
-    found = 1e3 * slopes_of(answer.out)[:, 0]
-    show("BMI270, mdeg/s per degC", found, "+19.1 / +12.9 / -1.5")
-    np.testing.assert_allclose(found, [19.1, 12.9, -1.5], atol=0.5)
-    assert answer.out.count("readings are 4 times too small") == 1
-    assert "Accelerometer offset over temperature: " not in answer.out
-    assert "no data near them" in answer.out
-    assert "verdict: marginal" in answer.out
-    (tmp_path / "map.toml").write_text(BMI_MAP)
-    bare = undrift.good("drift", *sorted(tmp_path.glob("*.gz")), "--map", tmp_path / "map.toml", "--details")
-    assert bare.out.count("not seen") == 3  # between sessions, on each axis
-    assert "Turn-on bias repeatability not observable" in bare.out
-    for out in (answer.out, bare.out):
-        assert "each session rested at one or two temperatures" in out
-        assert "one way only" not in out
-
-
-@pytest.mark.slow
-def test_eleven_recordings_of_a_bicycle_are_one_session(undrift, tmp_path):
-    session = HEAD.format(serial="bicycle")
-    for path in sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz")):
-        shutil.copy(path, tmp_path)
-        session += (
-            f'[[recording]]\nfile = "{path.name}"\n'
-            'columns = { time = "t_s", gyro = "gyro_rad_s", accel = "acc_raw", temp = "temp_degC" }\n'
-            'units = { time = "s", gyro = "rad/s", accel = "count", temp = "degC" }\n'
-        )
-    (tmp_path / "session.toml").write_text(session)
-    answer = undrift.good("drift", tmp_path, "--details")
-    found, stated = 1e3 * slopes_of(answer.out).T
-    show("bicycle, mdeg/s per degC", found, "-84 / +18 / -4")
-    np.testing.assert_array_less(np.abs(found - [-84.0, 18.0, -4.0]), 3.0 * stated)
-    assert "count per degC" in answer.out.replace("\n", " ") or "(count" in answer.out
 
 
 @pytest.mark.slow
@@ -159,36 +71,6 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
     held = read_calibration(tmp_path / "c.json")
     assert held.drift.static.gyro_hysteresis is not None
     assert held.drift.scale is not None
-
-
-@pytest.mark.slow
-def test_json_is_the_calibration_with_its_tables(undrift, soaks):
-    words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
-    told = undrift.good(*words, "--json", "--range-c", "20:70", "--step-c", "2.5", "--tables", "scale").json()
-    assert told["kind"] == "undrift.calibration"
-    assert told["drift"]["static"]["temp_c"] == list(np.arange(20.0, 70.1, 2.5))
-    assert told["drift"]["dynamic"] is None
-    assert np.shape(told["drift"]["scale"]["gyro_matrix"]) == (21, 3, 3)
-    note = undrift.good(*words, "--json", "--spline", "not-a-knot", "--tables", "none", "--lag-s", "3").json()
-    assert dict(note["provenance"]["settings"])["drift_spline"] == "not-a-knot"
-    assert note["drift"]["lag_s"] == 3.0
-    assert note["drift"]["lag_smooth_s"] > 0.0
-
-
-@pytest.mark.slow
-def test_the_calibration_may_be_written_over_and_is_not_where_it_fails(undrift, soaks, tmp_path):
-    shutil.copy(soaks / "calibration.json", tmp_path)
-    own = tmp_path / "calibration.json"
-    undrift.good("drift", soaks / "session", "--calibration", own, "-o", own, "--tables", "none")
-    assert read_calibration(own).drift is not None
-    before = contents(tmp_path)
-    bare = replace(
-        simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(2)).records[0], temp_c=None, device=""
-    )
-    write_record(bare, tmp_path / "bare.parquet")
-    before = contents(tmp_path)
-    undrift.refused("drift", tmp_path / "bare.parquet", "--calibration", own, "-o", own)
-    assert contents(tmp_path) == before
 
 
 @pytest.mark.slow
@@ -262,92 +144,10 @@ def test_a_log_that_tells_nothing_is_refused_with_its_number(undrift, tmp_path, 
     assert contents(tmp_path) == before
 
 
-@pytest.mark.slow
-def test_lines_that_are_wrong_are_refused_with_their_row(undrift, tmp_path):
-    log = warm_log(tmp_path / "log.csv")
-    lines = lines_of(log)
-    place = next(k for k, head in enumerate(lines[0]) if head.startswith("temp"))
-    lines[300][place] = "nan"
-    write_lines(tmp_path / "nan.csv", lines)
-    assert "data row 300" in undrift.refused("drift", tmp_path / "nan.csv", "-o", tmp_path / "c.json")
-    for cells in lines[1:]:
-        cells[place] = "nan"
-    write_lines(tmp_path / "all.csv", lines)
-    line = undrift.refused("drift", tmp_path / "all.csv", "--gaps", "keep", "-o", tmp_path / "c.json")
-    assert re.search(r"got 0 of 15000 \(the others NaN\)", line)
-    lines = lines_of(log)
-    lines[400][0] = lines[200][0]
-    write_lines(tmp_path / "back.csv", lines)
-    assert re.search(r"time|backward", undrift.refused("drift", tmp_path / "back.csv", "-o", tmp_path / "c.json"))
-    assert not (tmp_path / "c.json").exists()
-
-
-@pytest.mark.slow
-def test_another_device_is_refused(undrift, soaks, tmp_path):
-    log = warm_log(tmp_path / "log.parquet", device="other")
-    line = undrift.refused("drift", log, "--calibration", soaks / "calibration.json", "-o", tmp_path / "c.json")
-    assert "got other, enc03j_3031-typical" in line
-    assert not (tmp_path / "c.json").exists()
-
-
-@pytest.mark.slow
-def test_a_call_that_is_wrong_is_refused_before_anything_is_read(undrift, soaks, tmp_path):
-    session = soaks / "session"
-    for words, message in (
-        ((), "parameter SESSIONS requires an argument. Say undrift drift --help."),
-        ((session, "--range-c", "20"), "wanted LOW:HIGH in degC, got '20'"),
-        ((session, "--range-c", "70:20"), "wanted LOW below HIGH in degC, got '70:20'"),
-        ((session, "--step-c", "0"), "wanted more than 0 degC, got 0"),
-        ((session, "-o", tmp_path / "c.txt"), "wanted a name ending in .json"),
-        ((session, "--report", tmp_path / "p.pdf"), "wanted a name ending in .html"),
-        ((session, "--figure", tmp_path / "none" / "f.png"), "make it first"),
-        ((tmp_path / "missing.csv",), "missing.csv"),
-    ):
-        assert message in undrift.refused("drift", *words), message
-    line = undrift.refused(
-        "drift", session, "--calibration", soaks / "calibration.json", "--range-c", "20:70", "--step-c", "3"
-    )
-    assert "wanted a range that the step divides, got 20 to 70 degC by 3" in line
-    assert contents(tmp_path) == {}
-
-
-@pytest.mark.slow
-def test_accelerometers_alone_have_tables_and_no_picture_of_gyroscopes(undrift, soaks, tmp_path):
-    made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(5))
-    write_session(replace(made, records=(replace(made.records[0], gyro=None),)), tmp_path / "session")
-    words = ["drift", tmp_path / "session", "--calibration", soaks / "calibration.json"]
-    out = undrift.good(*words, "--details").out
-    assert "Accelerometer offset over temperature: " in out
-    assert "Gyroscope offset over temperature" not in out
-    before = contents(tmp_path)
-    line = undrift.refused(*words, "--figure", tmp_path / "f.png", "-o", tmp_path / "c.json")
-    assert "wanted gyroscopes to draw, got none" in line
-    assert contents(tmp_path) == before
-
-
 def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
     with gzip.open(tmp_path / "log.csv.gz", "wt") as file:
         file.write("")
     assert "log.csv.gz" in undrift.refused("drift", tmp_path / "log.csv.gz", "-o", tmp_path / "c.json")
-
-
-@pytest.mark.slow
-def test_a_log_given_twice_is_refused_and_a_log_in_two_files_is_one_switch_on(undrift, tmp_path):
-    (tmp_path / "map.toml").write_text(MPU_MAP)
-    log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
-    (tmp_path / "again.csv.gz").write_bytes(log.read_bytes())
-    words = ["--map", tmp_path / "map.toml", "-o", tmp_path / "made.json"]
-    refused = undrift.refused("drift", log, tmp_path / "again.csv.gz", *words)
-    for said in ("session 1 (Tempdata01-02-14.csv.gz) and session 2 (again.csv.gz): the same file", "leave one out"):
-        assert said in refused, said
-    assert not (tmp_path / "made.json").exists()
-    head, *rows = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
-    (tmp_path / "a.csv").write_bytes(b"".join([head, *rows[: len(rows) // 2]]))
-    (tmp_path / "b.csv").write_bytes(b"".join([head, *rows[len(rows) // 2 :]]))
-    answer = undrift.good("drift", tmp_path / "b.csv", tmp_path / "a.csv", *words, "--details")
-    assert "Turn-on bias repeatability unknown" in answer.out
-    assert "one session only" in answer.out
-    assert "between sessions" not in answer.out
 
 
 def test_a_table_of_set_points_is_fitted_by_its_map_and_is_no_recording(undrift, tmp_path):

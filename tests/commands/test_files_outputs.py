@@ -114,14 +114,6 @@ def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):
     assert contents(tmp_path) == before
 
 
-@pytest.mark.slow
-def test_a_calibration_may_lie_beside_its_session_and_be_made_anew(undrift, bench, tmp_path):
-    shutil.copytree(bench / "session", tmp_path / "s")
-    for _ in range(2):
-        undrift.good("calibrate", tmp_path / "s", "-o", tmp_path / "s" / "calibration.json")
-    assert (tmp_path / "s" / "session.toml").read_bytes() == (bench / "session" / "session.toml").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

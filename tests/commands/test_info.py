@@ -1,19 +1,15 @@
 """undrift info: every public recording, and the keys that other programs rely on."""
 
 import json
-import re
 import shlex
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from html import unescape
-from typing import Any
 
 import numpy as np
 import pytest
 
 from testkit.command_line import beyond_the_table, contents
-from testkit.data import DATA, data_path, needs_data
+from testkit.data import DATA, data_path
 from undrift.arrays import window_sums
 from undrift.base.summary import plain
 from undrift.calibration.calibrate import calibrate
@@ -24,92 +20,12 @@ from undrift.record import Record
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.sessions import simulate_session
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 pytestmark = pytest.mark.usefixtures("described_once")
 KEYS = {
     "kind", "format", "rows", "sample_rate_hz", "duration_s", "columns", "units", "gaps", "temp_c", "stills", "problems",
 }  # fmt: skip
 EVERY = sorted(str(path.relative_to(DATA)) for path in DATA.rglob("*")) if DATA.is_dir() else []
-CUT = "makers/geneactiv_bin/GENEActiv_testfile.bin"  # cut by its author: tests/commands/test_info_containers.py
-NO_GYRO = ("ax3_testfile.cwa", "gnactv_sample.bin", "sample.gt3x", "HighGAccelerometer.csv")
-KINDS = (  # the first pattern that fits
-    (r"^makers/.*\.(ulg|xdf)$", {"table"}),  # several sensors, or channels without units
-    (r"\.(gt3x|bag|db3|mcap|cwa|bin)$", {"recording"}),
-    (r"^makers/.*README\.md$", {"text"}),
-    (r"^makers/.*_motion\.tsv$", {"markers"}),
-    (r"^makers/(bids_motion|mobilised_mat)/.*\.(tsv|mat)$", {"table"}),
-    (r"^makers/(xsens_dot|.*(sto|sit_to_stand)).*\.(sto|txt|csv)$", {"reference"}),
-    (r"^makers/opensim_sto_mot/.*\.mot$", {"text"}),
-    (r"^makers/.*(MT46|skin_data_xsens|door_open1\.csv)", {"recording"}),
-    (r"(^|/)(SOURCE|BDS_README|PDS_README)\.md$|LICENSE$", {"text"}),
-    (r"\.hdf5$|(ngimu|ximu3)$|(ngimu/sensors|ximu3/(Inertial|HighG)|IMU\.csv)", {"recording"}),
-    (r"\.(c3d|trc)(\.gz)?$", {"markers"}),
-    (r"\.json$", {"settings"}),
-    (r"\.(npz|csv|txt|log)(\.gz)?$|ximu$", {"table"}),
-    (r"^[^.]*$", {"folder"}),
-)
-
-
-def _files() -> Iterator[Any]:
-    """Yield the public files and folders, those after the second of one folder and ending for `make test-long`."""
-    alike: Counter[tuple[str, str]] = Counter()
-    for name in EVERY:
-        folder, _, own = name.rpartition("/")
-        alike[kind := (folder, own.partition(".")[2])] += 1
-        if name != CUT:
-            yield pytest.param(name, marks=pytest.mark.slow) if alike[kind] > 2 and kind[1] else name
-
-
-@pytest.mark.parametrize("name", [*_files()])
-def test_every_public_file_and_folder_is_told(undrift, name):
-    path = data_path(name)
-    told = undrift.good("info", path, "--json").json()
-    assert told.keys() >= KEYS
-    expected = next(kinds for pattern, kinds in KINDS if re.search(pattern, name))
-    assert told["kind"] in expected
-    if told["kind"] == "recording":
-        assert told["rows"] > (100 if "MT46" not in name else 4)  # an export of five rows
-        assert (47.0 if "gt3x" not in name else 29.0) < told["sample_rate_hz"] < 300.0
-        assert {"time", "accel", *(() if name.endswith(NO_GYRO) else ("gyro",))} <= told["units"].keys()
-        assert all(start < stop for start, stop in told["stills"])
-        assert told["stills"] or told["no_still_because"]
-    text = undrift.good("info", path).out
-    assert text.startswith(f"{path}: {told['kind']}")
-    assert len(text.splitlines()) >= 2
-    if told["kind"] == "table" and "needs a map" in told["summary"]:
-        assert ("--reference-map map.toml" if "orientations" in told["summary"] else "--map map.toml") in text
-
-
-@pytest.mark.slow
-def test_a_recording_of_broad_in_full(undrift):
-    told = undrift.good("info", data_path("broad", "02_undisturbed_slow_rotation_B.hdf5"), "--json").json()
-    assert (told["format"], told["rows"], told["gaps"], told["temp_c"], told["problems"]) == (
-        "broad",
-        53240,
-        0,
-        None,
-        [],
-    )
-    assert told["sample_rate_hz"] == pytest.approx(2000 / 7, abs=1e-3)  # SOURCE.md: 285.714 Hz
-    assert told["units"] == {"time": "s", "gyro": "rad/s", "accel": "m/s2", "mag": "uT"}
-    assert len(told["stills"]) == 2
-    assert 26.0 < told["stills"][0][1] < 48.0  # SOURCE.md: 26-48 s of rest before the movement
-    assert "96.8 % seen" in told["summary"]
-
-
-@pytest.mark.slow
-def test_a_worn_sensor_has_no_still_phase_and_the_reason_is_said_once(undrift, tmp_path):
-    (tmp_path / "map.toml").write_text(
-        'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
-        'units = { gyro = "dps", accel = "g" }\n'
-    )
-    path = data_path("worn_lowback", "HA_001_Test11.csv.gz")
-    answer = undrift.good("info", path, "--map", tmp_path / "map.toml")
-    assert answer.out.count("no still phase") == 1
-    assert "vary by gyro 0.83 dps" in answer.out
-    told = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
-    assert (told["rows"], told["stills"]) == (13759, [])  # SOURCE.md: 137 s at 100 Hz
 
 
 @pytest.mark.slow
@@ -324,55 +240,6 @@ def test_python_gets_what_the_command_line_shows(undrift, bench):
     assert "Recordings" in corrected._repr_html_()
 
 
-@pytest.mark.slow
-@needs_data
-def test_a_pendulum_with_orientations_beside_its_readings_is_read_by_commands_alone(undrift, tmp_path):
-    file = data_path("pendulum_with_optics", "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
-    answer = undrift("info", file, "--write-map", tmp_path / "map.toml")
-    assert answer.code == 0
-    beside = tmp_path / "map-reference.toml"
-    for made in (tmp_path / "map.toml", beside):
-        made.write_text(made.read_text().replace("\nunits", "\nrepair_time = true\nunits", 1))
-    words = ("validate", file, "--map", tmp_path / "map.toml", "--reference", file, "--reference-map", beside)
-    assert "the axis of its laboratory that points up is -x" in undrift.refused(*words)
-    beside.write_text(beside.read_text() + 'up = "-x"\n')
-    (trial,) = undrift(*words, "--json").json()["trials"]
-    assert trial["rmse_inclination_deg"] < 60.0
-
-
-@pytest.mark.slow
-def test_a_trace_holds_readings_and_orientation_and_json_the_rests_and_turns_that_were_found(undrift, tmp_path):
-    rng = np.random.default_rng(7)
-    device = random_device(rng)
-    made = calibrate(simulate_session("bench", device, rng=rng))
-    (raw,) = simulate_session("ferraris", device, rng=rng, labelled=False).records
-    record = correct(raw, made)
-    for name, one in (("counts", raw), ("si", record)):
-        write_record(one, tmp_path / f"{name}.parquet")
-    told = {
-        name: undrift.good("info", tmp_path / f"{name}.parquet", "--trace", tmp_path / f"{name}.npy", "--json").json()
-        for name in ("counts", "si")
-    }
-    trace, counted = np.load(tmp_path / "si.npy"), np.load(tmp_path / "counts.npy")
-    np.testing.assert_array_equal(trace["time"], record.time)
-    np.testing.assert_allclose(trace["gyro"], record.gyro / RADIAN_PER_DEGREE, rtol=1e-6, atol=1e-5)
-    np.testing.assert_allclose(trace["accel"], record.accel / STANDARD_GRAVITY, rtol=1e-6, atol=1e-6)
-    np.testing.assert_array_equal(counted["accel"], raw.accel)
-    shown = told["si"]["trace"]
-    assert (shown["units"], told["counts"]["trace"]["units"]) == (
-        {"gyro": "deg/s", "accel": "g"}, {"gyro": "count", "accel": "count"}
-    )  # fmt: skip
-    assert shown["span_s"] == [record.time[0], record.time[-1]]
-    rests = [(start, stop) for kind, _, why, start, stop in shown["stretches"] if kind == "still" and not why]
-    assert rests == [tuple(span) for span in told["si"]["stills"]]  # searched for once
-    assert shown["at_rest"]["accel"] == pytest.approx(1.0, abs=0.01)
-    assert shown["at_rest"]["gyro"] < 0.1
-    for kind, label, _, start, stop in shown["stretches"]:
-        if kind == "still":  # the orientation has that face up
-            up = rotate(trace["q_nb"][int(50.0 * (start + stop))].astype(float), unit_vector(label))
-            assert up == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
-
-
 TILT, SCALED = "the drawing shows tilt alone, and is rough", "gravity gives the drawing their scale, so it is rough"
 
 
@@ -412,24 +279,3 @@ def test_counts_show_how_the_device_lay_by_gravity(undrift, tmp_path, change, sp
         truth = np.linalg.norm(window_sums(np.asarray(correct(raw, made).gyro), 50)[:-1], axis=1) / 100.0
         both = ~np.isnan(far)
         assert (far[both] @ truth[both]) / (truth[both] @ truth[both]) == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.slow
-def test_a_stretch_that_is_left_out_is_left_out_of_what_is_found_and_of_the_next_command(undrift, tmp_path):
-    rng = np.random.default_rng(7)
-    (raw,) = simulate_session("ferraris", random_device(rng), rng=rng, labelled=False).records
-    write_record(raw, tmp_path / "r.parquet")
-    whole = undrift.good("info", tmp_path / "r.parquet", "--json").json()
-    part = undrift.good("info", tmp_path / "r.parquet", "--leave-out", "54:63", "--json").json()
-    assert (whole["gaps"], part["gaps"]) == (0, 900)
-    outside = [span for span in whole["stills"] if span[1] < 53.0 or span[0] > 64.0]
-    assert len(part["stills"]) < len(whole["stills"])
-    assert not [span for span in part["stills"] if 54.0 < sum(span) / 2.0 < 63.0]
-    assert len([span for span in part["stills"] if span in outside]) >= len(outside) - 2
-    assert "--leave-out 54:63" in undrift.good("info", tmp_path / "r.parquet", "--leave-out", "54:63").out
-    undrift("calibrate", tmp_path / "r.parquet", "--leave-out", "54:63", "-o", tmp_path / "c.json")
-    made = json.loads((tmp_path / "c.json").read_text())
-    assert made["provenance"]["settings"]["stills"] == f"{len(part['stills'])} found"
-    assert made.get("file_map") is None  # it is of this recording, not of the device
-    for words in ("30", "50:30", "x:y"):
-        assert "--leave-out: wanted LOW" in undrift("info", tmp_path / "r.parquet", "--leave-out", words).err

@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 from testkit.walking import hinge, misplaced, perfect, perfect_calibration, walk
 from undrift.frames import quaternion_conjugate, quaternion_product, rotation
 from undrift.io.formats import read_record, read_reference, write_record
-from undrift.io.reference import write_reference
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import BodyMounting, Calibration
-from undrift.record import Reference
 
 Q_AB = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
 
@@ -66,25 +64,6 @@ def test_orient_gives_the_segment_by_the_mounting_unless_sides_are_stated(undrif
     np.testing.assert_allclose(made["stated"].q_nb, made["case"].q_nb, atol=1e-9)
     pitch = np.genfromtxt(tmp_path / "body.csv", delimiter=",", names=True)["pitch_deg"]
     assert abs(np.median(pitch[20:300])) < 4.0  # the wearer stands upright
-
-
-@pytest.mark.slow
-def test_validate_compares_the_segment_by_the_mounting(undrift, worn, tmp_path):
-    record, q_ab = read_record(worn / "walk.parquet"), Q_AB
-    mounted(undrift, worn)
-    words = ("--calibration", worn / "bare.json", "--method", "vqf", "-o", tmp_path / "o.csv")
-    undrift.good("orient", worn / "walk.parquet", *words)
-    case = read_reference(tmp_path / "o.csv")
-    true = BodyMounting(place="lower-back", matrix=rotation(q_ab).as_matrix(), covariance=np.eye(3), basis="")
-    reference = Reference(time=record.time, q_nb=true.of_body(case.q_nb), position=None, name="segment")
-    write_reference(reference, tmp_path / "segment.csv")
-    call = ("validate", worn / "walk.parquet", "--reference", tmp_path / "segment.csv", "--offset", "motion", "--json")
-    page = ("-o", tmp_path / "out")
-    by_mounting = undrift(*call, "--calibration", worn / "worn.json", *page).json()["trials"][0]
-    assert by_mounting["rmse_pitch_deg"] < 3.0
-    assert by_mounting["rmse_inclination_deg"] < 4.0
-    assert "readings turned by the calibration&#39;s mounting" in (tmp_path / "out" / "report.html").read_text()
-    assert "left in" in (tmp_path / "out" / "report.html").read_text()  # 5 deg or less are left to be removed
 
 
 def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):

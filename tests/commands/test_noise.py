@@ -39,24 +39,6 @@ def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
     assert len(told["taus_s"]) == len(told["adev"]["gyro"]) == len(told["adev"]["accel"])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["a.svg", "a.png", "a.pdf", "A.SVG"])
-def test_the_allan_plot_is_written_in_the_format_of_its_name(undrift, tmp_path, name):
-    at_rest(tmp_path, "rest.csv")
-    answer = undrift.good("noise", tmp_path / "rest.csv", "-o", tmp_path / name)
-    start = (tmp_path / name).read_bytes()[:400]
-    assert {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF"}[name[-3:].lower()] in start
-    assert {path.name for path in tmp_path.iterdir()} == {"rest.csv", name}
-    assert "angle random walk" in answer.out
-    assert "(rad/s/sqrt(Hz))" in answer.out
-    assert "gyroscopes, in brackets the 95 % intervals" in answer.out
-    assert "angle random walk in deg/sqrt(h): x " in answer.out
-    assert "velocity random walk in ug/sqrt(Hz): x " in answer.out
-    assert "rate_random_walk" not in answer.out
-    assert "verdict: " in answer.out
-    assert str(tmp_path / name) in answer.out
-
-
 def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
     at_rest(tmp_path, "rest.csv")
     told = undrift.good("noise", tmp_path / "rest.csv", "--start-s", "10", "--stop-s", "110", "--json").json()
@@ -70,14 +52,6 @@ def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
         low, high = axis["angle_random_walk"]["interval"]
         # 1e-3 rad/s at 100 Hz is 1e-4 rad/s/sqrt(Hz); three intervals of 95 %, so a margin of a half-width
         assert low - (high - low) / 2.0 < 1e-4 < high + (high - low) / 2.0
-
-
-@pytest.mark.slow
-def test_counts_are_made_physical_by_a_calibration(undrift, bench):
-    words = ["noise", bench / "trial.parquet", "--stop-s", "5"]
-    assert undrift.good(*words, "--json").json()["units"]["gyro"] == "count"
-    told = undrift.good(*words, "--calibration", bench / "calibration.json", "--json").json()
-    assert told["units"] == {"gyro": "rad/s", "accel": "m/s2"}
 
 
 def test_what_noise_refuses(undrift, bench, tmp_path):
@@ -160,53 +134,6 @@ def test_a_recording_without_both_sensors_in_si_gives_no_file_for_kalibr(undrift
     assert contents(tmp_path) == {}
 
 
-@pytest.mark.slow
-def test_noise_is_said_in_the_units_of_data_sheets_too(undrift, tmp_path):
-    rng = np.random.default_rng(3)
-    n = 720_000
-    walk = np.cumsum(rng.normal(0.0, 2e-6, (n, 3)), axis=0)  # rad/s/sqrt(s) times sqrt(0.01 s)
-    record = Record(
-        time=np.arange(n) / 100.0,
-        gyro=walk + rng.normal(0.0, 1e-3, (n, 3)),
-        accel=rng.normal(0.0, 1e-2, (n, 3)) + np.array([0.0, 0.0, 9.80665]),
-    )
-    write_record(record, tmp_path / "rest.parquet")
-    told = undrift.good("noise", tmp_path / "rest.parquet", "--json").json()
-    deg_h = 3600.0 * 180.0 / np.pi
-    for axis in told["gyro"]:
-        assert axis["rate_random_walk_deg_per_h_per_sqrt_h"] == pytest.approx(
-            60.0 * deg_h * axis["rate_random_walk"]["value"]
-        )
-        # 2e-5 rad/s/sqrt(s) is 247.5 deg/h/sqrt(h); two hours show it within 30 %
-        assert axis["rate_random_walk_deg_per_h_per_sqrt_h"] == pytest.approx(247.5, rel=0.3)
-        assert axis["bias_instability_deg_per_h"] is None or axis["bias_instability_deg_per_h"] == pytest.approx(
-            deg_h * axis["bias_instability"]["value"]
-        )
-    said = undrift.good("noise", tmp_path / "rest.parquet").out
-    for unit in ("deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "ug/sqrt(Hz)", "ug", "ug/sqrt(h)"):
-        assert f" in {unit}: x " in said
-
-
-@pytest.mark.slow
-def test_bias_instability_that_no_axis_shows_is_named_in_terminal_json_and_page(undrift, tmp_path):
-    at_rest(tmp_path, "rest.csv")
-    page = tmp_path / "noise.html"
-    answer = undrift.good("noise", tmp_path / "rest.csv", "--report", page)
-    told = undrift.good("noise", tmp_path / "rest.csv", "--json").json()
-    lost = [
-        item
-        for item in told["verdict"]["findings"]
-        if item["level"] == "warn" and item["values"].get("term") == "bias instability"
-    ]
-    assert lost
-    assert (told["verdict"]["status"], "verdict: marginal" in answer.out) == ("marginal", True)
-    for item in lost:
-        headline = f"{item['values']['triad']} x, y, z: bias instability not observable"
-        assert headline in answer.out
-        assert headline in page.read_text()
-        assert "h or more at rest" in item["action"]
-
-
 # ---- what it means, and the part's data sheet
 
 MEANING = (
@@ -232,31 +159,3 @@ def test_an_angle_after_a_minute_stays_within_the_sentence(tmp_path):
     assert np.mean(within) >= 0.9
     assert np.std(ends_deg) > angle / 5.0  # nor is it stated much too wide
     assert summary.next == ()  # Kalibr wants accelerometers too
-
-
-@pytest.mark.slow
-def test_noise_stands_beside_the_data_sheet_of_the_part_that_is_named(undrift, tmp_path):
-    at_rest(tmp_path, "rest.csv")
-    page = tmp_path / "noise.html"
-    shown = undrift.good("noise", tmp_path / "rest.csv", "--kind", "mpu6050", "--report", page).out
-    for text in ("; data sheet of mpu6050 0.212 (density 0.005 deg/s/sqrt(Hz))", "(density 400 ug/sqrt(Hz))"):
-        assert text in shown
-        assert text in page.read_text()
-    sheet = undrift.good("noise", tmp_path / "rest.csv", "--kind", "mpu6050", "--json").json()["data_sheet"]
-    assert sheet["part"] == "mpu6050"
-    assert sheet["angle_random_walk_deg_per_sqrt_h"] == pytest.approx(60.0 * 0.005 / np.sqrt(2.0))  # one-sided density
-    assert sheet["velocity_random_walk_ug_per_sqrt_hz"] == pytest.approx(400.0 / np.sqrt(2.0))
-    unnamed = undrift.good("noise", tmp_path / "rest.csv")
-    assert "data sheet" not in unnamed.out
-    assert "wanted one of enc03j_3031, mpu6050" in undrift.refused("noise", tmp_path / "rest.csv", "--kind", "mpu9999")
-
-
-@pytest.mark.slow
-def test_counts_get_no_degrees_and_the_command_that_gives_them(undrift, bench):
-    shown = undrift.good("noise", bench / "trial.parquet", "--stop-s", "5").out
-    assert "a calibration gives degrees" in shown
-    assert "Next: undrift noise" in shown
-    assert "--calibration calibration.json" in shown
-    assert (
-        "angle_after_60_s_deg" not in undrift.good("noise", bench / "trial.parquet", "--stop-s", "5", "--json").json()
-    )

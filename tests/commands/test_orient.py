@@ -1,20 +1,15 @@
 """undrift orient: angles of corrected and of raw recordings."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from testkit.command_line import beyond_the_table, contents, warm_between
+from testkit.command_line import contents, warm_between
 from testkit.data import data_path, show
-from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct
-from undrift.io.formats import read_record, read_reference, write_record
-from undrift.io.store import read_calibration, write_calibration
+from undrift.io.formats import read_record, read_reference
+from undrift.io.store import read_calibration
 from undrift.io.write import COLUMNS
 from undrift.orientation import orient
-from undrift.sim.device.presets import random_device
-from undrift.sim.sessions import simulate_session, simulate_trial
 
 
 def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tmp_path):
@@ -66,48 +61,6 @@ def test_the_tilt_is_stated_alike_from_a_raw_file_from_a_corrected_one_and_in_py
         assert told["tilt_uncertainty_parts_deg"]["calibration"] > 0.0
 
 
-@pytest.mark.slow
-def test_without_a_calibration_page_terminal_and_json_say_that_the_scatter_is_all(undrift, bench, tmp_path):
-    plain = replace(read_record(bench / "corrected.parquet"), state="raw", accel_uncertainty=None)
-    write_record(plain, tmp_path / "r.parquet")
-    words = ("orient", tmp_path / "r.parquet", "-o", tmp_path / "o.csv", "--report", tmp_path / "r.html")
-    stated = "scatter only; accelerometer not calibrated: typically 0.3 deg"
-    assert stated in undrift.good(*words).out.replace("\n", " ")
-    assert undrift.good(*words, "--json").json()["tilt_basis"] == stated
-    page = (tmp_path / "r.html").read_text()
-    assert f"tilt at the start: {stated}" in page
-    assert "is known to" not in page
-    whole = undrift.good("orient", bench / "corrected.parquet", *words[2:]).out
-    assert "standard uncertainty" in whole
-    assert "95 % within" in whole
-    assert "95 % within" in (tmp_path / "r.html").read_text()
-
-
-@pytest.mark.slow
-def test_heading_offset_and_body_axes_are_taken(undrift, bench, tmp_path):
-    path = bench / "corrected.parquet"
-    plain = undrift.good("orient", path, "-o", tmp_path / "a.csv", "--json").json()
-    rest = undrift.good(
-        "orient", path, "-o", tmp_path / "b.csv", "--offset", "rest", "--heading-deg", "90", "--json"
-    ).json()
-    assert plain["offset_dps"] == [0.0, 0.0, 0.0]
-    assert any(rest["offset_dps"])
-    heading = np.loadtxt(tmp_path / "b.csv", delimiter=",", skiprows=1)[:, COLUMNS.index("heading_deg")]
-    assert abs(np.median(heading[:100]) - 90.0) < 0.5
-    side = undrift.good("orient", path, "-o", tmp_path / "c.csv", "--forward", "-x", "--up", "+z", "--json").json()
-    np.testing.assert_allclose(side["pitch_deg"], [-plain["pitch_deg"][1], -plain["pitch_deg"][0]], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
-    words = ["orient", *beyond_the_table(bench, tmp_path), "-o", tmp_path / "o.csv"]
-    assert "choose the policy hold or nan" in undrift.refused(*words)
-    told = undrift.good(*words, "--policy", "hold", "--json").json()
-    assert "s outside the drift table: 31.0 to 31.0 degC" in told["notes"][0]
-    plain = undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "p.csv", "--json").json()
-    np.testing.assert_allclose(told["pitch_deg"], plain["pitch_deg"], atol=1e-6)  # the table holds the constant offset
-
-
 def test_a_real_wearable_is_oriented(undrift, tmp_path):
     answer = undrift.good("orient", data_path("wearable_formats", "ngimu"), "-o", tmp_path / "n.csv.gz")
     show("ngimu", answer.out)
@@ -142,45 +95,6 @@ def test_a_recording_of_the_session_that_is_read_is_not_written_over(undrift, be
     line = undrift.refused("orient", bench / "session", "--calibration", bench / "calibration.json", "-o", path)
     assert "wanted" in line
     assert path.read_bytes() == before
-
-
-@pytest.mark.slow
-def test_a_worn_recording_without_a_still_phase_says_so(undrift, tmp_path):
-    (tmp_path / "map.toml").write_text(
-        'sample_rate_hz = 100\ncolumns = { gyro = ["gyr_x", "gyr_y", "gyr_z"], accel = ["acc_x", "acc_y", "acc_z"] }\n'
-        'units = { gyro = "dps", accel = "g" }\n'
-    )
-    worn = data_path("worn_lowback", "HA_001_Test11.csv.gz")
-    before = contents(tmp_path)
-    assert "wanted a still phase" in undrift.refused(
-        "orient", worn, "--map", tmp_path / "map.toml", "--offset", "rest", "-o", tmp_path / "o.csv"
-    )
-    assert contents(tmp_path) == before
-    words = ("orient", worn, "--map", tmp_path / "map.toml", "--offset", "motion", "-o", tmp_path / "o.csv")
-    assert "tilt from gravity in motion" in undrift.good(*words).out
-    assert undrift.good(*words, "--json").json()["still"] is None
-    stretch = (
-        "--still-start-s",
-        10,
-        "--still-stop-s",
-        11.5,
-    )  # named, it is taken; the rest of the person is not judged
-    said = undrift.good("orient", worn, "--map", tmp_path / "map.toml", *stretch, "-o", tmp_path / "o.csv").out
-    assert "tilt from the still phase 10.0 to 11.5 s" in said
-
-
-@pytest.mark.slow
-def test_a_stretch_at_rest_is_taken_by_its_own_times_and_refused_outside_them(undrift, bench, tmp_path):
-    corrected, out = bench / "corrected.parquet", tmp_path / "o.csv"
-    found = undrift.good("orient", corrected, "-o", out, "--json").json()["still"]
-    named = ("--still-start-s", found[0], "--still-stop-s", found[0] + 1.0)
-    told = undrift.good("orient", corrected, "-o", out, *named, "--json").json()["still"]
-    assert told == pytest.approx([found[0], found[0] + 0.99])
-    before = contents(tmp_path)
-    for words in (("--still-start-s", 1), ("--still-start-s", 3, "--still-stop-s", 2), (*named[:3], 1e6)):
-        line = undrift.refused("orient", corrected, "-o", out, *words)
-        assert "--still-start-s, --still-stop-s: wanted both, within the recording's" in line
-    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(
@@ -272,29 +186,3 @@ def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the
     (item,) = (one for one in told["findings"] if one["code"] == "orient.pitch_axes")
     assert (item["level"], item["values"]["up"], item["values"]["forward"][0]) == ("warn", "+x", "+z")
     assert "Pitch by" not in undrift.good(*words, "--up", "+x", "--forward", "-z").out
-
-
-@pytest.fixture(scope="module")
-def turned(tmp_path_factory):
-    """Return a recording of a device in hands, and its calibration."""
-    folder = tmp_path_factory.mktemp("turned")
-    device = random_device(np.random.default_rng(4))
-    made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(5)))
-    write_calibration(made, folder / "calibration.json")
-    write_record(simulate_trial("free", device, rng=np.random.default_rng(6)).record, folder / "raw.parquet")
-    return folder
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("choice", ["motion", "rest"])
-def test_a_file_keeps_how_well_its_subtracted_offset_is_known(undrift, turned, tmp_path, choice):
-    raw = (turned / "raw.parquet", "--calibration", turned / "calibration.json", "--offset", choice)
-    straight = undrift.good("orient", *raw, "-o", tmp_path / "a.parquet", "--json").json()["offset_uncertainty_dps"]
-    for name in ("made.parquet", "made.csv"):
-        undrift.good("correct", *raw, "-o", tmp_path / name)
-        answer = undrift.good("orient", tmp_path / name, "-o", tmp_path / "b.parquet", "--json").json()
-        stated = answer["offset_uncertainty_dps"]
-        show(f"{name}, {choice}: offset uncertain by, deg/s; of the raw recording", (stated, straight))
-        assert stated == pytest.approx(straight, rel=0.05)
-        (drift,) = (one for one in answer["findings"] if one["code"] == "orient.drift")
-        assert "rest" not in drift["action"]

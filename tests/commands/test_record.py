@@ -1,15 +1,12 @@
 """undrift record: what a device sends is in the file, whatever ends the recording; a guide leads to a calibration."""
 
-import json
 import math
 import re
-import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,14 +14,11 @@ import pytest
 import undrift as package
 from testkit.data import show
 from testkit.disk import preloaded
-from testkit.hand_held import Tremor, hand_held_log
-from testkit.printing_board import ACCEL_LSB_PER_G, GYRO_LSB_PER_DPS, PrintingBoard, resting_line, sketch_line
+from testkit.printing_board import PrintingBoard, sketch_line
 from testkit.talking_device import TalkingDevice
-from testkit.waiting import eventually
 from undrift.commands import Screen
 from undrift.commands import record as recording
 from undrift.errors import LinkError
-from undrift.io.columns import ReadSettings
 from undrift.io.formats import read_record
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
@@ -34,14 +28,7 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.rig.hand_held import HandHeld, start_hand_held
 from undrift.sim.rig.stream import StreamSettings
 
-SPEED = 10.0
 HELD_SPEED = 4.0  # with the device, the person and the program in one process; a pseudo-terminal holds 45 lines
-MAIN = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the shell of the tests ignores
-from undrift.cli.app import main
-main()
-"""
 
 
 @pytest.fixture
@@ -50,50 +37,7 @@ def board() -> Iterator[PrintingBoard]:
         yield made.print_lines()
 
 
-def kept(path: Path):
-    return read_record(path, settings=ReadSettings(gaps="keep"))
-
-
 # ---- From a port to a file
-
-
-@pytest.mark.slow
-def test_a_board_is_recorded_without_a_word_about_it(undrift, tmp_path, board):
-    path = tmp_path / "walk.parquet"
-    answer = undrift("record", "--port", board.port, "-o", path, "--duration-s", "3")
-    assert answer.code == 0, answer
-    lines = answer.err.splitlines()
-    assert (
-        lines[0]
-        == f"Recording serial:{board.port}: gyro in count, accel in count, temp in degC, 100 Hz. Ctrl-C ends it."
-    )
-    assert re.fullmatch(r" +\d\.\d s +(-|\d+\.\d) Hz   0 lost   \|a\| 16\d\d\d count   25\.\d degC", lines[1]), lines
-    assert re.match(r"3\.\d s recorded at 100 Hz: 0 of 3\d\d readings lost, 0 damaged ones left out\.\n", answer.out)
-    assert answer.out.endswith(f"Wrote {path}\nNext: undrift info {path}\n")
-    assert [one.name for one in tmp_path.iterdir()] == ["walk.parquet"]
-    made = read_record(path)
-    np.testing.assert_allclose(made.time, 0.01 * np.arange(len(made)), atol=1e-9)
-    numbers = (re.findall(rb"gyro\(count\):(-?\d+),(-?\d+),(-?\d+)", resting_line(k))[0] for k in range(3000))
-    sent = np.array([[int(word) for word in three] for three in numbers])
-    at = next(k for k in range(len(sent)) if (sent[k : k + 9] == made.gyro[:9]).all())
-    np.testing.assert_array_equal(made.gyro, sent[at : at + len(made)])
-    assert (made.gyro_unit, made.accel_unit) == ("count", "count")
-    assert "recording (parquet)" in undrift.good("info", path).out
-
-
-@pytest.mark.slow
-def test_an_address_that_was_found_is_stated_and_may_be_given_back(undrift, tmp_path, board):
-    words = ("--duration-s", "1.5", "--json")
-    first = undrift("record", board.port, "-o", tmp_path / "a.csv", *words).json()
-    assert first["ended"] == "time"
-    assert first["lost"] == first["garbled"] == 0
-    assert "format=log" in first["address"]
-    assert "baud=115200" in first["address"]
-    stated = json.loads((tmp_path / "a.csv.json").read_text())
-    assert stated["provenance"]["address"] == first["address"]
-    again = undrift("record", first["address"], "-o", tmp_path / "b.csv", *words).json()
-    assert again["address"] == first["address"]
-    assert read_record(tmp_path / "b.csv").gyro_unit == "count"
 
 
 def test_the_baud_rate_is_found(tmp_path):
@@ -179,36 +123,6 @@ def test_a_cable_that_is_pulled_is_one_line_and_costs_nothing(undrift, tmp_path,
     assert made.duration_s > 1.0
     np.testing.assert_allclose(np.diff(made.time), 0.01, atol=1e-9)
     assert [one.name for one in tmp_path.iterdir()] == ["a.parquet"]
-
-
-@pytest.mark.slow
-def test_a_silence_is_a_gap_and_the_recording_goes_on(tmp_path):
-    with PrintingBoard() as board:
-        board.print_lines()
-        threading.Timer(6.0, setattr, (board, "silent", True)).start()
-        threading.Timer(6.6, setattr, (board, "silent", False)).start()
-        made = recording(board.port, output=tmp_path / "a.csv", duration_s=5.0)
-    whole = kept(tmp_path / "a.csv")
-    assert 40 < np.isnan(whole.gyro[:, 0]).sum() < 90
-    assert made.data["lost"] == np.isnan(whole.gyro[:, 0]).sum()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ending", [".parquet", ".csv"])
-def test_ctrl_c_ends_it_and_the_file_is_whole(tmp_path, board, ending):
-    call = [sys.executable, "-c", MAIN, "record", "--port", board.port, "-o", f"a{ending}", "--json"]
-    with subprocess.Popen(call, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        growing = tmp_path / ("a.csv" if ending == ".csv" else "a.parquet.csv")
-        eventually(lambda: growing.exists() and growing.read_bytes().count(b"\n") > 100, "readings in the file")
-        assert read_record(growing).sample_rate_hz == pytest.approx(100.0, rel=1e-6)  # whole at any time
-        for _ in range(2):  # a hasty one
-            child.send_signal(signal.SIGINT)
-        out, err = child.communicate(timeout=60)
-    assert child.returncode == 0, err
-    printed = json.loads(out)
-    assert printed["ended"] == "stopped"
-    assert len(read_record(tmp_path / f"a{ending}")) == printed["readings"] > 100
-    assert sorted(one.name for one in tmp_path.iterdir()) == [f"a{ending}"] + ["a.csv.json"] * (ending == ".csv")
 
 
 FULL = """
@@ -334,27 +248,6 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
     true = true_calibration(operator.hands.device, temp_c=25.0)
     for found, wanted in ((calibration.accel, true.accel), (calibration.gyro, true.gyro)):
         np.testing.assert_allclose(np.diag(found.matrix), np.diag(wanted.matrix), rtol=0.01)
-
-
-@pytest.mark.slow
-def test_poses_of_any_kind_calibrate_from_the_recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOOK_S", 0.05)
-    steady = Tremor(rate_dps=0.02, sway_deg=0.005, accel=0.002)
-    log, _ = hand_held_log(np.random.default_rng(5), steady, poses=28, hold_s=(6.0, 8.0))
-    gyro, accel = np.degrees(log.gyro) * GYRO_LSB_PER_DPS, np.asarray(log.accel) / 9.81 * ACCEL_LSB_PER_G
-
-    def line(k: int) -> bytes:
-        at = k % len(log)  # from the first pose again, as a busy machine loses readings and then wants more
-        return b"" if k % 997 == 5 else sketch_line(k, k * 10_000, gyro[at], accel[at], 25.0)
-
-    with PrintingBoard() as board:
-        board.print_lines(line, rate=100.0 * SPEED)
-        address = f"{board.port}?clock_speed={SPEED:g}"
-        made = recording(address, output=tmp_path / "p.csv", guide="poses", gravity_m_s2=9.81)
-    assert made.data["recording"]["ended"] == "guide"
-    assert made.data["recording"]["lost"] > 5
-    scale = np.diag(read_calibration(tmp_path / "p.json").accel.matrix) * ACCEL_LSB_PER_G / 9.81
-    np.testing.assert_allclose(scale, 1.0, rtol=0.01)
 
 
 def test_a_guide_that_is_left_keeps_the_recording_and_says_so(tmp_path, held, monkeypatch):

@@ -200,22 +200,6 @@ def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
         assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_a_start_that_was_refused_is_no_run(capsys, tmp_path, monkeypatch):
-    (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", NOBODY, "--device", "tcp://127.0.0.1:9"]
-    call += ["-o", str(tmp_path / "run")]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("n\n"))
-    for more, message in (
-        ([], "wanted a yes to start"),
-        (["--yes", "--highest-turn-rate-dps", "10"], "turn rate"),
-        (["--yes"], "stream: wanted rate"),
-        (["--yes"], "stream: wanted rate"),
-    ):
-        assert run([*call, *more]) != 0
-        assert message in capsys.readouterr().err
-
-
 @pytest.fixture
 def emulate():
     """Start `undrift rig emulate` with options; return its addresses."""
@@ -242,18 +226,6 @@ def test_faults_come_and_go_at_their_time(emulate, capsys):
         while run(call) != code:
             assert time.monotonic() < last
     capsys.readouterr()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="pseudo terminals of POSIX")
-def test_a_pseudo_terminal_answers_as_the_socket_does(emulate, capsys):
-    pytest.importorskip("serial")
-    addresses = emulate("--pty")
-    seen = []
-    for name in ("rig", "pty"):
-        assert run(["rig", "status", "--rig", addresses[name], "--json"]) == 0
-        seen.append(json.loads(capsys.readouterr().out)["identity"])
-    assert seen[0] == seen[1] != ""
 
 
 def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
-from testkit.rate_table_log import GAIN, bench
+from testkit.rate_table_log import bench
 from undrift.io.formats import write_record
 from undrift.io.proposal import gyro_unit_of
 from undrift.io.session import read_session
@@ -24,17 +24,6 @@ def board(undrift, tmp_path):
     words = ("--write-map", tmp_path / "map.toml", "--sample-rate-hz", 100, "--accel-unit", "m/s2")
     undrift.good("info", data_path(*LOG), *words)
     return tmp_path
-
-
-@pytest.mark.slow
-def test_the_map_of_a_log_without_names_takes_the_gyroscopes_unit_from_gravity(board):
-    text = (board / "map.toml").read_text()
-    held = tomllib.loads(text)
-    assert held["units"] == {"accel": "m/s2", "gyro": "rad/s"}  # SOURCE.md
-    assert held["sample_rate_hz"] == 100
-    assert "# accel: m/s2, as given" in text
-    assert "# gyro: rad/s, proposed: it turns gravity as the accelerometers read it, to " in text
-    assert "dps misses it by " in text
 
 
 def test_deg_per_s_is_told_from_rad_per_s_and_nothing_from_a_device_that_only_rests(undrift, tmp_path):
@@ -56,27 +45,6 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
     found = gyro_unit_of(Record(time=record.time, gyro=record.gyro * (factor / per_rad_s), accel=record.accel / 1000.0))
     show("unit found", found, unit)
     assert (None if found is None else found[0]) == unit
-
-
-@pytest.mark.slow
-def test_a_map_that_is_not_complete_says_what_to_put_and_a_file_that_needs_none_is_refused(undrift, bench, tmp_path):
-    out = undrift.good("info", data_path("multipos_xsens", "xsens_gyro.txt.gz"), "--write-map", tmp_path / "m.toml").out
-    assert "# time: s, proposed by the median step 0.01" in out  # SOURCE.md: 100 Hz
-    (tmp_path / "no.csv").write_text(
-        "t,gx,gy,gz\n" + "".join(f"{k / 100},{k % 3},{k % 5},{k % 7}\n" for k in range(300))
-    )
-    answer = undrift.good("info", tmp_path / "no.csv", "--write-map", tmp_path / "no.toml")
-    assert f"put what is true where {tmp_path / 'no.toml'} has ?" in answer.out
-    assert "Next:" not in answer.out
-    before = contents(tmp_path)
-    line = undrift.refused("info", data_path(*LOG), "--write-map", tmp_path / "rate.toml")
-    assert "wanted the sample rate of a table without time, got none; add --sample-rate-hz" in line
-    line = undrift.refused("info", bench / "trial.parquet", "--write-map", tmp_path / "t.toml")
-    assert "wanted a table that needs a map, got recording (parquet)" in line
-    assert "wanted a name ending in .toml" in undrift.refused(
-        "info", data_path(*LOG), "--write-map", tmp_path / "m.json"
-    )
-    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize(
@@ -119,28 +87,6 @@ def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrif
 
 
 @pytest.mark.slow
-def test_faces_and_turns_are_stated_where_the_fit_uses_them(undrift, tmp_path):
-    undrift.good(
-        *("info", data_path("ferraris_nilspod", "example_ferraris_session.csv"), "--write-map", tmp_path / "f.toml"),
-        *("--sample-rate-hz", 102.4, "--accel-unit", "m/s2"),
-    )
-    path = data_path("ferraris_nilspod", "example_ferraris_session.csv")
-    words = (path, "--map", tmp_path / "f.toml", "--turn-deg", 360)
-    undrift.good("session", "new", *words, "-o", tmp_path / "s", "--gravity-m-s2", 9.81)
-    session = read_session(tmp_path / "s")
-    assert {still.face for still in session.stills} >= {"+x", "-x", "+y", "-y", "+z", "-z"}
-    assert [(turn.axis, round(np.degrees(turn.angle))) for turn in session.turns] == [
-        ("x", -360),
-        ("y", -360),
-        ("z", -360),
-    ]
-    one = undrift.good("calibrate", tmp_path / "s", "--json").json()
-    other = undrift.good("calibrate", *words, "--gravity-m-s2", 9.81, "--json").json()
-    for triad in ("accel", "gyro"):
-        np.testing.assert_allclose(one[triad]["matrix"], other[triad]["matrix"], rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.slow
 def test_steady_turns_stand_as_comments_whose_rate_a_person_states(undrift, tmp_path):
     device = random_device(np.random.default_rng(7))
     made = simulate_session("rate_table", device, rng=np.random.default_rng(8), labelled=False)
@@ -161,63 +107,6 @@ def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     line = undrift.refused("session", "new", bench / "session", "-o", board / "t")
     assert "wanted bare recordings, got a session; edit its session.toml" in line
     assert contents(board) == before
-
-
-@pytest.mark.slow
-def test_torn_rows_are_left_out_by_an_option_and_the_map_keeps_it(undrift, tmp_path):
-    log = data_path("thermal_bmi270_two_point", "BMI_270_hot_test.csv.gz")
-    units = ("--gyro-unit", "count", "--accel-unit", "count", "--sample-rate-hz", 50)
-    undrift.good("info", log, "--drop-bad-rows", "--write-map", tmp_path / "m.toml", *units)
-    assert tomllib.loads((tmp_path / "m.toml").read_text())["drop_bad_rows"] is True
-    rows = [
-        undrift.good("info", log, "--map", tmp_path / "m.toml", *more, "--json").json()["rows"]
-        for more in ((), ("--drop-bad-rows",))
-    ]
-    assert rows[0] == rows[1] > 3000
-    undrift.good("info", log, "--write-map", tmp_path / "n.toml", *units)
-    assert "drop_bad_rows" not in tomllib.loads((tmp_path / "n.toml").read_text())
-    assert "wanted 7 columns in every row" in undrift.refused("info", log, "--map", tmp_path / "n.toml")
-    assert (
-        undrift.good("info", log, "--map", tmp_path / "n.toml", "--drop-bad-rows", "--json").json()["rows"] == rows[0]
-    )
-
-
-@pytest.mark.slow
-def test_gains_of_a_data_sheet_make_units_of_counts_and_a_thermal_log_its_tables(undrift, tmp_path):
-    log = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
-    gain = ("--gyro-gain", 0.06097560976)  # deg/s per count: SOURCE.md
-    words = ("info", log, "--write-map", tmp_path / "m.toml", "--accel-unit", "g", "--accel-gain", 1 / 16384)
-    line = undrift.refused(*words, *gain)
-    assert "--gyro-gain: wanted the unit that it leads to, got none; add --gyro-unit" in line
-    undrift.good(*words, *gain, "--gyro-unit", "dps")
-    held = tomllib.loads((tmp_path / "m.toml").read_text())
-    assert held["scale"] == {"gyro": {"gain": 0.06097560976}, "accel": {"gain": 1 / 16384}}
-    assert (held["units"]["gyro"], held["units"]["accel"]) == ("dps", "g")
-    assert undrift("drift", log, "--map", tmp_path / "m.toml", "-o", tmp_path / "d.json").code != 2
-    assert undrift("correct", log, "--calibration", tmp_path / "d.json", "-o", tmp_path / "c.csv").code == 0
-
-
-@pytest.mark.slow
-def test_the_log_of_a_table_becomes_the_turns_that_calibrate_takes(undrift, tmp_path):
-    record, dwells, path = bench(tmp_path, drift=1e-5)
-    write_record(record, tmp_path / "table.parquet")
-    words = ("session", "new", tmp_path / "table.parquet", "--rates", path)
-    told = undrift.good(*words, "-o", tmp_path / "s", "--json").json()["rates"]
-    (clock,) = told["clocks"]
-    assert (told["dwells"], told["left_out"]) == (len(dwells), 0)
-    assert abs(clock["drift"] - 1e-5) < 4.0 * clock["drift_uncertainty"]
-    text = (tmp_path / "s" / "session.toml").read_text()
-    assert text.count("# by the table's log; standard uncertainty ") == text.count("[[turn]]") == len(dwells)
-    session = read_session(tmp_path / "s")
-    assert [turn.axis for turn in session.turns] == [up[1] for *_, up, _ in dwells]
-    made = undrift("calibrate", tmp_path / "s", "--json").json()
-    assert made["gyro"]["method"].startswith("rate-table")
-    forward = np.linalg.inv(np.array(made["gyro"]["matrix"])) * np.pi / 180.0
-    show("gyroscope matrix off the true one", f"{np.abs(forward - GAIN).max():.2e}", "5e-4")
-    np.testing.assert_allclose(forward, GAIN, atol=5e-4)  # 0.01 deg over 4 s and 0.05 deg/s of noise, at 10 to 75 deg/s
-    said = undrift.good(*words, "-o", tmp_path / "t").out
-    assert f"dwells from the log: {len(dwells)}, left out 0" in said
-    assert "recording - log: 1234.5" in said
 
 
 def test_the_options_of_a_log_are_refused_where_they_do_nothing(undrift, tmp_path):

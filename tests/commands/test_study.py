@@ -1,14 +1,9 @@
 """undrift study: from a study.toml to surface, summary and page; gone on with, refused, on a scheduler."""
 
-import inspect
 import json
-import math
 import re
-from dataclasses import replace
-from shutil import rmtree
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -16,11 +11,6 @@ from testkit.command_line import contents
 from testkit.data import data_path
 from testkit.pages import faults_of
 from undrift.commands.study import study
-from undrift.sim.device.truth import true_calibration
-from undrift.study import figure3 as figure3_module
-from undrift.study import outcome as outcome_module
-from undrift.study.figure3 import COMPARED, DrawnRow
-from undrift.study.rivals import compare_rivals
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -146,44 +136,6 @@ set_points_c = [18.0, 36.0, 54.0, 75.0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "rounds",
-    [((16, 3), (8, 6)), ((16, 3), (8, 6), (4, 12))],
-    ids=["6 subjects", "12 subjects"],
-)
-def test_halving_finds_the_optimum_of_the_grid_with_fewer_runs(undrift, rounds, tmp_path):
-    plan, subjects, of_grid = tmp_path / "study.toml", rounds[-1][1], 16 * rounds[-1][1]
-    plan.write_text(WIDE.replace("subjects = 6", f"subjects = {subjects}"))
-    words = "study", plan, "-o", tmp_path / "grid", "--workers", "1", "--no-rivals", "--json"
-    grid = done(undrift, *words).json()
-    assert (grid["search"], grid["runs"], grid["tasks"][0]["halving"]) == ("grid", of_grid, None)
-    answer = done(undrift, "study", plan, "-o", tmp_path / "h", "--workers", "1", "--no-rivals", "--search", "halving")
-    halved = json.loads((tmp_path / "h" / "summary.json").read_text())
-    (task,), (whole,) = halved["tasks"], grid["tasks"]
-    assert task["optimum"] == whole["optimum"]
-    for name in ("error_rms_deg", "error_max_deg", "rig_minutes"):  # a protocol has the same noise in both searches
-        assert task[name] == pytest.approx(whole[name], rel=1e-12)
-    counts = [(len(each["protocols"]), each["subjects"]) for each in task["halving"]["rounds"]]
-    assert counts == list(rounds)
-    met = sum(count * (each - before) for (count, each), before in zip(rounds, (0, 3, 6), strict=False))
-    front = halved["runs"] - met  # what seems to be on the front of error against minutes meets everyone
-    assert halved["search"] == "halving"
-    assert front in range(0, 8 * subjects + 1, subjects)
-    assert (task["halving"]["runs"], task["halving"]["runs_of_grid"]) == (met + front, of_grid)
-    assert all(low < row["error_rms_deg"] < high for row in task["pareto"] for low, high in [row["interval_deg"]])
-    first, *_, last = (each["protocols"] for each in task["halving"]["rounds"])
-    best = min(last, key=lambda row: row["mean_deg"])
-    assert {name: best[name] for name in task["optimum"]} == task["optimum"]
-    assert {tuple(row.values())[:4] for row in last} <= {tuple(row.values())[:4] for row in first}
-    table = pq.read_table(tmp_path / "h" / "surface.parquet")
-    assert table.num_rows == met + front
-    assert f"undrift study: step, round 2 of {len(rounds)}: 8 protocols on 6 subjects" in answer.err.splitlines()
-    protocols, people = (", ".join(map(str, column)) for column in zip(*rounds, strict=True))
-    wanted = f"Successive halving: {protocols} protocols met {people} subjects; {met + front} runs, full grid {of_grid}"
-    assert wanted in (tmp_path / "h" / "report.html").read_text().replace("</strong>", "")
-
-
-@pytest.mark.slow
 def test_a_halving_resumes_and_keeps_to_its_folder(undrift, tmp_path):
     text = WIDE.replace("subjects = 6", 'subjects = 6\nsearch = "halving"').replace("[1.0, 2.0, 4.0, 11.4]", "[11.4]")
     plan = tmp_path / "study.toml"
@@ -224,28 +176,6 @@ def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undr
     assert {"gain", "faces", "dwell_s"} & {row["parameter"] for row in task["made_of"]}
 
 
-@pytest.mark.slow
-def test_values_that_no_protocol_has_are_named_with_the_reason(undrift, plan, tmp_path):
-    text = TEXT.replace("step_dps = [5.0]", "step_dps = [5.0, 70.0]").replace("[50.0, 70.0, 90.0]", "[5.0, 50.0, 90.0]")
-    path = tmp_path / "more.toml"
-    path.write_text(text)
-    words = ("study", path, "-o", tmp_path / "out", "--workers", "1", "--no-rivals")
-    answer, details = done(undrift, *words), done(undrift, *words, "--details").out
-    for reason in (
-        "step d 70 deg/s (divides no span from an omega_m to an omega_M)",
-        "omega_M 5 deg/s (not above any omega_m)",
-    ):
-        assert f"sit_to_stand: Not tried: {reason}" in answer.err
-        assert reason in details
-        assert f"<strong>Not tried</strong>: {reason}" in (tmp_path / "out" / "report.html").read_text()
-    (task,) = json.loads((tmp_path / "out" / "summary.json").read_text())["tasks"]
-    assert [(row["parameter"], row["value"]) for row in task["untried"]] == [
-        ("turn_rate_step_dps", 70.0),
-        ("turn_rate_max_dps", 5.0),
-    ]
-    assert task["untried"][1]["reason"] == "not above any omega_m"
-
-
 def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path):
     file = data_path("c3d", "squat.c3d.gz")
     path = tmp_path / "squat.toml"
@@ -255,150 +185,6 @@ def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path
     assert "wanted a body at rest for its first rest_s = 1 s, got one that turns at up to 67.3 deg/s" in line
     assert "it is still for 0 s: take a recording that begins with 0.5 s at rest or more, or set hold = true" in line
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_another_seed_and_number_of_subjects(undrift, plan, tmp_path):
-    step = tmp_path / "step.toml"
-    step.write_text(plan.read_text().replace("sit_to_stand", "step"))
-    words = ["study", step, "-o", tmp_path / "a", "--quick", "--seed", "3", "--subjects", "4", "--workers", "1"]
-    told = done(undrift, *words, "--json").json()
-    assert (told["seed"], told["subjects"], told["runs"]) == (3, 4, 16)
-    assert (told["rivals"], told["rivals_missing"]) == (None, "not asked for")  # of a quick study
-    assert told["figure3"] is None
-    assert told["figure3_missing"] == "the study has no sit-to-stand of the library"
-
-
-@pytest.mark.slow
-def test_a_unit_without_runs_is_told_and_judged_by_a_mixed_model(undrift, plan, tmp_path):
-    step = tmp_path / "step.toml"
-    step.write_text(plan.read_text().replace("sit_to_stand", "step"))
-    words = ["study", step, "-o", tmp_path / "a", "--subjects", "5", "--workers", "1", "--no-rivals", "--json"]
-    (whole,) = done(undrift, *words).json()["tasks"]
-    cutoff, *_, greatest = whole["effects"]
-    assert (cutoff["missing"], cutoff["mixed_model"], whole["failed_runs"], whole["left_out"]) == (0, None, 0, [])
-    assert cutoff["anova"]["dof"] == [1.0, 4.0]
-    assert greatest["anova"].keys() >= {
-        "p_greenhouse_geisser",
-        "p_huynh_feldt",
-        "generalized_eta_squared",
-        "sphericity",
-    }
-    assert greatest["anova"]["sphericity"].keys() >= {"mauchly_w", "p_value", "greenhouse_geisser", "huynh_feldt"}
-    piece = tmp_path / "a" / "runs" / "step-0002-5.parquet"
-    table = pq.read_table(piece)  # as the unit leaves it when a protocol cannot calibrate its device
-    for name in ("error_rms_deg", "error_max_deg"):
-        place = table.schema.get_field_index(name)
-        table = table.set_column(place, name, pa.array(np.full(table.num_rows, np.nan)))
-    pq.write_table(table, piece)
-    rmtree(tmp_path / "a" / "testing")  # of the optimum that the whole study had
-    answer = done(undrift, *words[:-1])
-    (task,) = json.loads((tmp_path / "a" / "summary.json").read_text())["tasks"]
-    cutoff, *_, greatest = task["effects"]
-    assert (task["failed_runs"], cutoff["missing"], cutoff["anova"]) == (3, 1, None)
-    assert cutoff["mixed_model"]["values"] == 9
-    assert cutoff["f"] == cutoff["mixed_model"]["f"]
-    assert greatest["anova"]["subjects"] == 5
-    codes = {item["code"]: item["values"] for item in task["findings"]}
-    assert codes["study.runs_missing"] == {"missing": 3, "runs": 30}
-    assert codes["study.mixed_model"] == {"parameters": ["cut-off"]}
-    page = (tmp_path / "a" / "report.html").read_text()
-    assert "<strong>Runs missing</strong>: 3 of 30" in page
-    assert "<strong>Mixed model for parameters with missing runs</strong>: cut-off." in page
-    assert "Optional stopping: adding subjects until p falls below the level" in page
-    assert "- Runs missing 3 of 30" in " ".join(answer.out.split())
-
-
-@pytest.mark.slow
-def test_rivals_are_compared_unless_told_otherwise_and_come_to_the_summary(undrift, plan, tmp_path, monkeypatch):
-    asked = []
-
-    def few(planned, **words):
-        asked.append((planned.kind, planned.seed, planned.tasks, planned.margin_deg))
-        return compare_rivals(
-            replace(planned, units=1, minutes=3.0, methods=("data_sheet", "rate_table", "mocap")), **words
-        )
-
-    monkeypatch.setattr(outcome_module, "compare_rivals", few)
-
-    def drawn(kind, **words):
-        assert (kind, words["seed"], words["excursion_k"]) == ("enc03j_3031", 0, 12.5)
-        spread = {"lower_deg": 0.1, "median_deg": 0.2, "upper_deg": 0.3, "simulated_deg": (0.1, 0.15, 0.2)}
-        apart = {"apart_deg": (0.01, 0.02, 0.03), "within": 2, "correlation": 0.9, "correlation_interval": (0.8, 0.95)}
-        over_units = {"largest_correlation": 1.0, "largest_interval": (math.nan, math.nan)}
-        return tuple(DrawnRow(correction=name, units=2, **spread, **apart, **over_units) for name in COMPARED)
-
-    monkeypatch.setattr(outcome_module, "drawn_cohort", drawn)  # drawn_cohort itself: study/test_figure3.py
-    # no thermal fit, half a minute of wearing: the figure and its effects themselves are of study/test_figure3.py
-    monkeypatch.setattr(figure3_module, "calibrated", lambda device, **_: (true_calibration(device, temp_c=25.0),) * 3)
-    monkeypatch.setattr(figure3_module, "WORN_S", 30.0)
-    for name in ("figure3", "effect_table"):
-        monkeypatch.setattr(outcome_module, name, inspect.unwrap(getattr(outcome_module, name)))
-    told = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--json").json()
-    assert [row["correction"] for row in told["figure3_drawn"]] == told["figure3"]["compared"]
-    assert asked == [("enc03j_3031", 0, ("sit_to_stand",), pytest.approx(0.15))]
-    assert [row["method"] for row in told["rivals"]] == ["data_sheet", "rate_table", "mocap"]
-    assert told["rivals"][1]["error_rms_deg"]["median"] < told["rivals"][2]["error_rms_deg"]["median"]
-    assert told["rivals_missing"] is None
-    triads = {(row["triad"], row["method"]): row for row in told["rival_triads"]}
-    assert triads["accel", "mocap"]["calibrated"] == triads["gyro", "rate_table"]["calibrated"] == 1
-    assert triads["accel", "data_sheet"]["worth"][0]["decision"] is None  # of one unit there is no verdict
-    claims = {row["claim"]: row for row in told["claims"]}
-    arm = claims["A robot arm is sufficiently accurate"]
-    assert (arm["verdict"], arm["evidence"]) == ("not decidable", [])
-    assert "this method and the rate table on three units" in arm["lacks"]
-    alone = {row["effect"]: row["simulated_actual_max_deg"] for row in told["figure3_effects"]}
-    assert list(alone) == ["noise alone", "hysteresis", "thermometer", "adc_inl", "g_sensitivity", "all"]
-    assert alone["all"] == told["figure3"]["simulated_actual_by_level_deg"]  # the figure is the last of its own table
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Discussion as an experiment: other ways to calibrate" in page
-    assert "Accelerometers alone" in page
-    assert "Claims of the note" in page
-    assert "Not in this study: prices" in page
-    assert "Figure 3: simulated against actual, effect by effect" in page
-    assert "Drawn units: 2 units of the kind" in page
-    assert "0.90 [0.80 to 0.95]" in page
-    assert len(told["figure3"]["correlation"]) == 5
-    assert all(-1.0 <= r <= 1.0 for r in told["figure3"]["correlation"])
-    assert "Figure 2: how the drift is compensated" in page
-    assert "slope over temperature was inferred from the note" in page
-
-
-@pytest.mark.slow
-def test_real_recordings_are_judged_beside_the_study(undrift, plan, tmp_path):
-    names = "32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5"
-    trials = [f'[[trial]]\nrecording = "{data_path("broad", name)}"\ndevice = "D"\n' for name in names]
-    sit, stance = data_path("mocap_sit_to_stand", "STS1.trc.gz"), data_path("posturography", "PDS13OF1grf.txt.gz")
-    real = tmp_path / "real.toml"
-    real.write_text(
-        "".join(trials)
-        + f'[[capture]]\nfile = "{sit}"\ntask = "sit_to_stand"\nbody = "pelvis"\nup = "y"\n'
-        + f'[[stance]]\nfile = "{stance}"\nmass_kg = 65.35\ncondition = "open on foam"\n'
-    )
-    answer = done(undrift, "study", plan, "-o", tmp_path / "out", "--workers", "1", "--quick", "--real", real)
-    told = json.loads((tmp_path / "out" / "summary.json").read_text())["real"]
-    none, rest, calibrated, *left_in = told["trials"]
-    assert [(level["level"], level["rounding"]) for level in told["trials"]] == [
-        (name, rounding) for rounding in ("undone", "left in") for name in ("none", "rest", "calibrated")
-    ]
-    for level, other in zip((none, rest, calibrated), left_in, strict=True):
-        assert level["median"] != other["median"]
-    assert calibrated["median"]["rmse_total_deg"] < 0.67 * rest["median"]["rmse_total_deg"]  # as tests/authority holds
-    assert rest["median"]["rmse_total_deg"] < none["median"]["rmse_total_deg"]
-    assert {row["measure"] for row in told["captures"]} >= {"lean", "duration"}
-    assert [row["level"] for row in told["worn"]["rows"]] == ["none", "static", "full"]
-    assert any("eyes closed on foam" in row["note"] == row["said"] for row in told["stances"])
-    assert "agreement over trials: 3 trials or more are needed, 2 were given" in told["lacks"]
-    page = (tmp_path / "out" / "report.html").read_text()
-    for name in names:
-        rows = re.findall(
-            rf"^ {name.split('.')[0]} +(none|rest|calibrated) +(undone|left in) +[\d.]+ ", answer.out, re.M
-        )
-        assert rows == [(level, how) for how in ("undone", "left in") for level in ("none", "rest", "calibrated")]
-    assert re.findall(r"^ STS1 +(none|static|full) +[\d.]+ ", answer.out, re.M) == ["none", "static", "full"]
-    assert re.search(r"^ PDS13OF1grf +posturography +.* (yes|no) *$", answer.out, re.M)
-    assert "Real recordings: devices worn beside optics" in page
-    assert "Real recordings: what is not there" in page
 
 
 def test_real_recordings_that_cannot_be_read_stop_the_study_before_it_runs(undrift, plan, tmp_path):

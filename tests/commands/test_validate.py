@@ -6,9 +6,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from testkit.command_line import beyond_the_table, contents, warm_between
+from testkit.command_line import warm_between
 from testkit.data import data_path, show
 from testkit.findings import only
 from testkit.hand_turns import Device, make_recording
@@ -17,7 +16,7 @@ from testkit.trc_text import trc
 from undrift.correction.correct import correct
 from undrift.io.formats import read_reference, write_record
 from undrift.io.reference import write_reference
-from undrift.io.session import read_session, write_session
+from undrift.io.session import write_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import Calibration
 from undrift.record import Session
@@ -67,49 +66,6 @@ def test_broad_by_each_way_of_taking_the_offset(undrift):
 
 
 @pytest.mark.slow
-def test_without_a_word_the_rest_offset_is_taken_off_and_the_table_is_whole(undrift):
-    answer = undrift.good("validate", *broad(*B[:3]))
-    assert "(offset: rest)" in answer.out
-    for word in (
-        "inclination",
-        "end total",
-        "lag ms",
-        "pitch %",
-        "optics %",
-        B[0].removesuffix(".hdf5"),
-        B[1].removesuffix(".hdf5"),
-        "median",
-    ):
-        assert word in answer.out
-    assert "agreement on mean inclination over 3 trials" in answer.out
-    # undrift info counts the rests and ends, in which markers were hidden; it says 96.8, 96.6, 96.7 %
-    assert "optics %: share of the motion in which the reference saw the body" in answer.out
-    assert "of the whole file it is 96.6 % or more" in answer.out
-
-
-@pytest.mark.slow
-def test_the_page_of_a_calibration_names_it_and_its_verdict(undrift, bench, tmp_path):
-    words = ["--calibration", bench / "calibration.json", "--reference", bench / "reference.parquet", "--adc", "none"]
-    told = undrift.good("validate", bench / "trial.parquet", *words, "-o", tmp_path / "r", "--json").json()
-    page = (tmp_path / "r" / "report.html").read_text()
-    made = read_calibration(bench / "calibration.json")
-    assert f"calibration.json of {made.device}: gyroscope by {made.gyro.method}" in page
-    assert f'<th scope="row">its verdict</th><td>{made.verdict.status}</td>' in page
-    assert '<th scope="row">trial.parquet</th><td data-head="reference">reference.parquet</td>' in page
-    assert ">left in</td>" in page
-    assert told["calibration"] == "calibration.json"
-
-
-@pytest.mark.slow
-def test_the_page_without_a_calibration_says_how_offset_and_rounding_were_dealt_with(undrift, tmp_path):
-    told = undrift.good("validate", *broad(B[1]), "-o", tmp_path / "r", "--json").json()
-    page = (tmp_path / "r" / "report.html").read_text()
-    assert f">{told['mean']['max_abs_pitch_deg']:.2f}</td>" in page
-    assert "the mean rate of the first still phase is subtracted" in page
-    assert "gyro codes rounded toward zero" in page
-
-
-@pytest.mark.slow
 def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_path):
     words = ["--calibrate-from", "reference", "--leave-one-out"]
     out = tmp_path / "report"
@@ -132,55 +88,6 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert all(f'<th scope="row">{name}</th><td>the same file</td>' in page for name in B)
     assert told["calibration"] == "reference"
     assert answer.json()["result"] == told
-
-
-@pytest.mark.slow
-def test_expected_errors_stand_beside_the_observed_ones(undrift, tmp_path):
-    words = ["--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "out"]
-    files = broad("32_disturbed_attached_magnet_1cm.hdf5", "35_disturbed_attached_magnet_4cm.hdf5")
-    answer = undrift.good("validate", *files, *words)
-    assert "observed and expected errors in deg" in answer.out
-    assert (
-        "not larger than expected (95 %, at most): end error 2 of 2, total error over the motion 2 of 2" in answer.out
-    )
-    told = json.loads((tmp_path / "out" / "validation.json").read_text())
-    assert told["expected_inside"] == {
-        "trials": 2, "rmse_inside": 2, "rmse_above": 0, "ends": 2, "end_inside": 2, "end_above": 0,
-    }  # fmt: skip
-    for trial in told["trials"]:
-        low, high = trial["expected"]["end_interval_deg"]
-        assert low < trial["expected"]["end_total_deg"] < high
-        assert low <= trial["end_total_deg"] <= high
-    assert "Observed and expected errors" in (tmp_path / "out" / "report.html").read_text()
-    raw = undrift.good("validate", files[0], "--json").json()
-    assert raw["expected_inside"] is None
-    assert raw["trials"][0]["expected"] is None
-
-
-@pytest.mark.slow
-def test_one_mounting_is_stated_by_an_option_or_in_the_session(undrift, tmp_path):
-    rng = np.random.default_rng(4)
-    pairs = [make_recording(rng, Device(noise=1e-3), turn_s=25.0, sample_rate_hz=100.0) for _ in range(2)]
-    session = Session(kind="calibration", serial="A", gravity_m_s2=9.81, records=[p[0] for p in pairs], mounting="one")
-    write_session(session, tmp_path / "session")
-    assert read_session(tmp_path / "session").mounting == "one"
-    poses = []
-    for number, (_, reference) in enumerate(pairs):
-        # the second is turned by 20 deg against the first: one mounting is refused, each its own is not
-        turn = Rotation.from_euler("z", 20.0 * number, degrees=True)
-        q = (Rotation.from_quat(reference.q_nb, scalar_first=True) * turn).as_quat(scalar_first=True)
-        write_reference(replace(reference, q_nb=q), tmp_path / f"poses_{number}.parquet")
-        poses += ["--reference", tmp_path / f"poses_{number}.parquet"]
-    words = ["validate", tmp_path / "session", *poses, "--json", "--calibrate-from", "reference"]
-    assert "wanted one mounting for all recordings" in undrift.refused(*words)
-    told = undrift.good(*words, "--mounting", "each").json()
-    assert [trial["recording"] for trial in told["trials"]] == ["recording_0", "recording_1"]
-    assert "--mounting wants --calibrate-from reference" in undrift.refused(*words[:-2], "--mounting", "one")
-    state = tmp_path / "session" / "session.toml"
-    state.write_text(state.read_text().replace('mounting = "one"\n', ""))
-    assert read_session(tmp_path / "session").mounting is None
-    assert undrift.good(*words).json()["mean"] == told["mean"]
-    assert "wanted one mounting for all recordings" in undrift.refused(*words, "--mounting", "one")
 
 
 @pytest.mark.slow
@@ -224,26 +131,6 @@ def test_a_fit_to_references_takes_local_gravity_from_options_or_the_session(und
     assert "--latitude-deg wants --calibrate-from reference" in line
 
 
-@pytest.mark.slow
-def test_a_fit_judged_on_its_own_recordings_says_so(undrift):
-    answer = undrift.good("validate", *broad(*B[:2]), "--calibrate-from", "reference")
-    assert "say --leave-one-out for an honest figure" in answer.out
-
-
-@pytest.mark.slow
-def test_raw_and_corrected_are_judged_alike(undrift, bench):
-    words = ["--reference", bench / "reference.parquet", "--json", "--offset", "none"]
-    raw = undrift.good("validate", bench / "trial.parquet", "--calibration", bench / "calibration.json", *words).json()
-    done = undrift.good("validate", bench / "corrected.parquet", *words).json()
-    for key in FIGURES:
-        assert raw["mean"][key] == pytest.approx(done["mean"][key], abs=1e-6)
-    show("sit-to-stand, largest pitch error, deg", raw["mean"]["max_abs_pitch_deg"], 0.75)
-    assert raw["mean"]["max_abs_pitch_deg"] < 0.75
-    assert raw["agreement"] is None
-    turned = undrift.good("validate", bench / "corrected.parquet", *words, "--forward", "-x").json()
-    assert turned["mean"]["rmse_pitch_deg"] == pytest.approx(done["mean"]["rmse_pitch_deg"], abs=0.02)
-
-
 def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_found_with_it(undrift, bench, tmp_path):
     """The reference's clock is put 12 s late; the figures are those of clocks that agree."""
     poses = read_reference(bench / "reference.parquet")
@@ -257,15 +144,6 @@ def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_foun
         assert found["mean"][key] == pytest.approx(plain["mean"][key], abs=0.05)
     line = undrift.refused(*words, bench / "reference.parquet", "--max-lag-s", 0)
     assert "--max-lag-s: wanted more than 0 s, got 0" in line
-
-
-@pytest.mark.slow
-def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(undrift, bench, tmp_path):
-    words = ["validate", *beyond_the_table(bench, tmp_path), "--reference", bench / "reference.parquet"]
-    assert "choose the policy hold or nan" in undrift.refused(*words)
-    told = undrift.good(*words, "--policy", "hold", "--json").json()
-    assert any("s outside the drift table: 31.0 to 31.0 degC" in note for note in told["trials"][0]["notes"])
-    assert told["mean"]["max_abs_pitch_deg"] < 0.75
 
 
 @pytest.mark.parametrize(
@@ -288,20 +166,6 @@ def test_a_temperature_outside_the_table_is_refused_or_held_as_the_policy_says(u
 def test_no_error_is_judged_over_a_gap_that_the_policy_nan_left(undrift, bench, tmp_path, start_s, stop_s, said):
     words = ["validate", *warm_between(bench, tmp_path, start_s, stop_s), "--reference", bench / "reference.parquet"]
     assert said in undrift.refused(*words, "--policy", "nan")
-
-
-@pytest.mark.slow
-def test_gaps_in_the_rest_before_the_motion_are_told_and_the_rest_serves(undrift, bench, tmp_path):
-    words = ["--reference", bench / "reference.parquet", "--policy", "nan", "--json"]
-    told = undrift.good("validate", *warm_between(bench, tmp_path, 0.0, 3.0, accel=True), *words).json()
-    assert (
-        "Gaps before the motion: 300 of 551 samples are gaps (NaN): the rest is taken from the others"
-        in told["trials"][0]["notes"]
-    )
-    whole = undrift.good("validate", *warm_between(bench, tmp_path, 99.0, 99.0, accel=True), *words).json()
-    assert not any("gaps" in note for note in whole["trials"][0]["notes"])
-    # half of the rest's samples are left: white noise moves the tilt by hundredths of a degree
-    assert told["mean"]["rmse_inclination_deg"] == pytest.approx(whole["mean"]["rmse_inclination_deg"], abs=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -336,46 +200,6 @@ def free(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "up"), [("free.trc", "y"), ("free.c3d", "z")])
-def test_markers_are_as_good_a_reference_as_poses(undrift, free, name, up):
-    words = ["--offset", "none", "--json"]
-    known = undrift.good("validate", free / "free.parquet", "--reference", free / "poses.parquet", *words).json()
-    told = undrift.good(
-        "validate",
-        free / "free.parquet",
-        "--reference",
-        free / name,
-        "--markers",
-        "M1,M2,M3,M4",
-        "--reference-up",
-        up,
-        *words,
-    ).json()
-    show(f"{name}: total error, deg rms", told["mean"]["rmse_total_deg"], known["mean"]["rmse_total_deg"])
-    # a cluster's axes are its own: the turn from them to the device's is fitted, to some hundredths of a degree
-    assert told["mean"]["rmse_total_deg"] == pytest.approx(known["mean"]["rmse_total_deg"], abs=0.1)
-    assert told["mean"]["rmse_total_deg"] < 1.0
-
-
-@pytest.mark.slow
-def test_a_sensor_of_an_opensense_table_is_as_good_a_reference(undrift, free, tmp_path):
-    poses = replace(read_reference(free / "poses.parquet"), moving=None, position=None)  # as .sto holds them
-    write_reference(poses, tmp_path / "poses.parquet")
-    rows = [
-        f"{t:.9f}\t1,0,0,0\t" + ",".join(f"{x:.12f}" for x in q) for t, q in zip(poses.time, poses.q_nb, strict=True)
-    ]
-    head = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\ntime\tpelvis_imu\tcase_imu\n"
-    (tmp_path / "poses.sto").write_text(head + "\n".join(rows) + "\n")
-    words = ["validate", free / "free.parquet", "--offset", "none", "--json", "--reference"]
-    known = undrift.good(*words, tmp_path / "poses.parquet").json()
-    told = undrift.good(*words, tmp_path / "poses.sto", "--markers", "case_imu").json()
-    assert told["mean"]["rmse_total_deg"] == pytest.approx(
-        known["mean"]["rmse_total_deg"], abs=1e-4
-    )  # the file's digits
-    assert "pelvis_imu, case_imu" in undrift.refused(*words, tmp_path / "poses.sto")
-
-
 def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undrift, free):
     record = free / "free.parquet"
     assert "M1, M2, M3, M4" in undrift.refused(
@@ -388,31 +212,6 @@ def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undr
         "validate", record, "--reference", free / "free.trc", "--markers", "M1,M2,Q9", "--reference-up", "y"
     )
     assert "Q9" in line
-
-
-@pytest.mark.slow
-def test_what_validate_refuses(undrift, bench, tmp_path):
-    (tmp_path / "file").write_text("kept")
-    before = contents(tmp_path)
-    trial, reference = bench / "trial.parquet", ["--reference", bench / "reference.parquet"]
-    calibration = ["--calibration", bench / "calibration.json"]
-
-    def refused(*words):
-        line = undrift.refused("validate", *words)
-        assert contents(tmp_path) == before
-        return line
-
-    assert "parameter RECORDS requires an argument. Say undrift validate --help." in refused()
-    assert "got 0 for 1" in refused(trial)
-    assert "got 1 for 2" in refused(trial, trial, *reference)
-    assert "--leave-one-out wants --calibrate-from reference" in refused(trial, *reference, "--leave-one-out")
-    assert "got both; choose one" in refused(trial, *reference, *calibration, "--calibrate-from", "reference")
-    assert "say --calibration calibration.json" in refused(trial, *reference)
-    assert "wanted columns time_s, q_w" in refused(trial, "--reference", trial, *calibration)
-    assert "got a file of that name" in refused(trial, *reference, *calibration, "-o", tmp_path / "file")
-    assert "make it first" in refused(trial, *reference, *calibration, "-o", tmp_path / "a" / "b")
-    assert "wanted" in refused(trial, *reference, *calibration, "-o", tmp_path / "new", "--forward", "+z")
-    assert "wanted" in refused(*broad(B[0]), "--calibrate-from", "reference", "--leave-one-out", "-o", tmp_path / "new")
 
 
 @pytest.mark.slow
@@ -450,28 +249,3 @@ def test_correct_orient_and_validate_subtract_the_rate_of_the_same_first_rest(un
         1.5e-4 if offset == "rest" else 1e-3
     )  # 5 sigma of 1300 samples; the jolt is a move, after which it is another
     np.testing.assert_allclose(np.radians(judged["offset_dps"]), [0.02, -0.01, 0.005], atol=near)
-
-
-@pytest.mark.slow
-def test_where_no_still_phase_is_found_the_marked_rest_serves_and_a_warning_says_so(undrift, tmp_path):
-    # a person who sways at 0.05 rad/s: no bench would, and correct and orient refuse it
-    record, reference = make_recording(np.random.default_rng(24), Device(noise=1e-3), rest_s=8.0, turn_s=20.0)
-    sway = 0.05 * np.sin(2.0 * np.pi * 0.7 * record.time)[:, None]
-    write_record(replace(record, gyro=record.gyro + sway), tmp_path / "r.parquet")
-    write_reference(reference, tmp_path / "ref.parquet")
-    words = ("validate", tmp_path / "r.parquet", "--reference", tmp_path / "ref.parquet")
-    (trial,) = undrift.good(*words, "--json").json()["trials"]
-    assert [one["code"] for one in trial["findings"]] == ["validate.no_still_phase"]
-    assert trial["rest"]["rest_s"] == pytest.approx([0.0, 7.49], abs=0.02)
-    assert "No still phase: the mean rate from 0.0 to 7.5 s" in undrift.good(*words).out
-    assert "wanted a still phase" in undrift.refused("orient", words[1], "--offset", "rest", "-o", tmp_path / "o.csv")
-
-
-@pytest.mark.slow
-def test_pitch_by_axes_that_do_not_point_up_is_a_finding_of_each_trial(undrift, bench):
-    words = ["validate", bench / "corrected.parquet", "--reference", bench / "reference.parquet", "--offset", "none"]
-    told = undrift.good(*words, "--up", "+y", "--json").json()["trials"][0]
-    (item,) = (one for one in told["findings"] if one["code"] == "orient.pitch_axes")
-    assert (item["level"], item["values"]["up"], sorted(item["values"]["forward"])) == ("warn", "+z", ["+x", "-x"])
-    assert "Pitch by forward +x and up +y" in undrift.good(*words, "--up", "+y").out
-    assert "Pitch by" not in undrift.good(*words).out

@@ -15,8 +15,6 @@ from undrift.study.compare import ComparedRow, LevelComparison
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
-LEVELS = ["uncalibrated", "constants", "static tables", "all tables", "rest offset", "motion offset"]
-
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory):
@@ -35,63 +33,6 @@ def words(folder, people=("a", "b", "c")):
     records = [folder / person / "trial.parquet" for person in people]
     references = [word for person in people for word in ("--reference", folder / person / "reference.parquet")]
     return [*records, *references, "--calibration", folder / "calibration.json"]
-
-
-@pytest.mark.slow
-def test_levels_are_printed_with_verdicts_reasons_and_the_twin(undrift, trials):
-    answer = undrift.good("validate", *words(trials), "--compare", "--labels", trials / "labels.csv")
-    for said in (
-        "Levels of correction",
-        "Simulated against actual",
-        "static tables: missing in 3 of 3 trials: no static table",
-        "mean over people; less: than in the row before, paired",
-        "by a margin of 0.15 deg, at 5 % over all rows, from three people on",
-        "the note states 0.15 deg over 4 s",
-        "mean of rise",
-        "mean of step",
-    ):
-        assert said in answer.out
-    assert "error against the reference in deg" in answer.out  # what validate says without a comparison stays
-
-
-@pytest.mark.slow
-def test_json_holds_each_trial_at_each_level_and_python_has_the_same(undrift, trials, tmp_path):
-    told = undrift.good(
-        "validate", *words(trials), "--compare", "--labels", trials / "labels.csv", "-o", tmp_path / "r", "--json"
-    ).json()
-    found = told["compared"]
-    assert [row["level"] for row in found["rows"]] == LEVELS
-    assert (found["quantity"], found["margin_deg"], found["people"]) == ("pitch", 0.15, ["Ann", "Bea", "Cleo"])
-    assert (found["tasks"], found["recordings"]) == (["rise", "rise", "step"], ["trial"] * 3)
-    rest = found["rows"][4]
-    assert len(rest["actual_deg"]) == len(rest["simulated_deg"]) == len(rest["apart_deg"]) == 3
-    assert rest["decision"]["verdict"] in ("better", "equivalent", "worse", "not decidable")
-    kept = json.loads((tmp_path / "r" / "validation.json").read_text())["compared"]
-    for one in (
-        *kept["rows"],
-        *found["rows"],
-    ):  # the reasons name an option on the command line, an argument in the file
-        one["missing"] = one["missing"].replace("--offset", "`offset`")
-    assert kept == found
-    page = (tmp_path / "r" / "report.html").read_text()
-    assert "Levels of correction: pitch error, rms over the motion" in page
-    again = package.validate(
-        *(trials / person / "trial.parquet" for person in "abc"),
-        reference=[trials / person / "reference.parquet" for person in "abc"],
-        calibration=trials / "calibration.json",
-        compare=True,
-        labels=trials / "labels.csv",
-    )
-    assert again.compared is not None
-    for row, said in zip(again.compared.rows, found["rows"], strict=True):
-        np.testing.assert_array_equal(row.actual_deg, [np.nan if x is None else x for x in said["actual_deg"]])
-
-
-@pytest.mark.slow
-def test_without_labels_trials_of_one_name_count_apart(undrift, trials):
-    found = undrift.good("validate", *words(trials), "--compare", "--json").json()["compared"]
-    assert (found["tasks"], found["people"]) == ([], [])
-    assert found["rows"][4]["decision"] is not None  # three subjects, though they have one name
 
 
 def test_one_trial_has_no_interval_and_no_verdict(undrift, trials):

@@ -1,7 +1,6 @@
 """The exported warm-up against correction/correct.py told the time since power-on, and the stated bytes of a source with all
 parts."""
 
-import re
 import subprocess
 from dataclasses import replace
 
@@ -14,7 +13,6 @@ from testkit.full_calibration import ROUNDINGS, device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.errors import InputError
 from undrift.export.c import export_c
-from undrift.export.losses import losses
 from undrift.model import StaticDrift, WarmUp
 
 EXTRA = [[400.0, -300.0, 200.0], [150.0, -90.0, 70.0], [30.0, -20.0, 10.0], [4.0, -9.0, 3.0], [0.0, 0.0, 0.0]]
@@ -113,55 +111,6 @@ def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(
     assert (out[:before, :3] == out[0, :3]).all()
     assert (np.abs(out[:before, :3] - out[:before, 6:9]) > 0.05).any()
     np.testing.assert_array_equal(out[before:, :3], out[before:, 6:9])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arithmetic", ["float", "double", "fixed"])
-def test_the_estimate_holds_the_warm_up_and_the_lead(arithmetic, tmp_path):
-    whole, bare = (
-        export_c(c) for c in (warming(lag_s=30.0, lag_smooth_s=5.0), device(drift=tables(), adc=ROUNDINGS[1]))
-    )
-    stated, less = (next(c for c in e.costs if c.arithmetic == arithmetic) for e in (whole, bare))
-    assert less.lead_cycles == 0 < stated.lead_cycles
-    assert stated.cycles > less.cycles
-    assert f"{stated.cycles} cycles, and {stated.lead_cycles} of undrift_temperature" in whole.header
-    assert "of undrift_temperature" not in bare.header
-    code = []
-    for exported, cost in ((whole, stated), (bare, less)):
-        write(exported, tmp_path)
-        words = [
-            "gcc",
-            *STRICT,
-            "-c",
-            f"-DUNDRIFT_{arithmetic.upper()}",
-            tmp_path / "undrift.c",
-            "-o",
-            tmp_path / "u.o",
-        ]
-        subprocess.run([*words, "-O0"], check=True)
-        symbols = subprocess.run(["nm", "-S", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
-        assert not re.findall(r" [UbBdDC] ", symbols)  # nothing undefined, nothing writable
-        assert sum(int(size, 16) for size in re.findall(r"^\S+ (\S+) r ", symbols, re.M)) == cost.table_bytes
-        subprocess.run([*words, "-Os"], check=True)
-        sections = subprocess.run(["size", "-A", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
-        code.append(int(re.findall(r"^\.text\s+(\d+)", sections, re.M)[0]))
-    more, estimate = code[0] - code[1], stated.code_bytes - less.code_bytes
-    show(f"{arithmetic}: warm-up and lead, bytes of code on this machine", more, f"estimate {estimate}, factor 2")
-    assert 0.5 < code[0] / stated.code_bytes < 2.0 or arithmetic == "double"  # double is done by a library there
-    assert 0.5 < more / estimate < 2.0 or arithmetic == "double"
-
-
-@pytest.mark.slow
-def test_the_header_tells_of_the_second_entry_and_without_a_warm_up_there_is_none():
-    exported = export_c(warming())
-    assert "it is zero from 901.3 s on" in exported.header
-    assert (
-        "undrift_correct_since, which takes the time since power-on; undrift_correct leaves it in" in exported.notes[0]
-    )
-    assert "2 offset(T) and warm-up" in exported.header
-    assert not [text for text in exported.not_carried if "power-on" in text]
-    assert [item for item in losses(warming(), frozenset()) if "extra offset after power-on" in item.text]
-    assert "correct_since" not in export_c(device(drift=tables())).header
 
 
 def test_a_warm_up_without_offsets_over_temperature_is_carried_too(tmp_path):

@@ -2,7 +2,6 @@
 
 import sys
 
-import h5py
 import numpy as np
 import pytest
 
@@ -57,20 +56,6 @@ def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
     )
     with pytest.raises(InputError, match="column 'w': wanted a number in every row, got 2 empty"):
         read_csv(tmp_path / "r.csv", unmapped)
-
-
-@pytest.mark.slow
-def test_hdf5_of_each_kind_is_told_apart(tmp_path):
-    with h5py.File(tmp_path / "m.mat", "w") as handle:
-        handle["w"] = np.zeros((3, 5))
-        handle["w"].attrs["MATLAB_class"] = np.bytes_("double")
-    with h5py.File(tmp_path / "o.h5", "w") as handle:
-        handle["w"] = np.zeros((3, 5))
-    assert detect(tmp_path / "m.mat") == "mat"
-    assert detect(tmp_path / "o.h5") == "hdf5"
-    assert "HDF5 of an unknown kind" in describe(tmp_path / "o.h5").summary
-    with pytest.raises(FileFormatError, match="wanted a recording, got HDF5 of an unknown kind"):
-        read_record(tmp_path / "o.h5")
 
 
 def test_folders_are_told_by_the_files_in_them(tmp_path):

@@ -1,6 +1,5 @@
 """The registry of formats: every row is sound, and another package adds one through an entry point."""
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,18 +92,6 @@ def test_a_format_of_another_package_is_read_and_described(site, tmp_path):
     assert [len(part) for part in iter_record(tmp_path / "a.log", rows=200)] == [200, 100]
     found = describe(tmp_path / "a.log")
     assert (found.kind, found.format, found.rows, found.units[1]) == ("recording", "logger", 300, ("gyro", "dps"))
-
-
-@pytest.mark.slow
-def test_undrift_info_shows_a_format_of_another_package(site, tmp_path, monkeypatch):
-    install(site, POINTS)
-    log(tmp_path / "a.log")
-    monkeypatch.setenv("PYTHONPATH", f"{site}:{Path(undrift.__file__).parents[1]}")
-    done = subprocess.run(
-        [sys.executable, "-m", "undrift", "info", tmp_path / "a.log"], capture_output=True, text=True, check=True
-    )
-    assert "recording (logger)" in done.stdout
-    assert "300 samples at 100 Hz" in done.stdout
 
 
 def test_a_format_of_another_package_never_replaces_one_of_undrift(site, tmp_path):

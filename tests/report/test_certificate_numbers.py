@@ -54,22 +54,6 @@ def calibration():
     return calibrate(simulate_session("bench", random_device(rng), rng=rng))
 
 
-@pytest.mark.slow
-def test_every_triad_has_three_rows_under_heads_with_units(calibration):
-    for triad, section in zip((calibration.accel, calibration.gyro), calibration_sections(calibration), strict=True):
-        heads, rows = section.columns, section.rows
-        assert [row[0] for row in rows] == ["x", "y", "z"]
-        assert all(len(row) == len(heads) == 6 for row in rows)
-        assert triad.unit_in in heads[4]
-        assert f"{triad.unit_in} per {triad.unit_out}" in heads[5]
-        for k, row in enumerate(rows):
-            shown, sigma = read_back(row[1 + k])
-            assert shown == pytest.approx(
-                triad.matrix[k, k], abs=0.51 * 10.0 ** -len(row[1 + k].partition("(")[0].partition(".")[2])
-            )
-            assert 0.0 < sigma < 0.1 * abs(shown)
-
-
 def test_notes_give_residual_rank_range_and_g_sensitivity(calibration):
     (section,) = calibration_sections(replace(calibration, accel=None))
     assert "rad/s rms over" in section.text[1]

@@ -186,19 +186,6 @@ def test_long_names_of_recordings_and_protocols_are_written_in_lines_that_fit(na
     assert LONG in re.sub(r"<[^>]*>", "", shown)  # in several lines, none of it lost
 
 
-@pytest.mark.slow
-def test_a_legend_has_as_many_columns_as_its_names_leave_room_for():
-    columns = []
-    for names in (("x", "y", "z"), ("equivalent to the optimum", "worse than the optimum"), (LONG, "x")):
-        figure, (axes,) = new_figure(1)
-        for place, name in enumerate(names):
-            axes.plot([0.0, 1.0], [place, place], label=name)
-        legend_above(axes)
-        assert cut_texts(figure) == []
-        columns.append(axes.get_legend()._ncols)
-    assert columns == [3, 1, 1]
-
-
 def test_what_is_cut_is_noticed():
     figure, (axes,) = new_figure(1)
     axes.set_title(LONG, loc="left")

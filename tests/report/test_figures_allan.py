@@ -29,23 +29,6 @@ def test_every_triad_has_a_panel_with_its_unit_and_names(triads):
     assert svg_of(draw_allan(found, title="rest: Allan deviation")) == text
 
 
-@pytest.mark.slow
-def test_the_band_ends_at_the_limits_of_the_deviation_and_the_line_is_the_fitted_model():
-    found = fit_noise(Record(time=TIME, **BOTH))
-    panel = draw_allan(found, title="").axes[1]
-    edge = panel.collections[2].get_paths()[0].vertices[:, 1]
-    for limit in found.accel_limits[:, :, 2]:
-        assert all(np.isclose(edge, value, rtol=1e-12).any() for value in limit)
-    assert (found.accel_limits[0] < found.accel_adev).all()
-    assert (found.accel_adev < found.accel_limits[1]).all()
-    model = panel.lines[5].get_ydata()  # of z: points and line of each axis
-    white = found.accel[2].angle_random_walk.value / np.sqrt(found.taus_s)
-    others = (found.accel[2].bias_instability, found.accel[2].rate_random_walk, found.accel[2].quantization)
-    if all(np.isnan(term.value) for term in others):
-        np.testing.assert_allclose(model, white, rtol=1e-12)
-    assert (model >= white * (1.0 - 1e-12)).all()
-
-
 def test_each_coefficient_is_marked_where_it_is_read():
     time = np.arange(400_000) / 100.0
     rate = RNG.normal(0.0, 1e-3, (400_000, 3)) + np.cumsum(RNG.normal(0.0, 1e-5, (400_000, 3)), axis=0)

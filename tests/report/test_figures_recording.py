@@ -104,17 +104,6 @@ def test_a_recording_without_rest_gives_the_reason():
     assert "too restless" in reason
 
 
-@pytest.mark.slow
-def test_a_rate_table_session_names_turns_without_a_rate_and_other_temperatures():
-    device = random_device(np.random.default_rng(7))
-    session = simulate_session("bench", device, rng=np.random.default_rng(8))
-    pieces, _, text = drawn(session, made=calibrate(session))
-    used = [piece for piece in pieces if piece.kind == "turn" and not piece.why]
-    assert len(used) == sum(turn.turn_rate is not None for turn in session.turns)
-    assert all("deg/s" in piece.label for piece in used)
-    assert f"{len(used)} turns used" in text
-
-
 @pytest.mark.parametrize(
     ("turn", "label", "why"),
     [
@@ -130,19 +119,3 @@ def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
     session = session_of(record, stills=(Still(start=60, stop=200),), turns=(turn,))
     (piece,) = [piece for piece in pieces_of(session, calibration=made)[0] if piece.kind == "turn"]
     assert (piece.label, piece.why) == (label, why)
-
-
-@pytest.mark.slow
-def test_stills_at_another_temperature_are_left_out_with_that_reason():
-    rng = np.random.default_rng(3)
-    record = Record(time=np.arange(900) / 50.0, accel=[0.0, 9.81, 0.0] + 0.01 * rng.standard_normal((900, 3)))
-    stills = tuple(
-        Still(start=300 * k, stop=300 * k + 250, temp_c=temp_c, face=face)
-        for k, (temp_c, face) in enumerate(((25.0, "+y"), (25.0, None), (45.0, "+y")))
-    )
-    made = calibrate(simulate_session("bench", random_device(np.random.default_rng(7)), rng=np.random.default_rng(8)))
-    pieces, _, text = drawn(session_of(record, stills=stills), made=made)
-    assert [piece.why for piece in pieces] == ["", "no face up", "another temperature"]
-    assert "2 stills used" not in text
-    for label in ("1 still used", "2 pauses left out", "left out: 1 pause (no face up); 1 pause (another temperature)"):
-        assert label in text, label

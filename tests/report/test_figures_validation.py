@@ -199,15 +199,3 @@ def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
     assert len(drawn["pitch"].get_ydata()) < 4001
     (shade,) = panel.patches
     assert shade.get_x() == pytest.approx(20_001 / 286.0)
-
-
-@pytest.mark.slow
-def test_the_page_is_written_with_a_picture_for_each_trial(result, tmp_path):
-    write_page(tmp_path / "r.html", replace(METHOD, result=result).summary())
-    text = (tmp_path / "r.html").read_text()
-    assert "Against the reference: 3 recordings" in text
-    assert "deg rms in total and" in text
-    assert text.count("<svg") == 5  # the errors of all, the agreement, a course each
-    for name in ("a: sagittal pitch", "b: sagittal pitch", "c: sagittal pitch", "pitch (deg)", "rmse (deg)"):
-        assert name in text
-    assert len(text) < 2_000_000

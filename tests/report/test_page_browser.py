@@ -1,10 +1,7 @@
 """Pages of the commands as a reader meets them: whole, on a wide and a narrow screen, light and dark, and on paper."""
 
 import json
-import re
 import shlex
-from dataclasses import replace
-from html import unescape
 from itertools import cycle, product
 from pathlib import Path
 
@@ -20,14 +17,12 @@ from undrift.calibration.observe import CalibrateSettings
 from undrift.calibration.pieces import pieces_of
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
-from undrift.commands.certificate import certificate_content, departures_words, expanded_words, stated
 from undrift.commands.rig import Ran
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
-from undrift.report.certificate import draw_calibration
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
 from undrift.report.page import write_page
 from undrift.rig.folder import RecordedDwell
@@ -122,21 +117,6 @@ def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_page_says_what_it_was_made_from_and_when(pages: Path) -> None:
-    text = (pages / "validate.html").read_text()
-    assert "2027-01-15T08:00:00+00:00" in text
-    assert "undrift validate trial.parquet --reference reference.parquet --calibration c.json --report" in text
-    assert re.findall(r'<th scope="row">([\w.]+)</th><td>[0-9a-f]{64}</td>', text) == [
-        "trial.parquet",
-        "reference.parquet",
-        "c.json",
-    ]
-    again = (pages / "again.html").read_text()  # the older spelling, the same page but for the words of the command
-    first = (pages / "calibrate.html").read_text()
-    assert re.sub(r"<code>.*?</code>", "", again) == re.sub(r"<code>.*?</code>", "", first)
-
-
-@pytest.mark.slow
 def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
     session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
     pieces, _ = pieces_of(session, CalibrateSettings(), made)
@@ -161,59 +141,6 @@ def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -
         "information (%)",
     ):
         assert part in text
-
-
-@pytest.mark.slow
-def test_a_calibration_is_headed_by_the_uncertainty_of_its_certificate_and_residuals_are_called_so(pages: Path) -> None:
-    text = (pages / "calibrate.html").read_text()
-    answer = unescape(re.search(r'<p class="answer">(.*?)</p>', text)[1])
-    rows = certificate_content(read_calibration(pages / "c.json"))["triads"]
-    zero = max((row[4].split()[0] for row in rows[0]["results"] if row[0].startswith("offset")), key=float)
-    assert f"; offset at rest {zero} deg/s, gravity within " in answer
-    assert re.match(r"After 60 s the pitch is good to [\d.]+ deg; ", answer)
-    for triad in rows:  # the largest U of each block of its results, in the same digits
-        said = re.search(rf"{triad['title'].lower()} up to ([^;]*)", unescape(text))[1]
-        for unit in ("mg", "deg/s", "%"):
-            of_unit = [row[4].split() for row in triad["results"] if row[4].partition(" ")[2] == unit]
-            assert not of_unit or f"{max((one[0] for one in of_unit), key=float)} {unit} of" in said
-    assert "reproduce" not in answer
-    section = text[text.index("<h3>Residuals of the fit") :]
-    assert section.index("gravity to") < section.index("<svg") < section.index("Residual of each pose and dwell")
-
-
-@pytest.mark.slow
-def test_a_calibration_is_drawn_without_limits_that_no_device_of_the_file_states(pages: Path) -> None:
-    assert "data sheet" not in (pages / "calibrate.html").read_text()
-    made = read_calibration(pages / "c.json")
-    figure = draw_calibration(made)
-    assert [patch for axes in figure.axes for patch in axes.patches] == []
-    bars = figure.axes[0].collections[0].get_segments()  # of the certificate: k = 2 or Student's
-    expanded = stated(made.gyro).expanded
-    percent = 100.0 * float(made.gyro.scale_factor.mean())
-    assert [np.ptp(bar[:, 1]) / 2.0 for bar in bars] == pytest.approx(percent * expanded[:9])
-
-
-@pytest.mark.slow
-def test_what_no_fit_has_shown_is_said_in_the_headline_and_a_unit_is_what_readings_depart_from(pages: Path) -> None:
-    gyro = read_calibration(pages / "c.json").gyro
-    offsets = np.diag(np.append(np.zeros(9), np.ones(3)))
-    rests = replace(gyro, unit_in="dps", parameters=gyro.parameters[:12], covariance=offsets, budget=None)
-    words = r"gyroscopes up to [\d.e-]+ deg/s of zero-rate output \(scale factor and cross-axis sensitivity not calibrated\)"
-    assert re.fullmatch(words, expanded_words("gyro", rests))
-    assert departures_words("gyro", rests).startswith("Gyroscopes: departures from the unit of the readings, dps")
-    unknown = replace(gyro, covariance=np.full_like(gyro.covariance, np.nan), budget=None)
-    assert expanded_words("gyro", unknown) == "gyroscopes not known"
-
-
-@pytest.mark.slow
-def test_repeated_poses_share_what_one_alone_would_give(pages: Path) -> None:
-    made = read_calibration(pages / "c.json")
-    session = read_session(pages / "session")
-    _, judged = judge_pieces(session, pieces_of(session, CalibrateSettings(), made)[0], CalibrateSettings(), made)
-    first = leverages(judged, made)
-    twice = leverages([*judged, judged[0]], made)
-    assert twice[0] == pytest.approx(twice[-1], rel=1e-9)
-    assert first[0] < twice[0] + twice[-1] < 2.0 * first[0]
 
 
 def as_deuteranope(colour: str) -> np.ndarray:

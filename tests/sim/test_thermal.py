@@ -1,16 +1,12 @@
 """Thermal sessions hold what the device does at the temperatures of the programme, whatever is recorded of it."""
 
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from testkit.data import show
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.io.session import read_session, write_session
 from undrift.sim.device.effects import RandomWalk, Sampling, ThermalHysteresis, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
@@ -190,45 +186,6 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
         column = record.gyro[:, "xyz".index(turn.axis or "")]  # type: ignore[index]
         assert turn.stop - turn.start == pytest.approx(40, abs=1)
         assert np.ptp(column[turn.start + 20 : turn.stop]) < 0.5  # counts, of some 600 that the rate makes
-
-
-@pytest.mark.slow
-def test_a_thermal_session_reads_back_as_it_was_written(tmp_path: Path) -> None:
-    settings = replace(SHORT, drop_temperature=True, recorded="throughout", one_record=False)
-    for made in (
-        simulate_thermal_session("soak", preset("mpu6050"), rng=rng(), settings=SHORT),
-        simulate_thermal_session("soak", preset("enc03j_3031"), rng=rng(), settings=settings),
-    ):
-        folder = tmp_path / made.serial
-        write_session(made, folder)
-        back = read_session(folder)
-        assert (back.kind, back.serial, back.stills, len(back.turns)) == ("thermal", made.serial, made.stills, 36)
-        for read, wrote in zip(back.turns, made.turns, strict=True):
-            assert (read.start, read.stop, read.recording, read.temp_c) == (
-                wrote.start,
-                wrote.stop,
-                wrote.recording,
-                wrote.temp_c,
-            )
-            assert read.turn_rate == pytest.approx(wrote.turn_rate)
-        for one, other in zip(back.records, made.records, strict=True):
-            np.testing.assert_array_equal(one.time, other.time)
-            np.testing.assert_array_equal(one.gyro, other.gyro)  # type: ignore[arg-type]
-            if other.temp_c is None:
-                assert one.temp_c is None
-            else:
-                np.testing.assert_array_equal(one.temp_c, other.temp_c)  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_the_full_programme_of_the_note_is_simulated_in_seconds() -> None:
-    start = time.perf_counter()
-    session = simulate_thermal_session("soak", preset("enc03j_3031"), rng=rng())
-    took = time.perf_counter() - start
-    assert len(session.turns) == 12 * 3 * 36
-    assert session.records[0].temp_c is not None
-    show(f"12 soaks x 3 axes x 36 rates, {len(session.records[0])} samples, s", round(took, 2), 20.0)
-    assert took < 20.0  # one to three on an idle core
 
 
 @pytest.mark.parametrize(

@@ -235,29 +235,3 @@ def test_a_recording_without_a_rest_starts_from_the_reference(start_s):
     # A poor start or a missed half sample would leave 0.3 deg.
     assert found.figures.rmse_total_after_lag_deg < 0.03
     assert found.figures.end_total_deg < 0.3  # of the last three seconds of the motion, half a sample late
-
-
-@pytest.mark.slow
-def test_without_a_rest_nothing_is_subtracted_but_what_motion_shows():
-    offset = np.array([0.004, -0.006, 0.005])
-    record, reference = make_recording(np.random.default_rng(6), Device(noise=1e-4, offset=offset), mark=False)
-    record = record.between(9.0, 66.0)
-    at_rest, moved = (validate_trial(record, reference, settings=TrialSettings(offset=o)) for o in ("rest", "motion"))
-    assert at_rest.rest is None
-    assert "validate.no_rest_offset" in [one.code for one in at_rest.findings]
-    assert moved.rest is not None
-    assert moved.rest.rest_s is None
-    assert np.abs(moved.rest.at(record.time).mean(axis=0) - offset).max() < 5e-4
-    assert moved.figures.rmse_inclination_deg < 0.2 < 5.0 < at_rest.figures.rmse_inclination_deg
-
-
-@pytest.mark.slow
-def test_rows_that_fill_a_file_up_are_left_out_with_a_word():
-    record, reference = make_recording(np.random.default_rng(7), Device(noise=1e-3), mark=False)
-    ended = record.between(9.0, 66.0)
-    gyro, accel = (np.concatenate((v, np.repeat(v[-1:], 600, axis=0))) for v in (ended.gyro, ended.accel))
-    filled = replace(ended, time=9.0 + np.arange(len(gyro)) / 200.0, gyro=gyro, accel=accel)
-    found = validate_trial(filled, reference)
-    (word,) = (one for one in found.findings if one.code == "recording.padded")
-    assert word.values["padded_s"] == pytest.approx(3.0)
-    assert found.figures.rmse_total_deg == pytest.approx(validate_trial(ended, reference).figures.rmse_total_deg)

@@ -5,12 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.data import show
-from testkit.motion_of_poses import motion_from_poses
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.frames import integrate_strapdown
 from undrift.sim.device.effects import (
     Adc,
     Amplifier,
@@ -22,13 +19,11 @@ from undrift.sim.device.effects import (
     Thermometer,
     WhiteNoise,
 )
-from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
-from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
-from undrift.validation.trial import compare_orientations
 
 SHORT = BenchSettings(still_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
 
@@ -40,25 +35,6 @@ def test_the_true_calibration_undoes_a_reading_without_noise() -> None:
     done = correct(record, true_calibration(device, temp_c=40.0))
     np.testing.assert_allclose(done.accel, motion.force_b, atol=1e-10)
     np.testing.assert_allclose(done.gyro, motion.mean_rate_b, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_pose_to_device_to_correction_to_strapdown_closes_within_a_hundredth_of_a_degree() -> None:
-    rng = np.random.default_rng(4)
-    task = draw_task("free", rng=rng, rest_s=30.0)  # 30 + 60 + 30 s
-    optics = OpticsSettings(sample_rate_hz=120.0, angle_sd=0.0, position_sd=0.0, gaps=0)
-    motion = motion_from_poses(see(task, rng=rng, settings=optics), gravity_m_s2=9.81, sample_rate_hz=286.0)
-    assert motion.time[-1] - motion.time[0] > 119.5
-    unit = random_device_of("enc03j_3031", rng).without_noise()
-    bare = replace(unit.gyro, nonlinearity=None, rate_drift=None, hysteresis=None, warm_up=None, low_pass=None)
-    for device in (random_device(rng).without_noise(), replace(unit, gyro=bare, sampling=Sampling())):
-        done = correct(simulate_device(device, motion, rng=rng).record, true_calibration(device))
-        assert done.gyro is not None
-        # The note's device: the g-term is corrected with its own accelerometer, which is bent and comes 20 ms late.
-        q = integrate_strapdown(done.gyro, motion.time, motion.q_nb[0])
-        error = np.degrees(compare_orientations(q, motion.q_nb).total).max()
-        show(f"noise-free loop over 120 s at 286 Hz, {device.name}, largest error, deg", f"{error:.2e}", 0.01)
-        assert error < 0.01
 
 
 def test_truth_and_contributions_add_up_to_the_reading() -> None:

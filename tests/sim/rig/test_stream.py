@@ -3,30 +3,24 @@
 import socket
 import struct
 import threading
-import time
 
 import numpy as np
 import pytest
 
-from testkit.waiting import eventually
 from undrift.arrays import frozen
-from undrift.base.clock import Clock, VirtualClock
+from undrift.base.clock import VirtualClock
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.live.decoder import FrameDecoder, LineDecoder, StreamDescription
-from undrift.live.recorder import DwellReadings, Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
-from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
-from undrift.rig.rig import open_rig
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import EARTH_RATE
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.rig.emulator import AirSettings, BenchHands, EmulatedBench, EmulatedBenchSettings, EmulatorSettings
+from undrift.sim.rig.emulator import BenchHands, EmulatedBench, EmulatedBenchSettings
 from undrift.sim.rig.stream import CHANNELS, CausalDevice, EmulatedDevice, StreamSettings, frame_of, line_of
 from undrift.units import STANDARD_GRAVITY
 
 DEVICE = random_device(np.random.default_rng(8), grade="consumer", serial="HIDDEN-1")
-SPEED = 20.0
 
 
 class Table:
@@ -200,47 +194,6 @@ def test_what_cannot_be_is_refused():
         StreamSettings(framing="xml")
     with pytest.raises(InputError, match=r"emulated device: wanted sample_rate_hz above 0, got 0"):
         StreamSettings(sample_rate_hz=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["galil", "grbl"])
-def test_a_whole_bench_works_over_its_sockets(kind):
-    settings = EmulatedBenchSettings(
-        rig=EmulatorSettings(kind=kind, speed=SPEED),
-        air=AirSettings(ramp_c_per_min=60.0, period_s=20.0, board_lag_s=5.0),
-        device=DEVICE,
-    )
-    with EmulatedBench(settings) as bench, Recorder(source_at(bench.device_address)) as recorder:
-        dwells = DwellReadings(recorder)
-        BenchHands(bench.hands_address).mount("+x")
-        rig = open_rig(bench.rig_address)
-        try:
-            rig.enable(True)
-            rig.set_acceleration(10.0)
-            achieved = rig.turn(1.0)
-            time.sleep(0.1)
-            begun = time.monotonic()
-            dwells.start()
-            time.sleep(0.25)
-            turning = dwells.stop()
-            turned_s = (time.monotonic() - begun) * SPEED
-        finally:
-            rig.close()
-        soak = SoakSettings(window_s=20.0)
-        with open_chamber(bench.chamber_address, ChamberSetup(clock=Clock(SPEED), soak=soak)) as chamber:
-            chamber.set(35.0)
-            eventually(chamber.soaked, "the air is steady")
-            dwells.start()
-            time.sleep(0.25)
-            warm = dwells.stop()
-        recorder.stop()
-    true = DEVICE.gyro.forward_matrix[0, 0]
-    assert (turning.gyro[:, 0].mean() - warm.gyro[:, 0].mean()) / achieved == pytest.approx(true, rel=0.02)
-    assert turning.accel[:, 0].mean() == pytest.approx(DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.1)
-    assert 0.2 * SPEED < turning.duration_s <= turned_s
-    assert warm.temp_c.mean() - turning.temp_c.mean() == pytest.approx(10.0, abs=1.0)
-    assert abs(recorder.timeline.clock().rate_error) < 1e-3
-    assert recorder.timeline.marker.missing == recorder.source.errors == 0
 
 
 def test_hands_mount_over_their_socket_or_say_why_not():
