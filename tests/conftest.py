@@ -3,7 +3,6 @@
 What modules share is computed once in a run, whichever processes run them; see ``testkit.remembered``.
 """
 
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,6 @@ import pytest
 from hypothesis import settings
 
 from testkit.remembered import put_everywhere, remembered, run_folder
-
-os.environ["UNDRIFT_REGISTRY"] = os.path.join(os.sep, "nowhere", "registry.sqlite")  # never that of a person
 
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("hunt", deadline=None, max_examples=3000)

@@ -11,7 +11,6 @@ UndriftError
   AlignmentError               two recordings cannot be brought together
   RigError                     a rate table or device failed
     LinkError, RigTimeout, RigFault, LimitError
-  RegistryError                the registry of devices refused
 """
 
 
@@ -87,10 +86,6 @@ class RigFault(RigError):
 
 class LimitError(RigError):
     """A move outside the rig's limits, refused before a byte is sent."""
-
-
-class RegistryError(UndriftError):
-    """The registry of devices and calibrations refused."""
 
 
 def check_positive(settings: object, what: str, advice: str, *names: str) -> None:

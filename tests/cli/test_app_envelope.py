@@ -37,10 +37,6 @@ GOOD = {  # a call of each command, and the kind of its answer
     "mount": ("mount {bench}/corrected.parquet --worn lower-back", "undrift.mount"),
     "record": ("record", "undrift.record"),
     "certificate": ("certificate {bench}/calibration.json -o {here}/c.pdf", "undrift.certificate"),
-    "registry add": ("registry add {bench}/calibration.json", "undrift.registry_add"),
-    "registry list": ("registry list", "undrift.registry_list"),
-    "registry due": ("registry due", "undrift.registry_due"),
-    "registry import": ("registry import {bench}", "undrift.registry_import"),
     "data list": ("data list", "undrift.data_list"),
     "data fetch": ("data fetch sample -o {here}/sample", "undrift.data_fetch"),
     "simulate": ("simulate sit_to_stand --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
@@ -55,11 +51,7 @@ ELSEWHERE = {
     "rig status",
     "rig check",
     "bench",
-    "registry show",
-    "registry find",
-    "registry trend",
-    "registry prior",
-}  # long, or on sockets, or of a registry with entries
+}  # long, or on sockets
 BAD = {  # a call that is refused, and the kind that a good answer would have
     **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
     **{name: (f"{name} nowhere.csv", "undrift.calibration") for name in ("calibrate", "drift")},
@@ -75,14 +67,6 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "certificate": ("certificate nowhere.json -o {here}/c.pdf", "undrift.certificate"),
     "data list": ("data list more", "undrift.data_list"),
     "data fetch": ("data fetch nowhere", "undrift.data_fetch"),
-    "registry add": ("registry add nowhere.json", "undrift.registry_add"),
-    "registry list": ("registry list --serial nobody", "undrift.registry_list"),
-    "registry show": ("registry show 9", "undrift.registry_show"),
-    "registry find": ("registry find --serial nobody", "undrift.registry_find"),
-    "registry due": ("registry due --within-days -1", "undrift.registry_due"),
-    "registry trend": ("registry trend --serial nobody", "undrift.registry_trend"),
-    "registry prior": ("registry prior nobody", "undrift.registry_prior"),
-    "registry import": ("registry import nowhere", "undrift.registry_import"),
     "export": ("export nowhere.json --target ros -o {here}/c.yaml", "undrift.export"),
     "simulate": ("simulate nowhere --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
     "rig run": ("rig run nowhere.toml --rig manual: --device tcp://127.0.0.1:9 -o {here}/run", "undrift.rig_run"),
@@ -105,7 +89,6 @@ WARM = (
 @pytest.fixture
 def words(bench, tmp_path, monkeypatch):
     """The words of a call."""
-    monkeypatch.setenv("UNDRIFT_REGISTRY", str(tmp_path / "registry.sqlite"))
     (tmp_path / "warm.toml").write_text(WARM)
     at_rest(tmp_path, "rest.csv")
     write_record(read_session(bench / "session").records[0], tmp_path / "bare.parquet")

@@ -88,15 +88,6 @@ def test_what_is_not_stated_is_a_line_and_never_invented(undrift, bench, tmp_pat
     assert [label for label, _ in content["head"]][-3:] == ["Date of issue", "Authorised by", "Signature"]
 
 
-def test_the_registry_has_the_due_date_that_the_certificate_states(undrift, bench, tmp_path):
-    known = ("--register", "--registry", tmp_path / "r.sqlite")
-    answer = undrift.good(
-        "certificate", bench / "calibration.json", "-o", tmp_path / "c.pdf", *STATED, *known, "--json"
-    ).json()
-    assert [one["kind"] for one in answer["registered"]] == ["calibration", "certificate"]
-    assert {one["due_at"][:10] for one in answer["registered"]} == {answer["statement"]["due_date"]}
-
-
 @pytest.mark.parametrize(
     ("words", "text"),
     [

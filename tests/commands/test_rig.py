@@ -73,7 +73,7 @@ def test_a_device_in_an_operators_hands_is_laid_and_turned_over_its_port(tmp_pat
 def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     words = [word for name in ("rig", "device", "operator") for word in (f"--{name}", emulated[name])]
-    page = ["--report", str(tmp_path / "run.html"), "--register", "--registry", str(tmp_path / "registry.sqlite")]
+    page = ["--report", str(tmp_path / "run.html")]
     assert (
         run(
             [
@@ -97,8 +97,6 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
     out, err = capsys.readouterr()
     said = json.loads(out)
     assert (said["dwells"], len(said["turns"])) == (30, 18)
-    (kept,) = said["registered"]
-    assert (kept["kind"], kept["new"], kept["source"]) == ("run", True, str(tmp_path / "run"))
     assert "30 dwells, 0:0" in err
     assert " left  +30 deg/s about x, dwelling  gyro_x" in err
     assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0

@@ -32,7 +32,6 @@ WITHOUT_BLOCKS = {
 def test_the_blocks_of_a_page_run_and_print_what_it_shows(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("UNDRIFT_REGISTRY", str(tmp_path / "registry.sqlite"))
     start = time.perf_counter()
     ran = pages.run_page(page.read_text(), tmp_path)
     print(f"  {page.name}: {ran} blocks in {time.perf_counter() - start:.1f} s")

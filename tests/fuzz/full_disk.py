@@ -109,18 +109,11 @@ CALLS = {
     "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
     "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
     "data": Call("data fetch sample -o {o}/sample", fresh=True, together=True),
-    "registry add": Call("registry add {b}/calibration.json --registry {o}/r.sqlite", fresh=True),
-    "registry show": Call("registry show 1 --registry {b}/r.sqlite -o {o}/c.json"),
-    "registry find": Call("registry find --serial {serial} --registry {b}/r.sqlite -o {o}/c.json"),
-    "registry import": Call("registry import {b}/old --registry {o}/r.sqlite", fresh=True),
-    "registry trend": Call(
-        "registry trend --serial {serial} --registry {b}/r.sqlite --figure {o}/t.svg --report {o}/t.html"
-    ),
     "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
     "record .parquet": Call("record {device} -o {o}/x.parquet --duration-s 5", fresh=True, live=True),
     "demo": Call("demo --quick --out {o}/demo", fresh=True, slow=True),
 }
-FEW = ("info --write-map", "correct .csv", "export c", "registry add")
+FEW = ("info --write-map", "correct .csv", "export c")
 
 
 def make_inputs(folder: Path, *, soak: bool) -> str:
@@ -152,10 +145,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     rows = np.column_stack((trial.time, trial.gyro, trial.accel))[:500]
     np.savetxt(folder / "foreign.csv", rows, "%.6f", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
     (folder / "study.toml").write_text(STUDY)
-    (folder / "old").mkdir()
-    shutil.copy(folder / "calibration.json", folder / "old")
     first = read_calibration(folder / "calibration.json")
-    write_calibration(replace(first, gyro=replace(first.gyro, offset=1.01 * first.gyro.offset)), folder / "second.json")
     (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
     worn = BodyMounting(place="lower-back", matrix=np.eye(3), covariance=3e-4 * np.eye(3), basis="posture")
@@ -166,10 +156,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     (folder / "people" / "trials.csv").write_text(TRIALS)
     write_record(walk(rng, q_ab=np.array([1.0, 0.0, 0.0, 0.0]), bouts=3), folder / "walk.parquet")
     write_calibration(perfect_calibration(), folder / "perfect.json")
-    for words in (
-        *soaks,
-        f"registry add {folder}/calibration.json {folder}/second.json --registry {folder}/r.sqlite",
-    ):
+    for words in soaks:
         with contextlib.redirect_stdout(io.StringIO()):
             assert run(words.split()) in (0, 1), words
     return first.device

@@ -88,7 +88,7 @@ def rig_run() -> Ran:
         for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
     ]  # fmt: skip
     result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
-    return Ran(output=Path("run"), result=result, registered=[])
+    return Ran(output=Path("run"), result=result)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 FORKS = get_context("forkserver")
-COMMANDS = ("calibrate", "certificate", "correct", "drift", "info", "orient", "register", "registry", "validate")
+COMMANDS = ("calibrate", "certificate", "correct", "drift", "info", "orient", "validate")
 IMPORTED = ("undrift.web.app", "undrift.cli.bench", "undrift.report.page", "undrift.report.figures", "scipy.stats")
 FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
 
@@ -38,9 +38,9 @@ class BenchServer:
         return int(self.address.split(":")[2].partition("/")[0])
 
 
-def environment_of(folder: Path) -> dict[str, str]:
-    """Return the environment of a bench's commands: its registry stands beside its folder."""
-    return os.environ | {"UNDRIFT_REGISTRY": str(folder.parent / "registry.sqlite")}
+def environment_of(_folder: Path) -> dict[str, str]:
+    """Return the environment of a bench's commands."""
+    return dict(os.environ)
 
 
 def _serve(words: list[str], environment: dict[str, str], log: Path, out: Connection) -> None:

@@ -40,7 +40,6 @@ COMMANDS = {  # one line of 80 columns each
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
     "certificate": "A calibration certificate with uncertainty budget, as a PDF.",
-    "registry": "Devices and their calibrations: valid, due, changed; --json.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",

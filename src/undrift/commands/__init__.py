@@ -29,8 +29,6 @@ VERBS = (
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
-    "registry": {name: name for name in ("add", "show", "find", "due", "trend", "prior")}
-    | {"list": "list_held", "import": "import_folder"},
     "rig": {name: name for name in ("run", "emulate", "stop", "status", "check")},
     "session": {"new": "new"},
 }
@@ -48,7 +46,7 @@ class Commands(ModuleType):
 
 
 class Command(Commands):
-    """A module of a command's name: ``undrift.twin(...)`` calls it, ``undrift.registry.add(...)`` one of a group."""
+    """A module of a command's name: ``undrift.twin(...)`` calls it, ``undrift.rig.run(...)`` one of a group."""
 
     def __call__(self, *given: Any, **stated: Any) -> Any:
         *_, group, name = self.__name__.split(".")

@@ -24,7 +24,6 @@ from undrift.commands.certificate import answer_sentence, departures_words, rms_
 from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.commands.live_motion import LiveMotion, collect, motion_fit
-from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
@@ -59,7 +58,6 @@ class Calibrated(Result):
     settings: "CalibrateSettings"
     in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
     live: dict[str, Any]  # What was collected of a device
-    registered: list[dict[str, Any]]
     output: Path | None
     figure: Path | None
 
@@ -85,14 +83,14 @@ class Calibrated(Result):
         from undrift.io.store import calibration_json
 
         made, output, lacking = self.calibration, self.output, self.lacking
-        recording, after = output and recording_of(self.files), [*registered_lines(self.registered)]
+        recording, after = output and recording_of(self.files), list[str]()
         if lacking:
             raw = f"no model of the {' and '.join(lacking)}, whose readings stay raw; the verdict says why"
             after.append(f"Not complete: {raw}")
         if output is None:
             after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
         follows = recording is not None and NAMES["accel"] not in lacking
-        shown, more = calibration_summary(made), dict[str, Any](registered=self.registered) if self.registered else {}
+        shown, more = calibration_summary(made), dict[str, Any]()
         if self.in_motion is not None:
             figures, elements = _motion_figures(self, self.in_motion), elements_known(made, self.in_motion)
             rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in elements)
@@ -139,7 +137,6 @@ def calibrate(
     table: Table = Table(),
     sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
-    registering: Registration = Registration(),
     figure: Picture = None,
     progress: Progress = silent,
     screen: Screen = Screen(),
@@ -157,7 +154,7 @@ def calibrate(
     calibrate_from : str
         "pieces" takes rests, faces and turns; "motion" gravity alone while the device is turned or worn, 20 s and more.
     prior : Path or None
-        What devices of this part deviate by, from `undrift registry prior`, for motion; published sizes by default.
+        What devices of this part deviate by, for motion; published sizes by default.
     kind : str or None
         Preset of the device's part, as mpu6050: its sensitivity to temperature, and the lag of its thermometer, are the prior.
     magnetometer : bool
@@ -181,7 +178,6 @@ def calibrate(
     live.check(files, output)
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
     check_figure(figure, reads=files)
-    registering.check()
     if calibrate_from == "motion" or live.live is not None:
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
@@ -204,7 +200,7 @@ def calibrate(
     made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure, live=collected, registered=registering.add(made, source=output))  # fmt: skip
+        figure=figure, live=collected)  # fmt: skip
     if output is not None:
         at("undrift.io.store:write_calibration")(made, output)
     _draw(calibrated, figure)

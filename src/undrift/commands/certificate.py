@@ -27,7 +27,6 @@ from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_o
 from undrift.calibration.settings import FITS
 from undrift.commands.data_sheet import PART, SHOWN, Specification, nominal_of, sheet_words
 from undrift.commands.files import check_output
-from undrift.commands.register import Registration, ValidMonths, registered_lines
 from undrift.errors import InputError
 from undrift.findings import most_consequential_first
 from undrift.units import INHABITED_GRAVITY, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -87,7 +86,6 @@ class Certified(Result):
 
     calibration: "Calibration"
     output: Path
-    registered: list[dict[str, Any]]
     content: dict[str, Any]  # of the certificate
 
     def summary(self) -> Summary:
@@ -100,11 +98,10 @@ class Certified(Result):
         fields, judged = [*content["head"], *content["ambient"]], content["conformity"]
         blank = ", ".join(label.lower() for label, text in fields if not text)
         lines = (*(f"{label}: {text}" for label, text in fields if text), f"Lines to fill in by hand: {blank}.")
-        kept = {"registered": self.registered} if self.registered else {}
         return Summary(
             title=f"Certificate of {model.device or 'a device'}",
             answer=answer_sentence(model),
-            data=named | kept | {"verdict": verdict_json(model.verdict)},
+            data=named | {"verdict": verdict_json(model.verdict)},
             pictures=(figure_of("certificate:draw_calibration", model),),
             sections=(
                 uncertainty_section(model),
@@ -113,7 +110,6 @@ class Certified(Result):
             ),
             verdict=model.verdict,
             written=(self.output,),
-            after=registered_lines(self.registered),
             failed=model.verdict.status == "bad",
         )
 
@@ -145,7 +141,7 @@ class Statement:
     laboratory: str = ""
     customer: str = ""
     operator: str = ""
-    valid_months: ValidMonths = None
+    valid_months: Annotated[int | None, Parameter(help="Months after which the calibration is due again.")] = None
     ambient_temp_c: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
     ambient_humidity_percent: str = ""
     decision_rule: Literal["guard", "simple"] | None = None
@@ -190,7 +186,6 @@ def certificate(
     output: Output,
     statement: Statement = Statement(),
     specification: Specification = Specification(),
-    registering: Registration = Registration(),
 ) -> Certified:
     """Write a calibration certificate: results with expanded uncertainty, budget by source, traceability, limits.
 
@@ -208,10 +203,8 @@ def certificate(
     check_output(output, endings=(".pdf",), reads=(calibration,))
     model = read_calibration(calibration)
     content = certificate_content(model, statement, specification)
-    registering.check(model.device)
     at("undrift.report.certificate:write_certificate")(model, output, content)
-    registered = registering.add(calibration, output, valid_months=statement.valid_months)
-    return Certified(calibration=model, output=output, registered=registered, content=content)
+    return Certified(calibration=model, output=output, content=content)
 
 
 def answer_sentence(calibration: "Calibration") -> str:

@@ -12,6 +12,7 @@ from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, number, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import of_folder
+from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     NamedRest,
     Opening,
@@ -22,7 +23,6 @@ from undrift.commands.files import (
     name_of,
     named_columns,
 )
-from undrift.commands.register import RegistryLookup
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, si_factor
 
@@ -91,6 +91,7 @@ class CorrectedFiles(Result):
     calibration: Path
     model: "Calibration"
     files: tuple[CorrectedFile, ...]
+    notes: tuple[str, ...] = ()  # which calibration was taken from a folder
 
     @property
     def _next(self) -> tuple[object, ...]:
@@ -125,7 +126,7 @@ class CorrectedFiles(Result):
         return Summary(
             title=f"Corrected: {self.files[0].record.name}" + (f" and {len(rows) - 1} more" if several else ""),
             answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
-            data={"calibration": str(self.calibration), "recordings": rows},
+            data={"calibration": str(self.calibration), "recordings": rows, "notes": self.notes},
             pictures=(rests, corrected) if self.files[0].at_rest["rests"] else (corrected,),
             sections=(
                 rows_section("Rests, raw -> corrected (rms)", [*map(_rests_row, self.files)], text=(RESTS,)),
@@ -140,6 +141,7 @@ class CorrectedFiles(Result):
                 Section(title="Warnings and notes", text=remarks),
                 Section(title=f"Calibration, verdict: {verdict.status}", findings=verdict.findings, folded=True),
             ),
+            notes=self.notes,
             written=tuple(file.output for file in self.files),
             next=() if several or self.model.gyro is None else self._next,
         )
@@ -156,8 +158,7 @@ def draw_corrected(path: Path) -> Any:
 @of_folder(".parquet")
 def correct(
     *records: Files,
-    calibration: Path | None = None,
-    registered: RegistryLookup = RegistryLookup(),
+    calibration: Path,
     output: Output,
     applying: TableUse = TableUse(),
     temp_history: str | None = None,
@@ -173,8 +174,8 @@ def correct(
     ----------
     records : Path
         One or more recordings of the calibrated device, or a folder of them.
-    calibration : Path or None
-        calibration.json of the device.
+    calibration : Path
+        calibration.json of the device, or a folder of calibrations: the newest one of the recording's serial number.
     output : Path
         File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
         several, made where it is missing.
@@ -195,7 +196,8 @@ def correct(
         raise InputError(
             "`still_start_s`, `still_stop_s`: wanted `offset` rest or motion beside them, got none; add it"
         )
-    model, calibration = registered.read(calibration, records, opening)
+    chosen = choose_calibration(calibration, records, opening)
+    model, calibration = cast("Calibration", chosen.model), cast("Path", chosen.path)
     targets = targets_of(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
     opening = opening.like(model, calibration)
@@ -216,7 +218,7 @@ def correct(
         if made:
             folder.rmdir()
         raise
-    return CorrectedFiles(calibration=calibration, model=model, files=files)
+    return CorrectedFiles(calibration=calibration, model=model, files=files, notes=chosen.notes)
 
 
 def _history(text: str, model: "Calibration") -> "TempHistory":

@@ -14,8 +14,8 @@ from cyclopts import Parameter
 from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
 from undrift.commands import Progress, part_of, reading, silent
+from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import Opening, check_figure, check_output, ends_of, recording_of, thermal_session
-from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -42,7 +42,6 @@ def drift(
     lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
-    registering: Registration = Registration(),
     progress: Progress = silent,
 ) -> Summary:
     """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.
@@ -54,7 +53,8 @@ def drift(
         changes, daily recordings with a rest in each, or tables of set-points (a map with set_points). Several are combined;
         how far they differ counts as uncertainty. Recordings whose clock runs on within 60 s are one session.
     calibration : Path or None
-        calibration.json of the device. Without it physical units keep their nominal scale, and counts are refused.
+        calibration.json of the device, or a folder of calibrations: the newest one of its serial number. Without it
+        physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
     figure : Path or None
@@ -75,7 +75,7 @@ def drift(
     """
     from undrift.drift.fit import DriftSettings
     from undrift.drift.static import StaticSettings
-    from undrift.io.store import calibration_json, read_calibration, write_calibration
+    from undrift.io.store import calibration_json, write_calibration
 
     if not 0.0 < step_c < math.inf:
         raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
@@ -89,22 +89,21 @@ def drift(
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
     check_figure(figure, reads=(*read, calibration))
-    model = None if calibration is None else read_calibration(calibration)
-    registering.check(None if model is None else model.device)
+    chosen = choose_calibration(calibration, sessions, opening)
+    model, calibration = chosen.model, chosen.path
     fit, first = _fitted(sessions, opening.like(model, calibration), model, settings, progress)
     if figure is not None and fit.gyro_summary is None:
         raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out `figure`")
-    registered = registering.add(fit.calibration, source=output)
     if figure is not None:
         figure_of("drift:draw_offsets", fit.gyro_summary).save(figure)
     if output is not None:
         write_calibration(fit.calibration, output)
     return replace(
         drift_summary(fit),
-        data=calibration_json(fit.calibration) | ({"registered": registered} if registered else {}),
-        notes=tuple(_notes(fit, model, calibration)),
+        data=calibration_json(fit.calibration),
+        notes=(*chosen.notes, *_notes(fit, model, calibration)),
         written=(figure, output),
-        after=(*registered_lines(registered), *(() if output else (NOTHING_WRITTEN,))),
+        after=() if output else (NOTHING_WRITTEN,),
         next=() if output is None or first.means else _next(recording_of(sessions), first, fit, output),
         failed=fit.calibration.verdict.status == "bad",
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from undrift.base.options import OptionalOutput, Picture, verb
 from undrift.base.summary import PICTURES, Drawing, Result, Summary, figure_of, table_section
 from undrift.commands import Progress, reading, silent
+from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.certificate import ANSWERED_S, COVERAGE
 from undrift.commands.data_sheet import PART, sheet_of, sheet_words
 from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
@@ -140,12 +141,12 @@ def noise(
     """
     from undrift.calibration.noise import fit_noise
     from undrift.correction.consistency import check_force
-    from undrift.io.store import read_calibration
 
     reads = (record, calibration, opening.column_map)
     check_figure(figure, reads=reads)
     check_output(output, endings=(*PICTURES, *YAML), reads=reads)
-    model = None if calibration is None else read_calibration(calibration)
+    chosen = choose_calibration(calibration, (record,), opening)
+    model, calibration = chosen.model, chosen.path
     kind = kind or (model.provenance.text(PART) if model else "")
     _ = kind and sheet_of(kind)  # refused before the work
     with reading(progress, 0.3, record):
@@ -167,7 +168,15 @@ def noise(
     ends = {"--start-s": start_s, "--stop-s": stop_s}
     stretch = tuple(word for name, end in ends.items() if end is not None for word in (name, f"{end:g}"))
     written = figure, output
-    return Noise(record=record, fit=fit, verdict=verdict, kind=kind, notes=notes, written=written, stretch=stretch)
+    return Noise(
+        record=record,
+        fit=fit,
+        verdict=verdict,
+        kind=kind,
+        notes=(*chosen.notes, *notes),
+        written=written,
+        stretch=stretch,
+    )
 
 
 def angle_after(axis: "AxisNoise") -> dict[str, float]:

@@ -12,6 +12,7 @@ from undrift.base.options import Flag, Output, Picture, Side, verb
 from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, interval, number, rows_section, today
 from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
+from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns, worn_by
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def orient(
         Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
         sub-.._task-.._tracksys-.._motion.tsv (BIDS).
     calibration : Path or None
-        calibration.json of the device, for a raw recording.
+        calibration.json of the device, for a raw recording; or a folder of calibrations: the newest one of its serial number.
     pdf : Path or None
         One page for a person's file to write, .pdf: angles over time with their band, verdict, calibration, device and date.
     method : str
@@ -179,7 +180,6 @@ def orient(
     """
     from undrift.correction.rest import named_rest
     from undrift.findings import finding
-    from undrift.io.store import read_calibration
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
     from undrift.orientation import orient as find
@@ -187,7 +187,8 @@ def orient(
     reads = (record, calibration, opening.column_map)
     check_output(pdf, endings=(".pdf",), reads=reads)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
-    model = None if calibration is None else read_calibration(calibration)
+    chosen = choose_calibration(calibration, (record,), opening)
+    model, calibration = chosen.model, chosen.path
     with reading(progress, 0.4, record):
         readings = opening.like(model, calibration).read(record)
     progress("integrating", 0.4)
@@ -207,7 +208,8 @@ def orient(
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
     done = Oriented(
-        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier, notes=notes, pdf=pdf,
+        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier,
+        notes=(*chosen.notes, *notes), pdf=pdf,
     )  # fmt: skip
     if pdf is not None:
         device = readings.device or ("" if model is None else model.device)

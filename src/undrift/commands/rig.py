@@ -19,7 +19,6 @@ from undrift.base.options import WRITTEN, Flag, Gravity, Output, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, plus_minus, table_section
 from undrift.commands import Screen
 from undrift.commands.files import device_at
-from undrift.commands.register import Registration, registered_lines
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -71,7 +70,6 @@ class Ran(Result):
 
     output: Path  # Folder of the run
     result: "RunResult"
-    registered: list[dict[str, Any]]  # Entries of the registry
     others: tuple[Path, ...] = ()  # Folders of the other devices on the table
 
     def summary(self) -> Summary:
@@ -87,7 +85,6 @@ class Ran(Result):
             for one in turns
         ]
         data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
-        data |= {"registered": self.registered} if self.registered else {}
         beside = tuple(zip(self.others, result.others, strict=True))
         data |= {"others": [{"folder": str(path), "dwells": len(one.pieces)} for path, one in beside]} if beside else {}
         achieved = {one.name: plus_minus(one.turn_rate / dps, one.turn_rate_uncertainty / dps) for one in turns}
@@ -113,7 +110,6 @@ class Ran(Result):
             pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
             sections=(table_section("Dwells", result.pieces, cells, on="page"),),
             sources=tuple(path / "session.toml" for path in (self.output, *self.others)),
-            after=registered_lines(self.registered),
             next=("calibrate", self.output, "-o", "calibration.json"),
         )
 
@@ -137,7 +133,6 @@ def run(
     resume: bool = False,
     yes: bool = False,
     progress: Annotated[Path | None, WRITTEN] = None,
-    registering: Registration = Registration(),
     screen: Screen = Screen(),
 ) -> Ran:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
@@ -184,7 +179,6 @@ def run(
     from undrift.rig.run import Watch, run_programme
     from undrift.rig.watch import Guard, StopWatch, one_run, stopping_on_signals
 
-    registering.check()
     asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
     shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
     settings = replace(settings, ask=shown.ask)
@@ -208,12 +202,10 @@ def run(
         first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
         first.serial = serial or first.serial
         bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme)
-        registering.check(min((each.serial for each in (first, *others)), key=len))  # none may lack it
         watch.arm()
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
-    registered = [entry for path in paths.values() for entry in registering.add(path)]
-    return Ran(output=first.folder.path, result=result, registered=registered, others=tuple(paths.values())[1:])
+    return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
 
 
 def forecast(protocol: Path, rig: str) -> "Forecast":

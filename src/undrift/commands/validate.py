@@ -17,6 +17,7 @@ from undrift.base.options import Files, Flag, OptionalOutput, Side, options, ver
 from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import is_plain_folder, of_folder
+from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     Opening,
     Optics,
@@ -117,6 +118,7 @@ class Validated(Result):
     verdict: Verdict  # Of the calibration, or of the fits to the others
     settings: "TrialSettings"  # Offset, ADC, axes of the pitch, search of the lag
     output: Path | None = None
+    notes: tuple[str, ...] = ()  # which calibration was taken from a folder
     compared: "LevelComparison | None" = None  # Levels of correction, where asked for
     rivals: tuple[RivalCalibration, ...] = ()  # Other calibrations, where they are named
 
@@ -180,7 +182,7 @@ class Validated(Result):
             findings=tuple(item for trial in result.trials for item in trial.findings),
             verdict=None if self.calibration is None else self.verdict,
             brief=True,
-            notes=tuple(notes),
+            notes=(*self.notes, *notes),
             written=(self.output,),
         )
 
@@ -321,7 +323,7 @@ def validate(
     place : Place
         With --calibrate-from: local gravity, and the device.
     calibration : Path or None
-        calibration.json of the device.
+        calibration.json of the device, or a folder of calibrations: the newest one of the recordings' serial number.
     calibrate_from : str or None
         "reference" fits the gyroscopes to the references of these recordings, which must be of one device.
     leave_one_out : bool
@@ -354,17 +356,17 @@ def validate(
         Takes how far it is.
     """
     from undrift.calibration.reference import ReferenceSettings
-    from undrift.io.store import read_calibration
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
     _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
     comparing.check()
     check_folder(output)
-    chosen = offset or ("none" if calibration or calibrate_from else "rest")
-    model = None if calibration is None else read_calibration(calibration)
+    offset = offset or ("none" if calibration or calibrate_from else "rest")
+    chosen = choose_calibration(calibration, records, opening)
+    model, calibration = chosen.model, chosen.path
     settings = TrialSettings(
-        offset=chosen, adc=adc, forward=forward or "+x", up=up or "+z", mounting=worn_by(model, forward, up),
+        offset=offset, adc=adc, forward=forward or "+x", up=up or "+z", mounting=worn_by(model, forward, up),
         power_on_s=applying.power_on_s, policy=applying.policy, lag=LagSettings(longest_lag_s=max_lag_s),
         align="level" if optics.of_cluster() and not calibrate_from else "auto",
     )  # fmt: skip
@@ -376,6 +378,7 @@ def validate(
     steps = part_of(progress, READ if fit is None else ALL_FITTED, JUDGED if comparing.compare else 1.0)
     named = (records, optics.reference)
     validated = _judged(pairs, named, (calibration, model), settings, (leave_one_out, steps), fit, (place, session))
+    validated = replace(validated, notes=chosen.notes)
     if comparing.compare:
         validated = replace(validated, compared=comparing.of(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
     validated = replace(validated, rivals=comparing.rivals(validated, pairs))

@@ -1,9 +1,8 @@
-"""Pictures of thermal fits, and the page of a device over years: offset, scale and dynamic drift over temperature, choices.
+"""Pictures of thermal fits: offset, scale and dynamic drift over temperature, choices.
 
 Warming is red and cooling blue; what no data were near is hatched.
 """
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import Alternatives, DriftFit
     from undrift.model import DynamicDrift
-    from undrift.registry.trend import Dated, TrendStep
 
 # ---- pictures
 
@@ -180,56 +178,4 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
     axes.set_yticks(range(len(rows)), names)
     label = "error of held-out soaks and rates\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
-    return figure
-
-
-# ---- how a device changed between its calibrations
-
-NAMES = {"gyro": "gyroscopes", "accel": "accelerometers"}
-
-
-def draw_trend(serial: str, first: "Dated", course: "Sequence[TrendStep]") -> "Figure":
-    """Draw scale factors and offsets of later calibrations less those of the first, with expanded uncertainty (k = 2) as bars."""
-    from matplotlib import rc_context
-
-    panels = [
-        (sensor, what)
-        for sensor in NAMES
-        for what in ("scale", "offset")
-        if any(one.sensor == sensor and one.parameter.startswith(what) for step in course for one in step.changes)
-    ]
-    figure, axes = figures.new_figure(max(1, len(panels)), height=1.6)
-    for panel, (sensor, what) in zip(axes, panels, strict=False):
-        unit = ""
-        for k, axis in enumerate(AXES):
-            held = [
-                (step, one)
-                for step in course
-                for one in step.changes
-                if (one.sensor, one.parameter) == (sensor, f"{what} {axis}")
-            ]
-            unit = held[0][1].unit if held else unit
-            dates = (first.made_at, *(step.until.made_at for step, _ in held))
-            days = np.array([date.replace(tzinfo=None) for date in dates], dtype="datetime64[s]")
-            values, spreads = (
-                [0.0, *(one.change for _, one in held)],
-                [0.0, *(2.0 * one.uncertainty for _, one in held)],
-            )
-            style: Any = {
-                "color": figures.AXIS_COLOURS[k],
-                "linestyle": figures.AXIS_DASHES[k],
-                "marker": figures.AXIS_MARKERS[k],
-                "markersize": 3.5,
-            }
-            panel.errorbar(days, values, yerr=spreads, capsize=2.0, label=axis, **style)
-        panel.axhline(0.0, color=figures.LIMIT, linewidth=0.8)
-        panel.set_ylabel(f"{what} ({unit})")
-        panel.set_title(NAMES[sensor], loc="left", fontsize=9)
-    if panels:
-        axes[0].legend(ncols=3, loc="best")
-    else:
-        axes[0].text(0.5, 0.5, "no calibrations to compare", ha="center", transform=axes[0].transAxes)
-    axes[-1].tick_params(axis="x", rotation=30)
-    with rc_context({"text.parse_math": False}):  # a serial number is no formula
-        figures.entitle(figure, f"{serial}: change since {first.made_at:%Y-%m-%d} (bars: k = 2)")
     return figure

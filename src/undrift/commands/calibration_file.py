@@ -1,0 +1,115 @@
+"""The calibration that a command applies: the file that was named, or the newest one of the recording's device in a folder.
+
+A folder of calibrations, with folders in it, is what a laboratory keeps of its devices. The serial number that a recording states
+selects the files of its device, and the date that each calibration states selects the newest of them.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from undrift.commands.files import Opening
+from undrift.errors import InputError
+
+if TYPE_CHECKING:
+    from undrift.model import Calibration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChosenCalibration:
+    """A calibration and its file."""
+
+    path: Path | None = None
+    model: "Calibration | None" = None  # None if no calibration was named
+    notes: tuple[str, ...] = ()  # which file was taken from a folder
+
+
+def choose_calibration(named: Path | None, recordings: Sequence[Path], opening: Opening) -> ChosenCalibration:
+    """Return the calibration of a file, or the newest one in a folder whose serial number is that of the recordings."""
+    from undrift.io.store import read_calibration
+
+    if named is None:
+        return ChosenCalibration()
+    if not named.is_dir():
+        return ChosenCalibration(path=named, model=read_calibration(named))
+    serials = {serial_of(path, opening) for path in recordings}
+    if len(serials) > 1:
+        raise InputError(
+            f"{named}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration is applied to all "
+            "of them. Run the command once for each device."
+        )
+    (serial,) = serials
+    calibrations = [(path, read_calibration(path)) for path in calibration_files(named)]
+    matches = sorted(
+        ((_created(model), path, model) for path, model in calibrations if model.device == serial), key=lambda x: x[:2]
+    )
+    if not matches:
+        others = (
+            ", ".join(sorted({model.device or "without serial number" for _, model in calibrations}))
+            or "no calibration"
+        )
+        raise InputError(f"{named}: no calibration of {serial} in this folder, which holds {others}. Name the file.")
+    newest = [match for match in matches if match[0] == matches[-1][0]]
+    if len(newest) > 1:
+        names = ", ".join(str(path.relative_to(named)) for _, path, _ in newest)
+        raise InputError(
+            f"{named}: several newest calibrations of {serial} state the same date: {names}. Name one of these files."
+        )
+    (date, path, model), count = newest[0], len(matches)
+    made = "no stated date" if date == datetime.min.replace(tzinfo=UTC) else f"{date:%Y-%m-%d}"
+    note = (
+        f"calibration {path}: the newest of {count} of {serial}, made {made}"
+        if count > 1
+        else f"calibration {path} of {serial}"
+    )
+    return ChosenCalibration(path=path, model=model, notes=(note,))
+
+
+def calibration_files(folder: Path) -> Iterator[Path]:
+    """Yield the calibrations of a folder and of the folders in it; a JSON file that cannot be read is refused."""
+    from undrift.io.store import KIND
+
+    for path in sorted(folder.rglob("*.json")):
+        try:
+            content = json.loads(path.read_bytes())
+        except ValueError as error:
+            raise InputError(
+                f"{path}: this file is no JSON, so it cannot be told whether it is a newer calibration. Repair or remove it."
+            ) from error
+        if isinstance(content, dict) and content.get("kind") == KIND:
+            yield path
+
+
+def serial_of(recording: Path, opening: Opening) -> str:
+    """Return the serial number that a recording or session states; a recording that states none is refused."""
+    from undrift.files import checked_file
+    from undrift.io.formats import detect
+    from undrift.io.inspect import needs_map
+    from undrift.io.session import read_session
+
+    if not recording.is_dir():
+        checked_file(recording)
+    if detect(recording) == "session":
+        serial = read_session(recording).serial
+    elif opening.column_map is None and needs_map(recording):
+        serial = ""  # a table of other columns: only a map could name its device
+    else:
+        serial = next(iter(opening.chunks(recording))).device
+    if not serial:
+        raise InputError(
+            f"{recording}: the recording does not state the serial number of its device, so no calibration can be selected from a "
+            "folder. Name the file with `calibration`."
+        )
+    return serial
+
+
+def _created(model: "Calibration") -> datetime:
+    """Return the date that a calibration states; the earliest of all if it states none."""
+    try:
+        date = datetime.fromisoformat(model.provenance.created)
+    except ValueError:
+        return datetime.min.replace(tzinfo=UTC)
+    return date if date.tzinfo else date.replace(tzinfo=UTC)
