@@ -1,21 +1,15 @@
-"""Mounting: simulated people who stand, walk and bow with a misplaced device, hinges, and a pendulum under cameras."""
-
-import gzip
-import json
-import os
-import subprocess
-from pathlib import Path
+"""Mounting: simulated people who stand, walk and bow with a misplaced device."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from testkit.data import data_path, show
-from testkit.walking import hinge, misplaced, repeat, walk
+from testkit.data import show
+from testkit.walking import misplaced, repeat, walk
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotation, rotation_vector, signed
+from undrift.frames import quaternion_product, rotation
 from undrift.model import BodyMounting
-from undrift.mounting import find_mounting, fit_hinge
+from undrift.mounting import find_mounting
 from undrift.record import Record
 
 HALF_TURNS = np.eye(4)  # as worn, upside down, turned round: q_ab about no axis, x, y, z
@@ -132,96 +126,3 @@ def test_a_mounting_is_a_rotation_and_gives_the_orientation_of_the_segment():
     assert worn.uncertainty == pytest.approx(np.sqrt(3e-4))
     with pytest.raises(InputError, match=r"mounting: wanted a rotation from case to body axes, got another matrix"):
         BodyMounting(place="thigh", matrix=np.diag([1.0, 1.0, -1.0]), covariance=np.eye(3), basis="")
-
-
-# ---- Hinges
-
-
-def apart(found, true):
-    """Return the angle between two axes, either way round, deg."""
-    return float(np.degrees(np.arccos(min(1.0, abs(float(found @ true))))))
-
-
-@pytest.mark.slow
-def test_a_hinge_that_is_turned_every_way_shows_axes_and_angle():
-    for seed in range(4):
-        records, true, angle = hinge(np.random.default_rng(seed))
-        found = fit_hinge(*records, "knee")
-        axes = [apart(*pair) for pair in zip(found.axes, true, strict=True)]
-        rms = np.degrees(np.sqrt(((found.angle - angle[: len(found.angle)]) ** 2).mean()))
-        show(
-            f"hinge {seed}: axes off, deg; rms error of the angle, deg", (np.round(axes, 2), round(rms, 2)), (1.0, 1.0)
-        )
-        assert max(axes) < 1.0  # limits: a tenth of what a strap turns by
-        assert rms < 1.0
-        assert "mount.hinge_side" in [one.code for one in found.verdict.findings]
-
-
-def test_two_recordings_need_a_stretch_in_common():
-    (first, second), _, _ = hinge(np.random.default_rng(0), duration_s=20.0)
-    with pytest.raises(
-        InputError, match=r"wanted two recordings on one clock with 10 s in common, got 3\.99 s; record both"
-    ):
-        fit_hinge(first.between(0.0, 8.0), second.between(4.0, 20.0), "knee")
-
-
-def test_without_a_posture_the_straight_end_is_zero():
-    (first, second), _, _ = hinge(np.random.default_rng(2))
-    found = fit_hinge(first.between(8.0, 60.0), second.between(8.0, 60.0), "elbow")
-    assert "mount.straight" in [one.code for one in found.verdict.findings]
-    assert np.degrees(found.angle.min()) > -8.0
-
-
-def pendulum(test, segment):
-    """Return q (N, 4) of the cameras and the readings of a segment (RepoIMU)."""
-    name = f"Pendulum_Test{test}_Trial1_Segment_{segment}.csv.gz"
-    with gzip.open(data_path("pendulum_with_optics", name), "rt") as file:
-        lines = file.read().splitlines()[2:]
-    rows = np.array([[float(cell or "nan") for cell in line.replace(",", ".").split(";")[:11]] for line in lines])
-    time = np.linspace(rows[0, 0], rows[-1, 0], len(rows))  # stamps are rounded to 1 ms, with repeats
-    return signed(rows[:, 1:5]), Record(time=time, gyro=rows[:, 8:11], accel=rows[:, 5:8])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("test", ["02a", "02b"])
-def test_the_joint_of_a_real_pendulum_agrees_with_the_cameras(test):
-    (q_1, first), (q_2, second) = pendulum(test, 1), pendulum(test, 2)
-    found = fit_hinge(first, second, "knee")
-    count = min(len(q_1), len(q_2), len(found.angle))
-    turned = rotation_vector(signed(quaternion_product(quaternion_conjugate(q_1[:count]), q_2[:count])))
-    truth = turned @ np.linalg.eigh(turned.T @ turned)[1][:, -1]
-    inner = slice(200, count - 200)
-    error = min((way * found.angle[inner] - truth[inner] for way in (1.0, -1.0)), key=np.std)
-    show(f"pendulum {test}: angle, rms error without its mean, deg", f"{np.degrees(error.std()):.2f}", 2.0)
-    show(f"pendulum {test}: stated, deg", f"{np.degrees(found.angle_uncertainty):.2f}")
-    assert np.degrees(error.std()) < 2.0  # limit: 2 % of its span of 90 deg
-
-
-# ---- qmt (MIT), in an environment of its own: python -m venv q && q/bin/pip install qmt==0.2.4; UNDRIFT_QMT=q/bin/python
-
-OLSSON = """
-import contextlib, io, json, sys
-import numpy as np, qmt
-data = np.load(sys.argv[1])
-with contextlib.redirect_stdout(io.StringIO()):
-    axes = qmt.jointAxisEstHingeOlsson(*(data[name] for name in ("accel_1", "accel_2", "gyro_1", "gyro_2")))
-print(json.dumps([np.ravel(axis).tolist() for axis in axes]))
-"""
-
-
-@pytest.mark.slow
-def test_the_axes_agree_with_those_of_qmt(tmp_path):
-    records, _, _ = hinge(np.random.default_rng(0))
-    found = fit_hinge(*records, "knee").axes
-    python = os.environ.get("UNDRIFT_QMT", "")
-    if not Path(python).is_file():
-        pytest.skip("qmt is not here: UNDRIFT_QMT names the Python of an environment that has it")
-    names = {f"{name}_{k + 1}": getattr(one, name) for k, one in enumerate(records) for name in ("gyro", "accel")}
-    np.savez(tmp_path / "hinge.npz", **names)
-    clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    call = [python, "-c", OLSSON, str(tmp_path / "hinge.npz")]
-    done = subprocess.run(call, capture_output=True, text=True, check=True, env=clean)
-    theirs = np.array(json.loads(done.stdout))
-    off_deg = [apart(*pair) for pair in zip(found, theirs, strict=True)]
-    show("axes against qmt's jointAxisEstHingeOlsson, deg", np.round(off_deg, 2), 1.0)
-    assert max(off_deg) < 1.0

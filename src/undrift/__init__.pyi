@@ -87,7 +87,6 @@ from undrift.commands.info import info as info
 from undrift.commands.noise import noise as noise
 from undrift.commands.simulate import simulate as simulate
 from undrift.commands.study import study as study
-from undrift.commands.sync import sync as sync
 from undrift.commands.twin import twin as twin
 
 __version__: str

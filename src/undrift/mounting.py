@@ -13,22 +13,10 @@ Axes a: x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b
 
 Each comes in pieces (postures, strides, repetitions), whose scatter is the uncertainty of their mean; what all pieces share,
 because people are no machines, is added (``STANCE``, ``CUES``). Cues are averaged by their variances.
-
-A hinge joins two segments that wear a device each. Its axis is j1 in one and j2 in the other; what turns across it is the same for
-both, so that for all samples [1]_ ::
-
-    |w1 x j1| = |w2 x j2|
-
-The inclination of each device comes from its own filter; their headings differ by the angle about the vertical that brings j1 and
-j2 to one direction, which changes slowly. So tied, the second device turns against the first about j alone: that shows both axes
-anew where all motion is about the joint, and the equation above does not; the angle of the joint is that turn.
-
-.. [1] T. Seel, J. Raisch, T. Schauer, "IMU-based joint angle measurement for gait analysis", Sensors 14, 6891-6909, 2014.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -37,7 +25,7 @@ from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.correction.consistency import check_triads
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Verdict, finding
-from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Still
@@ -47,7 +35,6 @@ from undrift.units import RADIAN_PER_DEGREE as DEG
 Worn = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
 Posture = Literal["standing", "sitting"]
 Movement = Literal["walk", "bow", "squat", "raise"]
-Joint = Literal["knee", "elbow"]
 Span = tuple[float, float]
 
 
@@ -67,21 +54,18 @@ CUES = {
     "pairs of strides": (10.0 * DEG, 6.0 * DEG, 3),
     "repetitions": (3.0 * DEG, 2.0 * DEG, 2),
 }
-HINGE = 8.0 * DEG  # how far a joint is from a hinge: knees on film, and elbows alike [assumed]
-FLEXES = {"knee": 1.0, "elbow": -1.0}  # the way that the lower segment turns about left
-WARN, HINGE_WARN = 5.0 * DEG, 15.0 * DEG  # of a whole mounting, of the axis of a hinge
+WARN = 5.0 * DEG  # of a whole mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
 POSTURE_S, PIECE_S, END_S = 3.0, 2.2, (1.2, 2.4)  # a posture, two strides, the stride beside a posture, s
-BOUT_S, LEAST_S = 15.0, 10.0  # the longest walk that is integrated whole, what two recordings have in common, s
-_BAND_HZ, _SLOW_HZ, _HINGE_HZ, _HEADING_HZ = (0.7, 5.0), 0.5, 8.0, 0.05  # of steps, their size, rates, headings
+BOUT_S = 15.0  # s, the longest walk that is integrated whole
+_BAND_HZ, _SLOW_HZ = (0.7, 5.0), 0.5  # of steps, their size
 _QUIET, _STEPS = 0.3, 0.6  # m/s2, rms of the vertical acceleration over two seconds, in postures and in steps
 _SWAYS, _TURNS = 4.0 * DEG, 20.0 * DEG  # rad/s: the vertical turns faster in no posture; no straight walk
 _LEANT, _NEAR = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
 _CLEAR, _APART = 4.0, 9.0  # a direction in its uncertainties; squared differences of cues over their variances
 _SLIP, _CLEARLY = 15.0 * DEG, 4.0  # from the first half of the walks to the second; in its uncertainties [assumed]
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # of a recording: steps come twice a second
-_DRAWN, _PARTS = 4, 8  # pieces that the usual spread counts for; of a recording, each left out in turn
-_NEAR_HINGE = 0.35  # rad, how far a hinge is from what its segments turn most about, as a rule [assumed]
+_DRAWN = 4  # pieces that the usual spread counts for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,20 +74,6 @@ class MountFit:
 
     mounting: BodyMounting | None  # None where an element is not shown
     basis: tuple[str, ...]  # What showed up, and forward
-    verdict: Verdict
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HingeFit:
-    """The axis of a joint in two devices, and its angle over time."""
-
-    joint: Joint
-    axes: FloatArray  # (2, 3), j1 in the first device, j2 in the second
-    uncertainty: float  # of each direction, standard, rad
-    time: FloatArray  # (N,), s, the first recording's clock
-    angle: FloatArray  # (N,), rad; flexion is positive
-    angle_uncertainty: float  # rad
-    straight_s: Span | None  # The posture that is taken as straight, angle 0; None: by the mountings
     verdict: Verdict
 
 
@@ -306,123 +276,3 @@ def _bouts(one: _Seen) -> list[FloatArray]:
         seen_b = rotate(quaternion_conjugate(q), speed * [1.0, 1.0, 0.0])
         speeds.append(seen_b.mean(axis=0) if closed else seen_b[early:].mean(axis=0))
     return speeds
-
-
-# ---- A hinge between two segments
-
-
-def fit_hinge(
-    first: Record, second: Record, joint: Joint, worn: tuple[BodyMounting, BodyMounting] | None = None, named: Span | None = None
-) -> HingeFit:  # fmt: skip
-    """Find a hinge's axis in the devices above and below it, and its angle, from any motion on one clock.
-
-    Mountings of both devices say which way their axes point, and where the joint is straight; else the devices are taken as worn
-    alike, and a posture as straight: the one that is named, s, or the longest.
-    """
-    start, stop = max(first.time[0], second.time[0]), min(first.time[-1], second.time[-1])
-    if not stop - start > LEAST_S:
-        wanted = f"two recordings on one clock with {LEAST_S:g} s in common"
-        raise InputError(f"mount: wanted {wanted}, got {max(stop - start, 0.0):.3g} s; record both at once")
-    upper, lower = first.in_si().between(start, stop), second.in_si()
-    gyro, accel = (
-        np.stack([np.interp(upper.time, lower.time, column) for column in np.asarray(values).T], axis=1)
-        for values in (lower.gyro, lower.accel)
-    )
-    seen = _look(upper), _look(Record(time=upper.time, gyro=gyro, accel=accel))
-    axes = _rough_hinge([one.gyro for one in seen], upper.sample_rate_hz)
-    if worn is not None:
-        axes *= np.sign([[axis @ one.matrix[1]] for axis, one in zip(axes, worn, strict=True)]) * FLEXES[joint]
-    axes[1] *= np.sign(axes[0] @ axes[1]) if worn is None else 1.0
-    for _ in range(3):
-        q, axes, spread = _tied(seen, axes)
-    lines = np.cross(axes, np.roll(axes, 1, axis=1)) if worn is None else np.array([one.matrix[0] for one in worn])
-    lines = lines - (lines * axes).sum(axis=1)[:, None] * axes
-    turned = rotate(q, lines[1])
-    angle = np.unwrap(np.arctan2(turned @ np.cross(axes[0], lines[0]), turned @ lines[0]))
-    apart = np.subtract(*(np.arcsin(one.up @ axis) for one, axis in zip(seen, axes, strict=True)))
-    if worn is None:
-        straight, findings = _straight(seen, named, angle)
-        straight_s: Span | None = (float(upper.time[straight.start]), float(upper.time[straight.stop - 1]))
-        angle = angle - angle[straight.start : straight.stop].mean()
-        way, zero = (-1.0 if angle.mean() < 0.0 else 1.0), 2.0 * STANCE["standing"][1] ** 2  # it flexes one way
-        angle, axes = way * angle, way * axes
-        findings += (finding("mount.hinge_side", "warn", joint=joint),)
-    else:
-        straight_s, findings, zero = None, (), float(sum(one.covariance[1, 1] for one in worn))
-    if (error := float(np.hypot(spread, HINGE))) > HINGE_WARN:
-        findings += (finding("mount.hinge", "warn", degrees=error / DEG, joint=joint, limit=HINGE_WARN / DEG),)
-    return HingeFit(
-        joint=joint, axes=axes, uncertainty=error, time=upper.time, angle=angle, straight_s=straight_s,
-        angle_uncertainty=float(np.sqrt(apart.var() + zero)), verdict=Verdict.of(*findings),
-    )  # fmt: skip
-
-
-def _rough_hinge(rates: Sequence[FloatArray], sample_rate_hz: float) -> FloatArray:
-    """Return j1 and j2, (2, 3), from the rates of both segments, (N, 3) each: least squares of the constraint."""
-    from scipy.optimize import least_squares
-    from scipy.signal import butter, sosfiltfilt
-
-    slow = butter(2, min(_HINGE_HZ, 0.4 * sample_rate_hz), fs=sample_rate_hz, output="sos")
-    every = max(1, round(sample_rate_hz / (4.0 * _HINGE_HZ)))
-    w = [sosfiltfilt(slow, one - one.mean(axis=0), axis=0)[::every] for one in rates]
-    frames = [np.linalg.eigh(one.T @ one)[1] for one in w]  # the last column: what it turns most about
-
-    def ways(x: FloatArray) -> FloatArray:
-        axes = [frame[:, 2] + frame[:, :2] @ part for frame, part in zip(frames, np.split(x, 2), strict=True)]
-        return np.array([axis / np.linalg.norm(axis) for axis in axes])
-
-    def rows(x: FloatArray) -> FloatArray:
-        across = [np.linalg.norm(np.cross(one, axis), axis=1) for one, axis in zip(w, ways(x), strict=True)]
-        return np.append((across[0] - across[1]) / 0.1, x / _NEAR_HINGE)
-
-    begins = [np.array(one) for one in product((0.0, 2.0), repeat=4)]
-    fits = [least_squares(rows, x, loss="soft_l1", max_nfev=40) for x in begins]
-    return ways(min(fits, key=lambda one: float(one.cost)).x)
-
-
-def _tied(seen: tuple[_Seen, _Seen], axes: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return q_12 (N, 4), the headings of both tied, the axes of the hinge, and the standard uncertainty of each, rad.
-
-    Headings near those that bring the axes to one direction are tried: tied right, the devices turn least across one axis.
-    """
-    from scipy.signal import butter, sosfiltfilt
-
-    rate, (first, second) = seen[0].record.sample_rate_hz, seen
-    level = [rotate(one.q_nb, axis) @ [1.0, 1j, 0.0] for one, axis in zip(seen, axes, strict=True)]
-    between = (level[0] * level[1].conj()).view(float).reshape(-1, 2)
-    between = sosfiltfilt(butter(2, _HEADING_HZ, fs=rate, output="sos"), between, axis=0)
-    heading = np.arctan2(between[:, 1], between[:, 0])
-    slow = butter(2, min(_HINGE_HZ, 0.4 * rate), fs=rate, output="sos")
-    rates = [sosfiltfilt(slow, one.gyro, axis=0) for one in seen]
-
-    def against(shift: float) -> tuple[FloatArray, FloatArray]:
-        """Return q_12, and the rate of the second device against the first, in the first."""
-        half = 0.5 * (heading + shift)
-        turn = np.stack((np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)), axis=1)
-        q = quaternion_product(quaternion_conjugate(first.q_nb), quaternion_product(turn, second.q_nb))
-        apart = rotate(q, rates[1]) - rates[0]
-        return q, apart - apart.mean(axis=0)
-
-    shifts = np.linspace(-0.8, 0.8, 33)
-    squares = np.array([[part.T @ part for part in np.array_split(against(x)[1], _PARTS)] for x in shifts])
-    whole = squares.sum(axis=1, keepdims=True)  # and with each part left out in turn
-    across = np.linalg.eigvalsh(np.concatenate((whole, whole - squares), axis=1))[..., :2].sum(axis=-1)
-    best = np.clip(across.argmin(axis=0), 1, len(shifts) - 2)
-    below, at, above = (across[best + k, np.arange(_PARTS + 1)] for k in (-1, 0, 1))
-    lean = np.clip((below - above) / (below - 2.0 * at + above), -1.0, 1.0)
-    shift = shifts[best] + 0.5 * (shifts[1] - shifts[0]) * lean
-    q, apart = against(float(shift[0]))
-    new = np.array([np.linalg.eigh(one.T @ one)[1][:, -1] for one in (apart, rotate(quaternion_conjugate(q), apart))])
-    new *= np.sign((new * axes).sum(axis=1))[:, None]
-    return q, new, float(np.sqrt((_PARTS - 1) * shift[1:].var()))  # jackknife; an axis errs by less than the heading
-
-
-def _straight(seen: tuple[_Seen, _Seen], named: Span | None, angle: FloatArray) -> tuple[Still, tuple[Finding, ...]]:
-    """Return the straight posture: named, the longest of both segments, or else the end that the joint flexes from."""
-    least, quiet = seen[0].record.sample_rate_hz, seen[0].quiet & seen[1].quiet
-    both = [Still(start=int(a), stop=int(b)) for a, b in runs(quiet) if b - a >= least]
-    if named or both:
-        return _still_at(seen[0].record, named) if named else max(both, key=lambda one: one.stop - one.start), ()
-    way = 1.0 if angle.mean() > np.median(angle) else -1.0
-    at = int(np.argsort(way * angle)[len(angle) // 50])
-    return Still(start=at, stop=at + 1), (finding("mount.straight", "warn"),)

@@ -11,7 +11,6 @@ import subprocess
 
 import numpy as np
 import pytest
-from benchmarks.knee_angle import segments
 from scipy.io import loadmat
 from scipy.signal import find_peaks
 
@@ -20,20 +19,49 @@ from testkit import planted
 from testkit.data import data_path, show
 from testkit.worn_captures import RATE_HZ, SETTINGS, G, captured, captured_leg, errors, times, true_course, worn_device
 from undrift.commands.files import Opening
-from undrift.frames import rotate
-from undrift.io.mocap import read_c3d, read_trc
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.io.mocap import pose_from_cluster, read_c3d, read_trc
 from undrift.measures.rising import sit_to_stand
 from undrift.measures.tasks import measure_of
 from undrift.measures.up_and_go import turns
 from undrift.measures.walking import contacts_of_shank
 from undrift.measures.worn import follow
-from undrift.sim.motion.motion import Motion
+from undrift.record import Reference
+from undrift.sim.motion.motion import Motion, turn_quaternion
 from undrift.sim.motion.poses import fit_pose_spline
 from undrift.sim.motion.tasks import draw_task
 
 DEVICES = {"STS1": range(30), "STSAsym1": range(30, 60)}
 COVERED = "90 to 98"
 CHAIRS = {"STS1": "STS1.trc.gz", "STSAsym1": "STSAsym1.trc.gz"}
+
+
+THIGH = [f"{{side}}_thigh{k}" for k in (1, 2, 3, 4)]
+SHANK = ["{side}_sh2", "{side}_sh3", "{side}_shank_antsup"]
+
+
+def segments(name, side):
+    """Return the poses of thigh and shank whose axes are forward, left and up of the upright person."""
+    markers = read_trc(data_path("mocap_sit_to_stand", f"{name}.trc.gz"), up="y")
+    poses = [pose_from_cluster(markers, [one.format(side=side) for one in group]) for group in (THIGH, SHANK)]
+    hip, knee, ankle = (markers.pick([f"{side}_{one}"])[:, 0] for one in ("thigh1", "knee", "ankle"))
+    flexed = _between(knee - hip, ankle - knee)
+    straight = int(np.nanargmin(flexed))
+    toe, heel = (markers.pick([f"{side}_{one}"])[straight, 0] for one in ("toe", "calc"))
+    forward = (toe - heel) * [1.0, 1.0, 0.0]
+    heading = np.arctan2(forward[1], forward[0])
+    body = turn_quaternion(np.array([0.0, 0.0, 1.0]), np.array([heading]))[0]
+    turned = []
+    for pose in poses:  # axes of the segment are those of the person in the straight posture
+        q_ma = quaternion_product(quaternion_conjugate(pose.q_nb[straight]), body)
+        turned.append(
+            Reference(time=pose.time, q_nb=quaternion_product(pose.q_nb, q_ma), position=pose.position, name=pose.name)
+        )
+    return turned
+
+
+def _between(a, b):
+    return np.arccos((a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1))
 
 
 def motion_of(name):

@@ -1,4 +1,4 @@
-"""undrift mount: the mounting kept in the calibration and used by orient and validate; the angle of a joint as a file."""
+"""undrift mount: the mounting kept in the calibration and used by orient and validate."""
 
 import re
 from dataclasses import replace
@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from testkit.walking import hinge, misplaced, perfect, perfect_calibration, walk
+from testkit.walking import misplaced, perfect_calibration, walk
 from undrift.frames import quaternion_conjugate, quaternion_product, rotation
 from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import BodyMounting, Calibration
 
 Q_AB = misplaced(np.random.default_rng(1), 20.0, np.array([0.0, 1.0, 0.0, 0.0]))  # upside down, and 20 deg off
 
@@ -89,10 +88,7 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        (
-            (),
-            r"wanted `?(--)?worn`? and recordings of one device, or .*joint.*, got 1 recordings, 0 calibrations, worn nowhere",
-        ),
+        ((), "--worn"),
         (("--worn", "thigh", "-o", "no.json"), "wanted a calibration to add the mounting to, got none"),
         (("--worn", "thigh", "-o", "no.csv"), r"wanted a name ending in \.json"),
         (("--worn", "foot", "--movement", "bow"), "wanted a movement of the foot, walk or raise, got bow"),
@@ -100,42 +96,3 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
 )
 def test_a_call_that_does_not_fit_is_refused_in_a_line(undrift, worn, words, wanted):
     assert re.search(wanted, undrift.refused("mount", worn / "walk.parquet", *words))
-
-
-def test_the_angle_of_a_joint_is_written_and_drawn(undrift, tmp_path):
-    records, _, angle = hinge(np.random.default_rng(0))
-    for name, record in zip(("thigh", "shank"), records, strict=True):
-        write_record(record, tmp_path / f"{name}.parquet")
-    words = (tmp_path / "thigh.parquet", tmp_path / "shank.parquet", "--joint", "knee")
-    answer = undrift.good("mount", *words, "-o", tmp_path / "knee.csv", "--report", tmp_path / "knee.html", "--json")
-    data = answer.json()
-    written = np.loadtxt(tmp_path / "knee.csv", delimiter=",", skiprows=1)
-    assert np.abs(written[:, 1] - np.degrees(angle[: len(written)])).mean() < 1.0
-    assert data["angle_deg"] == pytest.approx([written[:, 1].min(), written[:, 1].max()], abs=1e-3)
-    assert "flexion of the knee (deg)" in (tmp_path / "knee.html").read_text()
-    assert [one["code"] for one in data["verdict"]["findings"]] == ["mount.hinge_side"]
-
-
-def test_mountings_of_both_devices_say_which_way_the_joint_flexes(undrift, tmp_path):
-    records, true, _ = hinge(np.random.default_rng(3), axes=(0.0, 1.0, 0.0))
-    for name, record, axis in zip(("thigh", "shank"), records, true, strict=True):
-        write_record(record, tmp_path / f"{name}.parquet")
-        left = axis  # the segments' left, seen in each device
-        up = record.accel[:200].mean(axis=0)
-        up = up - (up @ left) * left
-        up /= np.linalg.norm(up)
-        matrix = np.stack((np.cross(left, up), left, up))
-        mounting = BodyMounting(place=name, matrix=matrix, covariance=np.eye(3) * 1e-4, basis="stated")
-        calibration = Calibration(
-            device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2"),
-            mounting=mounting,
-        )  # fmt: skip
-        write_calibration(calibration, tmp_path / f"{name}.json")
-    words = (tmp_path / "thigh.parquet", tmp_path / "shank.parquet", "--joint", "knee")
-    kept = ("--calibration", tmp_path / "thigh.json", "--calibration", tmp_path / "shank.json")
-    data = undrift.good("mount", *words, *kept, "--json").json()
-    assert data["verdict"]["findings"] == []
-    assert data["straight_s"] is None
-    low, high = data["angle_deg"]
-    assert -3.0 < low < 3.0
-    assert 60.0 < high < 110.0

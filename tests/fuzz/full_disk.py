@@ -98,7 +98,6 @@ CALLS = {
         "measure {b}/trial.parquet --calibration {b}/worn.json --task sit-to-stand -o {o}/x_events.tsv", together=True
     ),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
-    "sync": Call("sync {b}/trial.parquet {b}/corrected.parquet -o {o}/synced", fresh=True, together=True),
     "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
     "noise": Call("noise {b}/rest.parquet -o {o}/imu.yaml --figure {o}/allan.svg --report {o}/r.html", slow=True),

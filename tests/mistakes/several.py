@@ -1,4 +1,4 @@
-"""Mistakes with how a device is worn, with several devices on one clock, with folders, and with calibrations of other programs."""
+"""Mistakes with how a device is worn, with folders, and with calibrations of other programs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,13 +11,10 @@ from scipy.spatial.transform import Rotation
 from mistakes import causes, habits, sound, worn
 from mistakes.planting import Case, Change, Told, Wrong, later_error, mistake, planted, with_recordings
 from mistakes.sound import ACCEL, GYRO, Recording, recording_of, trial
-from testkit.hand_turns import Device, make_recording
 from testkit.walking import misplaced, walk
 from undrift.export.autopilots import export_px4
 from undrift.export.programs import export_imucal
 from undrift.frames import rotation
-
-OFFSET_S, SKEW = 3.7, 1.2e-4
 
 # ---- sound input, and how far from the truth
 
@@ -42,44 +39,10 @@ def mounting_error(_: Case, __: Path, told: Told) -> Wrong:
     }
 
 
-def clock_error(_: Case, __: Path, told: Told) -> Wrong:
-    """Return how far the clock that was found is from the true one."""
-    one = told.answer["recordings"][1]
-    if not one["synced"]:
-        return {"ms": np.inf}
-    return {"ms": 1e3 * abs(one["offset_s"] - OFFSET_S - SKEW * one["at_s"])}
-
-
-def _two_of(seed: int) -> tuple[Recording, Recording]:
-    """Return every other sample of one motion, as two devices would have them, the second turned and on a clock of its own."""
-    rng = np.random.default_rng(seed)
-    record, _ = make_recording(rng, noise_of_a_part())
-    first, other = (
-        replace(record, time=record.time[k::2], gyro=record.gyro[k::2], accel=record.accel[k::2]) for k in (0, 1)
-    )
-    turned = Rotation.random(random_state=rng).as_matrix().T
-    clock = other.time + OFFSET_S + SKEW * other.time
-    return recording_of(first), recording_of(
-        replace(other, time=clock, gyro=other.gyro @ turned, accel=other.accel @ turned)
-    )
-
-
-def noise_of_a_part() -> Device:
-    """Return a device whose rates scatter by 0.1 deg/s."""
-    return Device(forward=np.eye(3), offset=np.array([0.01, -0.02, 0.005]), noise=0.002)
-
-
 @cache
 def mount() -> Case:
     """Return a person who stands and walks, and where the device is worn."""
     return Case(route="mount", recordings=(_worn()[0],), words=("--worn", "lower-back"), wrong=mounting_error)
-
-
-@cache
-def sync() -> Case:
-    """Return two recordings of one motion by devices that were begun on their own."""
-    first, other = _two_of(8)
-    return Case(route="sync", recordings=(first, other), wrong=clock_error)
 
 
 @cache
@@ -144,21 +107,12 @@ def _rows(start_s: float, stop_s: float) -> Callable[[Recording], Recording]:
     return lambda one: one.rows((one.columns["t"] >= start_s) & (one.columns["t"] < stop_s))
 
 
-def _another_motion(_: Recording) -> Recording:
-    return _two_of(9)[1]
-
-
-def _faster_clock(one: Recording) -> Recording:
-    return one.with_columns(t=2.0 * one.columns["t"])
-
-
 def _of_another_device(case: Case) -> Case:
     name = str(case.words[-1]).removeprefix("{folder}/")
     export = export_px4 if name.endswith(".params") else export_imucal
     return _with_file(case, name, export(sound.calibrated(99)).text)
 
 
-NOT_ONE_MOTION = (r"shares? (?:too little|no) motion",)
 MOUNT = [
     *planted(
         mount, habits.ACCEL_XY, habits.GYRO_YZ, habits.NEGATED, habits.DPS_FOR_RAD, habits.MS_FOR_S, habits.HALF_RATE,
@@ -168,16 +122,6 @@ MOUNT = [
     mistake(mount, "never stands", with_recordings(_rows(6.0, 12.0)), (r"stand",)),
     mistake(mount, "lets the device slip in its pouch between two recordings", slipped, (r"slip", r"apart|disagree",)),
 ]  # fmt: skip
-SYNC = [
-    mistake(sync, "gives a recording of another day", one_of(1, _another_motion), NOT_ONE_MOTION),
-    mistake(
-        sync,
-        "states half the rate of one of them",
-        one_of(1, _faster_clock),
-        (*NOT_ONE_MOTION, r"sample rate|skew|clock"),
-    ),
-    mistake(sync, "gives a part that rests", one_of(1, _rows(0.0, 8.0)), (*NOT_ONE_MOTION, r"rest|moves? |turn")),
-]
 FOLDER = [
     mistake(
         folder,
@@ -201,4 +145,4 @@ FOREIGN = [
 MOTION = planted(
     from_motion, habits.GYRO_YZ, habits.GYRO_Y_REVERSED, habits.ACCEL_XY, habits.SENSORS_SWAPPED, habits.HALF_RATE
 )
-MISTAKES = (*MOUNT, *SYNC, *FOLDER, *FOREIGN, *MOTION)
+MISTAKES = (*MOUNT, *FOLDER, *FOREIGN, *MOTION)

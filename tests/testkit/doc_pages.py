@@ -30,7 +30,7 @@ import undrift
 from testkit.daily_use import DailyUseSettings, simulate_daily_use
 from testkit.hand_turns import Device, make_recording
 from testkit.printing_board import sketch_line
-from testkit.walking import hinge, walk
+from testkit.walking import walk
 from undrift.cli.app import _standard, _with_limits, command_line, run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel
@@ -220,13 +220,6 @@ def _straight(path: Path) -> None:
     undrift.write_record(replace(record, temp_c=np.full(len(record), 25.0), device=device.serial, **raw), path)
 
 
-def _of_joint(segment: int) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        undrift.write_record(hinge(np.random.default_rng(0))[0][segment], path)
-
-    return write
-
-
 def _turned(path: Path) -> None:
     device, rng = _device()
     motion = draw_task("free", rng=rng).at(np.arange(3600) / 50.0, STANDARD_GRAVITY)
@@ -320,8 +313,6 @@ FILES: dict[str, Callable[[Path], None]] = {
     "walk.csv": _walk,
     "chair.csv": _walk,
     "straight.csv": _straight,
-    "upper.csv": _of_joint(0),
-    "lower.csv": _of_joint(1),
     "turned.csv": _turned,
     "pelvis.csv": _worn,
     "thigh.csv": _worn,

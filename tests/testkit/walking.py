@@ -134,26 +134,6 @@ def _record_of(t, q, position, rng, q_ab, fine, noise):
     )
 
 
-def hinge(rng, *, duration_s=60.0, rate=100.0, axes=None):
-    """Return readings of two devices on a hinge that is turned every way, j1 and j2, and the angle, rad."""
-    t = np.arange(round(duration_s * rate * 10)) / (rate * 10)
-    angles = [_sway(rng, t, size * DEGREE) for size in (25.0, 25.0, 40.0)]
-    flexed = (
-        40.0 * DEGREE * (1.0 - np.cos(2.0 * np.pi * 0.4 * t)) * _smooth_rise(t, 3.0, 2.0) * (1.0 + _sway(rng, t, 0.1))
-    )
-    still = _smooth_rise(t, 3.0, 2.0)
-    upper = orientation(*(angle * still for angle in angles))
-    axis = rng.standard_normal(3) if axes is None else np.asarray(axes)
-    axis /= np.linalg.norm(axis)
-    lower = quaternion_product(upper, turn_quaternion(axis, flexed))
-    turns = misplaced(rng, 25.0), misplaced(rng, 25.0)
-    force = np.zeros((len(t), 3))
-    records = [
-        _record_of(t, q, force, rng, q_ab, 10, (0.0015, 0.02)) for q, q_ab in zip((upper, lower), turns, strict=True)
-    ]
-    return records, [rotate(quaternion_conjugate(q), axis) for q in turns], flexed[::10]
-
-
 def perfect(unit):
     """Return the model of sensors that read right."""
     return TriadModel(

@@ -1,14 +1,12 @@
-"""``undrift mount``: from device axes to body axes, and the angle of a joint between two devices."""
+"""``undrift mount``: from device axes to body axes."""
 
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from undrift.base.options import Files, OptionalOutput, verb
-from undrift.base.summary import Section, Summary, figure_of
+from undrift.base.summary import Section, Summary
 from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -16,7 +14,7 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.model import BodyMounting, Calibration, Verdict
-    from undrift.mounting import HingeFit, MountFit
+    from undrift.mounting import MountFit
 
 Worn: TypeAlias = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
 Posture: TypeAlias = Literal["standing", "sitting"]
@@ -27,63 +25,46 @@ NOT_WRITTEN = "No mounting was written: add a calibration, and -o calibration.js
 @verb
 def mount(
     *records: Files,
-    worn: Worn | None = None,
-    joint: Literal["knee", "elbow"] | None = None,
+    worn: Worn,
     posture: Posture = "standing",
     movement: Movement = "walk",
-    calibration: Annotated[tuple[Path, ...], Parameter(show_default=False)] = (),
+    calibration: Path | None = None,
     named: NamedRest = NamedRest(),
     output: OptionalOutput = None,
     opening: Opening = Opening(),
 ) -> Summary:
-    """Find how a device is worn: device axes to body axes; or the axis and the angle of a joint between two devices.
+    """Find how a device is worn: device axes to body axes.
 
     Parameters
     ----------
     records : Path
-        Recordings of one wearing: stand upright for 3 s, walk straight ahead for 8 s and halt, four times. With --joint two on
-        one clock, of the segment above the joint and of that below it, in any motion.
-    worn : str or None
+        Recordings of one wearing: stand upright for 3 s, walk straight ahead for 8 s and halt, four times.
+    worn : str
         Where the device is worn.
-    joint : str or None
-        The joint between two devices, as a hinge.
     posture : str
         What the wearer does while still: standing, or sitting upright.
     movement : str
         What shows forward: walk; bow, the trunk leans forward; squat; or raise, the straight limb goes forward.
-    calibration : Path
-        calibration.json of the device, for a raw recording, and to keep the mounting in; with --joint one for each device.
+    calibration : Path or None
+        calibration.json of the device, for a raw recording, and to keep the mounting in.
     output : Path or None
-        calibration.json with the mounting; with --joint the angle over time as .csv.
+        calibration.json with the mounting.
     """
     from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
-    from undrift.mounting import find_mounting, fit_hinge
+    from undrift.mounting import find_mounting
 
-    needed = (2, 2) if joint else (len(records), 1)
-    if (worn is None) == (joint is None) or len(records) != needed[0] or len(calibration) not in (0, needed[1]):
-        got = f"{len(records)} recordings, {len(calibration)} calibrations, worn {worn or 'nowhere'}, joint {joint or 'none'}"
-        raise InputError(
-            "mount: wanted `worn` and recordings of one device, or `joint`, two recordings and no calibration or one of each, got "
-            f"{got}; state one of them"
-        )
-    check_output(output, endings=(".csv",) if joint else (".json",), reads=(*records, opening.column_map))
-    if worn and output and not calibration:
+    check_output(output, endings=(".json",), reads=(*records, opening.column_map))
+    if output and not calibration:
         raise InputError(f"{output}: wanted a calibration to add the mounting to, got none; name it (`calibration`)")
-    files = (calibration or (None,)) * (1 if joint and calibration else len(records))
-    models = [None if path is None else read_calibration(path) for path in files]
+    model = None if calibration is None else read_calibration(calibration)
     readings = []
-    for path, file, model in zip(records, files, models, strict=True):
+    for path in records:
         with named_columns(path):
-            readings.append(corrected(opening.like(model, file).read(path), path, model, TableUse())[0])
+            readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
     still = named_rest(readings[0], named.stretch)
     span = None if still is None else (float(readings[0].time[still.start]), float(readings[0].time[still.stop - 1]))
-    if joint:
-        worn_both = tuple(model.mounting for model in models if model is not None and model.mounting is not None)
-        by = (worn_both[0], worn_both[1]) if len(worn_both) == 2 and still is None else None
-        return _hinge_summary(fit_hinge(readings[0], readings[1], joint, by, span), records, output)
-    fit = find_mounting(readings, worn or "lower-back", posture, movement, span)
-    return _mount_summary(fit, records, models[0], output)
+    return _mount_summary(find_mounting(readings, worn, posture, movement, span), records, model, output)
 
 
 def _mount_summary(
@@ -161,41 +142,3 @@ def _turned(worn: "BodyMounting", before: "BodyMounting | None") -> "Verdict":
     against = "+x forward and +z up" if before is None else "the mounting before"
     one = finding("mount.turned", "warn" if before else "info", how=how.capitalize(), degrees=degrees, against=against)
     return Verdict.of(*((one,) if degrees > 45.0 else ()))
-
-
-def _hinge_summary(fit: "HingeFit", records: tuple[Path, ...], output: Path | None) -> Summary:
-    """Write the angle over time, and return its span and the axes."""
-    from undrift.files import write_whole
-    from undrift.io.store import verdict_json
-
-    angle, off = fit.angle / RADIAN_PER_DEGREE, fit.uncertainty / RADIAN_PER_DEGREE
-    uncertain = fit.angle_uncertainty / RADIAN_PER_DEGREE
-    rows = tuple(
-        (path.name, " ".join(f"{x:+.3f}" for x in axis), f"{off:.1f}")
-        for path, axis in zip(records, fit.axes, strict=True)
-    )
-    if output is not None:
-        lines = (f"{t:.6f},{x:.4f}" for t, x in zip(fit.time.tolist(), angle.tolist(), strict=True))
-        write_whole(output, "\n".join(("time_s,angle_deg", *lines, "")))
-    zero = (
-        "posture from {:.1f} to {:.1f} s".format(*fit.straight_s)
-        if fit.straight_s
-        else "upright posture of both mountings"
-    )
-    return Summary(
-        title=f"Angle of the {fit.joint} by {records[0].name} and {records[1].name}",
-        answer=f"{fit.joint.capitalize()}: {angle.min():.1f} to {angle.max():.1f} deg, standard uncertainty {uncertain:.1f} deg.",
-        data={
-            "joint": fit.joint, "axes": fit.axes, "axes_uncertainty_deg": off, "angle_deg": [angle.min(), angle.max()],
-            "angle_uncertainty_deg": uncertain, "straight_s": fit.straight_s, "output": output and str(output),
-            "verdict": verdict_json(fit.verdict),
-        },
-        pictures=(figure_of("figures:draw_angle", fit.time, angle, fit.straight_s, f"flexion of the {fit.joint} (deg)"),),
-        sections=(
-            Section(title="Axis of the joint", columns=("device", "x, y, z", "uncertainty (deg)"), rows=rows),
-            Section(title="Straight", text=(f"0 deg is the {zero}",)),
-        ),
-        verdict=fit.verdict,
-        written=(output,),
-        failed=fit.verdict.status == "bad",
-    )  # fmt: skip

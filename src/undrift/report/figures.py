@@ -442,23 +442,6 @@ def draw_record(record: "Record") -> "Figure":
     return figure
 
 
-def draw_synced(courses: Sequence[tuple[str, FloatArray, FloatArray]]) -> "Figure":
-    """Draw the size of the rates of recordings on one clock: all of it, and the two seconds in which the first turns most."""
-    figure, (whole, near) = new_figure(2, height=1.9, share_x=False)
-    sizes = [(name, time, np.linalg.norm(rate, axis=1)) for name, time, rate in courses]
-    centre = sizes[0][1][np.nanargmax(sizes[0][2])]
-    for k, (name, time, size) in enumerate(sizes):
-        style, size = compared_style(k % len(COMPARED_COLOURS)) | {"marker": ""}, size / np.sqrt(np.nanmean(size**2))
-        whole.plot(*envelope(time, size), label=name, linewidth=0.7, **style)
-        part = np.abs(time - centre) <= 1.0
-        near.plot(time[part], size[part], linewidth=1.1, **style)
-    near.set_xlabel("time on the clock of the first (s)")
-    for panel in (whole, near):
-        panel.set_ylabel("rate / its rms")
-    legend_above(whole)
-    return figure
-
-
 def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "Figure":
     """Draw inclination, pitch and heading over time, the rest shaded; with what 95 % of the pitch's errors are within, rad (N,)."""
     named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
@@ -499,16 +482,6 @@ def draw_measured(
     once = {label: handle for handle, label in zip(*panels[0].get_legend_handles_labels(), strict=True)}
     if once:
         legend_outside(figure, [*once.values()], [*once])
-    return figure
-
-
-def draw_angle(time: FloatArray, angle_deg: FloatArray, shaded_s: tuple[float, float] | None, label: str) -> "Figure":
-    """Draw an angle over time (N,), the posture that is zero shaded."""
-    figure, (axes,) = new_figure(1, height=2.2)
-    axes.plot(*envelope(time, angle_deg), color=DEVICE)
-    if shaded_s is not None:
-        axes.axvspan(*shaded_s, color=SHADE, zorder=0)
-    axes.set(xlabel="time (s)", ylabel=label)
     return figure
 
 
