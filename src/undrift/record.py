@@ -704,7 +704,7 @@ class Session:
         if (self.kind == "set-points") != bool(self.means) or (self.means and len(self.means) != len(self.records)):
             raise InputError(
                 f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
-                f"{self.kind} with {len(self.means)} for {len(self.records)}; state set_points in the map"
+                f"{self.kind} with {len(self.means)} for {len(self.records)}; give the means with the records"
             )
         check_serial(self.serial, "session")
         check_local_gravity(self.gravity_m_s2, "session")

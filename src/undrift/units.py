@@ -49,7 +49,6 @@ STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
 INHABITED_GRAVITY = (9.780, 9.832)  # m/s2, equator to pole: standard uncertainty of an assumed one, uniform, is 0.15 %
 RADIAN_PER_DEGREE = math.pi / 180.0
 ZERO_CELSIUS_K = 273.15  # K, of 0 degC
-LM335_K_PER_V = 100.0  # 10 mV/K: 2.982 V at 25 degC
 
 DEVICE_UNITS = ("count", "v")
 
@@ -57,7 +56,7 @@ DEVICE_UNITS = ("count", "v")
 _TO_SI: dict[Quantity, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
-    "temp": {"degc": 1.0, "lm335_v": LM335_K_PER_V},
+    "temp": {"degc": 1.0},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "date": 1.0},  # date: from the first
     "mag": {"ut": 1.0, "gauss": 100.0, "mgauss": 0.1, "t": 1e6},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},

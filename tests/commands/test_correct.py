@@ -18,7 +18,7 @@ from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE
 
 
-@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz", "c.mat"])
+@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])
 def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tmp_path, name):
     answer = undrift.good(
         "correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / name
@@ -61,13 +61,6 @@ def test_a_file_beside_the_output_that_is_read_is_not_written_over(undrift, benc
     line = undrift.refused("correct", bench / "trial.parquet", "--calibration", model, "-o", tmp_path / "c.csv")
     assert "wanted another file to write than those that are read" in line
     assert contents(tmp_path) == before
-
-
-def test_a_name_that_bids_does_not_know_is_refused_before_the_work(undrift, bench, tmp_path):
-    words = ("correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o")
-    line = undrift.refused(*words, tmp_path / "walk_motion.tsv")
-    assert "wanted a name of BIDS motion, got another; name it sub-01_task-walk_tracksys-imu_motion.tsv" in line
-    assert contents(tmp_path) == {}
 
 
 def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, bench, tmp_path):

@@ -41,7 +41,7 @@ def test_a_corrected_and_a_raw_recording_give_the_same_angles(undrift, bench, tm
     assert f"pitch: {low:.2f} to {high:.2f} deg" in first.out
 
 
-@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz", "c.mat"])
+@pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])
 def test_the_tilt_is_stated_alike_from_a_raw_file_from_a_corrected_one_and_in_python(undrift, bench, tmp_path, name):
     raw, calibration = bench / "trial.parquet", bench / "calibration.json"
     words = ("--json", "-o", tmp_path / "o.csv")
@@ -80,7 +80,7 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     corrected = bench / "corrected.parquet"
     assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
-    assert "wanted a name ending in .parquet, .csv, .csv.gz, .sto, .mat or _motion.tsv" in refused(
+    assert "wanted a name ending in .parquet, .csv, .csv.gz or .sto" in refused(
         corrected, "-o", tmp_path / "o.xls"
     )
     assert "than those that are read" in refused(corrected, "-o", corrected)

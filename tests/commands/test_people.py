@@ -1,4 +1,4 @@
-"""``undrift validate --study`` on files in the layout of Kiel's set, three people in two tasks."""
+"""``undrift validate --study`` on files of three people in two tasks."""
 
 import json
 import re
@@ -6,27 +6,27 @@ import re
 import pytest
 
 from study.test_people import FULL, worn
-from testkit.kiel import CLUSTER, write_kiel
+from testkit.worn_trials import CLUSTER, write_trial
 from undrift.cli.app import run
 from undrift.io.store import write_calibration
 
-HEADS = "recording,reference,person,task,device,sensor,markers,calibration"
+HEADS = "recording,reference,person,task,device,reference_up,markers,calibration"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("kiel")
+    folder = tmp_path_factory.mktemp("people")
     write_calibration(FULL, folder / "a.json")
     rows = [HEADS]
     for person in range(3):
         for task, name in (("sit_to_stand", "chairrise"), ("step", "step")):
-            files = write_kiel(folder, f"pp00{person + 1}", name, *worn(person, task))
-            rows.append(f'{files[0]},{files[1]},pp00{person + 1},{name},A,pelvis,"{",".join(CLUSTER)}",a.json')
+            files = write_trial(folder, f"pp00{person + 1}", name, *worn(person, task))
+            rows.append(f'{files[0]},{files[1]},pp00{person + 1},{name},A,z,"{",".join(CLUSTER)}",a.json')
     (folder / "trials.csv").write_text("\n".join(rows) + "\n")
     return folder
 
 
-def test_people_by_tasks_from_files_of_the_set_to_a_page(folder, tmp_path, capsys):
+def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
     assert run(["validate", "--study", str(folder), "-o", str(tmp_path / "out"), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [trial["person"] for trial in answer["trials"]] == ["pp001", "pp001", "pp002", "pp002", "pp003", "pp003"]
@@ -46,13 +46,12 @@ def test_people_by_tasks_from_files_of_the_set_to_a_page(folder, tmp_path, capsy
     [
         (("person,", "who,"), "wanted columns recording, person, task, device, and of"),
         (("pp002,chairrise", ",chairrise"), r"wanted person in line 4, got none; fill it in"),
-        (("imu_step.mat", "imu_walk.mat"), r"pp001/imu/imu_walk.mat: .*wanted"),
+        (("imu_step.parquet", "imu_walk.parquet"), r"pp001/imu_walk.parquet: .*wanted"),
         (("a.json\n", "\n"), r"wanted a calibration in every row of device A or in none, got 5 of 6"),
         (
-            ("pp001/imu/imu_step.mat", "pp001/imu/imu_chairrise.mat"),
-            r"wanted each recording once, got .*chairrise.mat in several",
+            ("pp001/imu_step.parquet", "pp001/imu_chairrise.parquet"),
+            r"wanted each recording once, got .*chairrise.parquet in several",
         ),
-        ((",pelvis,", ",foot,"), r"wanted sensor 'foot', got a file with head, pelvis; name one of them"),
     ],
 )
 def test_a_table_that_does_not_fit_is_one_line_and_nothing_is_written(folder, tmp_path, capsys, changed, refused):
@@ -69,7 +68,7 @@ def test_a_table_that_does_not_fit_is_one_line_and_nothing_is_written(folder, tm
 
 
 def test_a_study_of_files_or_without_a_table_is_refused(folder, tmp_path, capsys):
-    files = [str(path) for path in sorted(folder.glob("data/pp001/imu/*.mat"))]
+    files = [str(path) for path in sorted(folder.glob("data/pp001/imu_*.parquet"))]
     assert run(["validate", "--study", *files]) == 2
     assert "wanted one folder with trials.csv for a study, got 2 paths" in capsys.readouterr().err
     assert run(["validate", "--study", str(tmp_path)]) == 2

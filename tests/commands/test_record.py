@@ -93,7 +93,7 @@ def test_a_way_with_a_description_is_recorded_as_described(tmp_path):
         (("--port", "x", "--udp", "5000", "-o", "a.csv"), "wanted one device, got 2 (serial://x, udp://:5000)"),
         (
             ("--port", "x", "-o", "a.xls"),
-            "wanted a name ending in .parquet, .csv, .csv.gz, .mat, _motion.tsv, .log or .txt",
+            "wanted a name ending in .parquet, .csv, .csv.gz, .log or .txt",
         ),
         (("tcp://h:1", "-o", "old.csv"), "wanted a new name, got one that exists; no recording is written over"),
         (("pigeon:x", "-o", "a.csv"), "wanted one of tcp:..."),

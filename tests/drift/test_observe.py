@@ -2,11 +2,10 @@
 
 Sessions made ready for a thermal fit: units, half steps, power-on, corrected records.
 
-Tables of set-points: rows of means, as chamber software writes them, give the tables that their device has.
+Means over set-points give the tables that their device has.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,9 +24,9 @@ from undrift.drift.observe import (
 )
 from undrift.drift.rate_steps import offset_at, steps_of
 from undrift.errors import InputError, NotObservable
-from undrift.io.session import read_file_map, read_session, session_from_files, write_session
+from undrift.io.session import write_session
 from undrift.model import AdcModel, StaticDrift
-from undrift.record import Record, Session, Still
+from undrift.record import Record, Session, SetPointMeans, Still
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.truth import true_calibration
 
@@ -164,16 +163,6 @@ def test_the_unit_of_the_accelerometers_is_the_calibrations_or_the_one_they_shar
 
 TEMPS = np.concatenate((np.arange(20.0, 71.0, 10.0), np.arange(65.0, 24.0, -10.0)))
 SD, COUNT = 0.05, 400  # deg/s, readings in a mean
-MAP = """
-columns = { temp = "T", gyro = ["gx", "gy", "gz"] }
-units = { temp = "degC", gyro = "count" }
-scale = { gyro = { gain = 2.0, offset = 0.0 } }
-[set_points]
-count = "n"
-gyro_sd = ["sx", "sy", "sz"]
-rate = "w"
-axis = "z"
-"""
 
 
 def truth(temp_c):
@@ -182,48 +171,43 @@ def truth(temp_c):
     return np.array([1.0, -2.0, 0.5]) + t * np.array([0.02, -0.01, 0.03]) + t**2 * np.array([2e-4, 1e-4, -1e-4])
 
 
-def table(folder: Path, *, seed=1, spread=True, rates=(), unit=0.5, name="chamber.csv"):
-    """Write a table of means; a cell is deg/s over the stated gain of 2, so that the map's numbers are deg/s."""
-    rng, rows = np.random.default_rng(seed), []
+def means_session(temp_c, gyro, rate_b, *, sd=None):
+    """Return a session of means over set-points: gyro and rate_b (N, 3) in deg/s, sd (N, 3) the spread of COUNT readings."""
+    rows = len(temp_c)
+    record = Record(time=60.0 * np.arange(rows), gyro=gyro, temp_c=temp_c, gyro_unit="dps")
+    none = np.full((rows, 3), np.nan)
+    means = SetPointMeans(
+        count=np.full(rows, float(COUNT)),
+        rate_b=np.radians(rate_b),
+        gyro_uncertainty=none if sd is None else sd / np.sqrt(COUNT),
+        accel_uncertainty=none,
+        gyro_unit="dps",
+        accel_unit="m/s2",
+        from_spread=sd is not None,
+    )
+    return Session(kind="set-points", serial="a", gravity_m_s2=9.81, records=(record,), means=(means,))
+
+
+def session_of(*, seed=1, spread=True, rates=()):
+    """Return the means of a simulated device, at rest and at some rates about z."""
+    rng, temps, gyro, turned = np.random.default_rng(seed), list[float](), list[np.ndarray](), list[np.ndarray]()
     for temp in TEMPS:
         for rate in (0.0, *rates):
             # a visit scatters about its curve by more than its readings' noise, as bias instability has it
             mean = truth(temp) + np.array([0.0, 0.0, rate]) * (1.0 + 1e-4 * (temp - 25.0))
-            mean = mean + rng.normal(0.0, SD / np.sqrt(COUNT), 3) + rng.normal(0.0, 3e-3, 3)
-            cells = [f"{temp:.2f}", f"{COUNT}", *(f"{unit * value:.6f}" for value in mean), f"{rate:g}"]
-            rows.append(cells + [f"{unit * SD:.4f}"] * 3 * spread)
-    head = ["T", "n", "gx", "gy", "gz", "w", *(["sx", "sy", "sz"] if spread else [])]
-    path = folder / name
-    path.write_text("\n".join(",".join(row) for row in (head, *rows)) + "\n")
-    return path
-
-
-def mapped(folder: Path, text: str) -> Path:
-    (folder / "map.toml").write_text(text)
-    return folder / "map.toml"
-
-
-def session_of(folder: Path, text: str = MAP.replace('"count" }', '"dps" }'), **how):
-    return session_from_files([table(folder, **how)], read_file_map(mapped(folder, text)))
-
-
-def test_rows_are_read_with_count_spread_rate_and_scale(tmp_path):
-    session = session_of(tmp_path, rates=(30.0, -30.0))
-    (means,), (record,) = session.means, session.records
-    assert (session.kind, len(record), session.file_map) == ("set-points", 3 * len(TEMPS), None)
-    np.testing.assert_array_equal(means.count, COUNT)
-    np.testing.assert_allclose(means.gyro_uncertainty, SD / np.sqrt(COUNT))  # the gain holds for the spread as well
-    np.testing.assert_allclose(np.degrees(means.rate_b[:3, 2]), (0.0, 30.0, -30.0))
-    np.testing.assert_allclose(record.gyro[0], truth(20.0), atol=0.03)
-    assert (means.rate_b[:, :2] == 0.0).all()
+            temps.append(temp)
+            gyro.append(mean + rng.normal(0.0, SD / np.sqrt(COUNT), 3) + rng.normal(0.0, 3e-3, 3))
+            turned.append(np.array([0.0, 0.0, rate]))
+    sd = np.full((len(temps), 3), SD) if spread else None
+    return means_session(np.array(temps), np.array(gyro), np.array(turned), sd=sd)
 
 
 @pytest.mark.slow
-def test_offsets_over_temperature_are_those_of_the_device_within_what_is_stated(tmp_path):
+def test_offsets_over_temperature_are_those_of_the_device_within_what_is_stated():
     inside, worst = [], 0.0
     nodes = np.arange(20.0, 70.5, 0.5)
     for seed in range(8):
-        found = fit_drift([session_of(tmp_path, seed=seed)]).calibration.drift.static
+        found = fit_drift([session_of(seed=seed)]).calibration.drift.static
         at = [np.interp(nodes, found.temp_c, column) for column in found.gyro_offset.T]
         doubt = [np.interp(nodes, found.temp_c, column) for column in found.gyro_uncertainty.T]
         error = np.stack(at, axis=1) - truth(nodes)
@@ -235,14 +219,8 @@ def test_offsets_over_temperature_are_those_of_the_device_within_what_is_stated(
     assert worst < 0.02  # five standard deviations of a visit, 0.05 / 20 and 0.003 deg/s in quadrature
 
 
-def test_rows_with_a_rate_give_the_scale_over_temperature(tmp_path):
-    text = MAP.replace('"count" }', '"dps" }').replace('rate = "w"\naxis = "z"', 'rate = ["wx", "wy", "wz"]')
-    path, lines = table(tmp_path, rates=(-60.0, -30.0, 30.0, 60.0)), []
-    for k, line in enumerate(path.read_text().splitlines()):
-        cells = line.split(",")
-        lines.append(",".join([*cells, *(["wx", "wy", "wz"] if k == 0 else ["0", "0", cells[5]])]))
-    path.write_text("\n".join(lines) + "\n")
-    session = session_from_files([path], read_file_map(mapped(tmp_path, text)))
+def test_rows_with_a_rate_give_the_scale_over_temperature():
+    session = session_of(rates=(-60.0, -30.0, 30.0, 60.0))
     fit = fit_drift([session])
     assert len(fit.steps) == 4 * len(TEMPS)
     assert len(np.unique(fit.steps.soak)) == len(TEMPS)
@@ -256,12 +234,11 @@ def test_rows_with_a_rate_give_the_scale_over_temperature(tmp_path):
     assert slope == pytest.approx(0.01, abs=3e-4)
 
 
-def test_missing_columns_are_findings_and_the_fit_goes_on_by_the_scatter(tmp_path):
-    text = MAP.replace('"count" }', '"dps" }').replace('gyro_sd = ["sx", "sy", "sz"]\n', "")
-    poor = fit_drift([session_of(tmp_path, text, spread=False)])
+def test_missing_columns_are_findings_and_the_fit_goes_on_by_the_scatter():
+    poor = fit_drift([session_of(spread=False)])
     codes = {item.code: item for item in poor.verdict.findings}
     assert codes["drift.rows_without_uncertainty"].values["rows"] == len(TEMPS)
-    rich = fit_drift([session_of(tmp_path)])
+    rich = fit_drift([session_of()])
     codes = {item.code for item in rich.verdict.findings}
     assert "drift.rows_by_spread" in codes
     assert "drift.rows_without_uncertainty" not in codes
@@ -270,70 +247,37 @@ def test_missing_columns_are_findings_and_the_fit_goes_on_by_the_scatter(tmp_pat
     assert 0.5 < ratio < 1.8
 
 
-def test_a_table_of_means_is_not_warned_of_lag_or_of_a_missing_thermometer(tmp_path):
-    codes = {item.code: item.level for item in fit_drift([session_of(tmp_path)]).verdict.findings}
+def test_a_table_of_means_is_not_warned_of_lag_or_of_a_missing_thermometer():
+    codes = {item.code: item.level for item in fit_drift([session_of()]).verdict.findings}
     assert codes["drift.temperature_of_table"] == "info"
     assert not codes.keys() & {"drift.lag_and_hysteresis_excluded", "drift.power_on_transient", "drift.set_points_only"}
 
 
-def test_what_a_map_of_set_points_may_not_say(tmp_path):
-    dps = MAP.replace('"count" }', '"dps" }')
-    for text, said in (
-        (dps.replace('count = "n"\n', ""), "wanted count beside gyro_sd, got none"),
-        (dps.replace('axis = "z"\n', ""), "wanted three columns of rate, or one and axis, got 1"),
-        (dps.replace('"sx", "sy", "sz"', '"sx"'), "set_points.gyro_sd: wanted three columns x, y, z, got 1"),
-        (dps.replace('count = "n"', 'count = "w"'), "wanted one reading or more in each mean, got a count of 0"),
-        (dps.replace('count = "n"', 'count = "m"'), "wanted column 'm'"),
-        (dps.replace('temp = "T", ', ""), "wanted the column of the set-points, got none"),
-    ):
-        with pytest.raises(InputError, match=said):
-            fit_drift([session_of(tmp_path, text)])
+def test_a_session_of_means_is_not_written(tmp_path):
     with pytest.raises(InputError, match="wanted recordings to write, got means of set-points"):
-        write_session(session_of(tmp_path), tmp_path / "out")
+        write_session(session_of(), tmp_path / "out")
 
 
-def test_a_session_of_set_points_is_read_from_its_toml_as_from_its_map(tmp_path):
-    table(tmp_path)
-    head = '[session]\nkind = "set-points"\nserial = "a"\ngravity_m_s2 = 9.81\n[[recording]]\nfile = "chamber.csv"\n'
-    dps = MAP.replace('"count" }', '"dps" }').replace("[set_points]", "[recording.set_points]")
-    (tmp_path / "session.toml").write_text(head + dps)
-    stated, bare = read_session(tmp_path), session_of(tmp_path)
-    np.testing.assert_array_equal(stated.means[0].gyro_uncertainty, bare.means[0].gyro_uncertainty)
-    np.testing.assert_array_equal(stated.records[0].gyro, bare.records[0].gyro)
-    assert stated.file_map is None
-    (tmp_path / "session.toml").write_text((head + dps).replace('"set-points"', '"thermal"'))
-    with pytest.raises(InputError, match="wanted a table of means for each recording of kind set-points"):
-        read_session(tmp_path)
+def at_rest(temp_c, gyro, rate):
+    """Return means without uncertainty, turned about z at known rates, deg/s."""
+    turned = np.outer(rate, (0.0, 0.0, 1.0))
+    return means_session(temp_c, gyro + turned, turned)
 
 
-DPS = """
-columns = { temp = 0, gyro = [1, 2, 3] }
-units = { temp = "degC", gyro = "dps" }
-set_points = { rate = 4, axis = "z" }
-"""
-
-
-def bare(folder: Path, temp_c, gyro, rate):
-    """Write a table without a header and read it by position."""
-    rows = np.column_stack((temp_c, gyro + np.outer(rate, (0.0, 0.0, 1.0)), rate))
-    (folder / "bare.csv").write_text("\n".join(",".join(f"{cell:.9g}" for cell in row) for row in rows) + "\n")
-    return session_from_files([folder / "bare.csv"], read_file_map(mapped(folder, DPS)))
-
-
-def test_every_row_of_a_table_without_a_header_is_a_block_of_rest(tmp_path):
+def test_every_row_of_means_is_a_block_of_rest():
     temp_c = np.linspace(-10.0, 56.0, 34)
-    fit = fit_drift([bare(tmp_path, temp_c, truth(temp_c), np.zeros(34))])
+    fit = fit_drift([at_rest(temp_c, truth(temp_c), np.zeros(34))])
     assert (len(fit.rests), float(fit.rests.temp_c.min())) == (34, -10.0)
 
 
-def test_gyroscopes_that_repeat_one_reading_are_fitted(tmp_path):
+def test_gyroscopes_that_repeat_one_reading_are_fitted():
     up = np.linspace(20.0, 40.0, 17)
-    fit = fit_drift([bare(tmp_path, np.concatenate((up, up[::-1])), np.tile((0.0, 0.0, 0.2), (34, 1)), np.zeros(34))])
+    fit = fit_drift([at_rest(np.concatenate((up, up[::-1])), np.tile((0.0, 0.0, 0.2), (34, 1)), np.zeros(34))])
     np.testing.assert_allclose(fit.static.table.gyro_offset - (0.0, 0.0, 0.2), 0.0, atol=1e-6)
 
 
-def test_rates_that_determine_no_surface_are_a_finding(tmp_path):
+def test_rates_that_determine_no_surface_are_a_finding():
     rng = np.random.default_rng(1)
     temp_c, rate = np.array([30.0, 30.0, 30.0, 20.0, 30.0]), np.array([0.0, 100.0, -100.0, 0.0, 100.0])
-    fit = fit_drift([bare(tmp_path, temp_c, truth(temp_c) + rng.normal(0.0, 0.005, (5, 3)), rate)])
+    fit = fit_drift([at_rest(temp_c, truth(temp_c) + rng.normal(0.0, 0.005, (5, 3)), rate)])
     assert "drift.tables_not_observable" in {item.code for item in fit.verdict.findings}

@@ -14,7 +14,7 @@ from testkit.full_calibration import STEPS, device, record, tables
 from undrift.correction.correct import correct
 from undrift.errors import FileFormatError, InputError
 from undrift.export.programs import decompose, export_fusion, export_imucal, export_ros, number
-from undrift.io.foreign import import_imucal
+from undrift.io.imucal import import_imucal
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, NoiseModel
 

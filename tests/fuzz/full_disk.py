@@ -57,7 +57,6 @@ dwell_s = 1.0
 TRIALS = """recording,reference,person,task,device,calibration
 trial.parquet,reference.parquet,1,sit_to_stand,A,calibration.json
 """
-BIDS = "sub-01_task-walk_tracksys-imu_motion.tsv"
 CORRECT, ORIENT = (
     "correct {b}/trial.parquet --calibration {b}/calibration.json -o {o}/",
     "orient {b}/corrected.parquet -o {o}/",
@@ -75,16 +74,12 @@ CALLS = {
     "correct .parquet": Call(CORRECT + "x.parquet --report {o}/r.html"),
     "correct .csv": Call(CORRECT + "x.csv", together=True),
     "correct .csv.gz": Call(CORRECT + "x.csv.gz", together=True),
-    "correct .mat": Call(CORRECT + "x.mat"),
-    "correct BIDS": Call(CORRECT + BIDS, together=True),
     "correct several": Call(
         "correct {b}/2026-03-01.parquet {b}/2026-03-02.parquet --calibration {b}/calibration.json -o {o}/all"
     ),
     "orient .parquet": Call(ORIENT + "x.parquet"),
     "orient .csv": Call(ORIENT + "x.csv"),
     "orient .sto": Call(ORIENT + "x.sto"),
-    "orient .mat": Call(ORIENT + "x.mat"),
-    "orient BIDS": Call(ORIENT + BIDS, together=True),
     "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
     "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),

@@ -338,7 +338,7 @@ def _simulated() -> Iterator[tuple[str, bytes]]:
         temp_c=25.0 + rng.standard_normal(count),
     )
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("r.parquet", "r.csv", "r.csv.gz", "r.mat"):
+        for name in ("r.parquet", "r.csv", "r.csv.gz"):
             undrift.write_record(record, Path(folder) / name)
             yield name, (Path(folder) / name).read_bytes()
         arrays = {f"gyro_{axis}_dps": record.gyro[:, k] for k, axis in enumerate("xyz")}

@@ -43,10 +43,6 @@ def test_names_units_and_another_clock_are_stated(folder):
     )  # fmt: skip
     record = undrift.read_record(folder / "r.csv", settings=ReadSettings(temp_file=held))
     np.testing.assert_allclose(record.temp_c, truth(record.time))
-    (folder / "v.csv").write_text("t,v\n7,2.9315\n11,2.9715\n")
-    lm335 = TempFile(path=folder / "v.csv", time="t", temp="v", temp_unit="lm335_v")
-    record = undrift.read_record(folder / "r.csv", settings=ReadSettings(temp_file=lm335))
-    np.testing.assert_allclose(record.temp_c, truth(record.time), atol=1e-9)
 
 
 def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):

@@ -111,7 +111,7 @@ def test_folders_and_missing_files_are_one_line(tmp_path):
     (tmp_path / "session.toml").touch()
     with pytest.raises(FileFormatError, match="got a session of recordings; read it as a session"):
         read_record(tmp_path)
-    with pytest.raises(InputError, match=r"wanted a name ending in .parquet, .csv, .csv.gz, .mat or _motion.tsv"):
+    with pytest.raises(InputError, match=r"wanted a name ending in .parquet, .csv or .csv.gz"):
         write_record(ramp(), tmp_path / "r.xlsx")
     write_record(ramp(), tmp_path / "r.csv")
     with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
@@ -142,7 +142,7 @@ def calibrated(n=30):
     return replace(ramp(n), state="corrected", frame="b", accel_uncertainty=known)
 
 
-@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.csv.gz", "r.mat", "frame"])
+@pytest.mark.parametrize("name", ["r.parquet", "r.csv", "r.csv.gz", "frame"])
 def test_what_a_calibration_knows_of_the_accelerometers_comes_back_with_the_recording(tmp_path, name):
     record = calibrated()
     if name == "frame":

@@ -1,9 +1,7 @@
 """Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
 
-import json
 import struct
 import zipfile
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +9,8 @@ import pytest
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.files import LIMITS
-from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
-from undrift.io.formats import detect, read_counted, read_markers, read_record, read_reference
+from undrift.io.columns import ReadSettings
+from undrift.io.formats import detect, read_counted, read_record, read_reference
 from undrift.io.inspect import describe
 from undrift.io.session import session_from_files
 
@@ -238,72 +236,6 @@ def test_st_logs_keep_the_unit_of_their_header():
     np.testing.assert_allclose(turn.gyro[0], [-58.8875, -6.29125, -6.64125])
 
 
-# ---- BIDS-motion
-
-
-def test_bids_positions_are_markers():
-    path = maker("bids_motion", "emg_Multimodal", "sub-01", "motion", "sub-01_task-pullstand_tracksys-mocap_motion.tsv")
-    markers = read_markers(path, up="z")
-    assert (markers.labels, len(markers), markers.sample_rate_hz) == (("sacrum", "head"), 256, pytest.approx(256.0))
-    np.testing.assert_allclose(1e3 * markers.points.mean(axis=0).ravel(), [100, 105, 110, 115, 120, 125], atol=2.0)
-    with pytest.raises(InputError, match="wanted the axis that points up, got none; the file does not say"):
-        read_markers(path)
-    with pytest.raises(FileFormatError, match="got positions, not readings of a sensor"):
-        read_record(path)
-
-
-def bids(folder, rows, channels, settings):
-    base = folder / "sub-1_task-walk_tracksys-imu_"
-    (folder / f"{base.name}motion.tsv").write_text(rows)
-    (folder / f"{base.name}channels.tsv").write_text(channels)
-    if settings is not None:
-        (folder / f"{base.name}motion.json").write_text(json.dumps(settings))
-    return folder / f"{base.name}motion.tsv"
-
-
-CHANNELS = "name\tcomponent\ttype\ttracked_point\tunits\n" + "".join(
-    f"{point}_{kind}_{axis}\t{axis}\t{kind}\t{point}\t{unit}\n"
-    for point in ("Pelvis", "Foot")
-    for kind, unit in (("ACCEL", "m/s^2"), ("GYRO", "rad/s"), ("MAGN", "T"))
-    for axis in "xyz"
-)
-ROW = "0\t0\t9.8\t0.1\t0\t0\t2e-5\t0\t4e-5\t9.8\t0\t0\t0.2\tn/a\t0\t0\t0\t5e-5\n"
-
-
-def test_a_bids_motion_recording_reads_one_tracked_point(tmp_path):
-    path = bids(tmp_path, ROW * 20, CHANNELS, {"SamplingFrequency": 199.906})
-    record = read_record(path, settings=ReadSettings(sensor="pelvis"))
-    assert (len(record), record.device, record.accel_unit, record.gyro_unit) == (20, "Pelvis", "m/s2", "rad/s")
-    assert record.sample_rate_hz == pytest.approx(199.906)
-    np.testing.assert_allclose(record.mag_ut[0], [20.0, 0.0, 40.0])
-    foot = read_record(path, settings=ReadSettings(sensor="Foot", gaps="keep"))
-    assert np.isnan(foot.gyro[:, 1]).all()
-    with pytest.raises(InputError, match="the file holds Pelvis, Foot: name one"):
-        read_record(path)
-
-
-def test_bids_tables_without_their_sidecars_are_refused(tmp_path):
-    path = bids(tmp_path, ROW, CHANNELS, None)
-    with pytest.raises(FileFormatError, match=r"wanted sub-1_task-walk_tracksys-imu_motion.json beside it, got none"):
-        read_record(path)
-    path = bids(tmp_path, ROW, CHANNELS, {"Rate": 1})
-    with pytest.raises(FileFormatError, match="wanted SamplingFrequency in Hz, got none; add it"):
-        read_record(path)
-    path = bids(tmp_path, "1\t2\n", CHANNELS, {"SamplingFrequency": 100})
-    with pytest.raises(
-        FileFormatError, match=r"wanted 18 columns as in sub-1_task-walk_tracksys-imu_channels.tsv, got 2"
-    ):
-        read_record(path)
-    place = "name\tcomponent\ttype\ttracked_point\tunits\n" + "".join(f"{x}\t{x}\tPOS\thead\tmm\n" for x in "xyz")
-    path = bids(tmp_path, "1\t2\t3\n", place, {"SamplingFrequency": 100})
-    with pytest.raises(InputError, match=r"motion\.tsv: time: wanted two samples or more, got 1"):
-        read_markers(path, up="z")
-    channels = CHANNELS.replace("ACCEL", "ANGACC").replace("GYRO", "VEL")
-    path = bids(tmp_path, ROW, channels, {"SamplingFrequency": 100})
-    with pytest.raises(FileFormatError, match=r"wanted POS channels x, y, z and SamplingFrequency, got none"):
-        read_markers(path, up="z")
-
-
 # ---- formats without a file that may be shared, by their documents
 
 SENSORS = ("Pelvis Accel Sensor {} (mG)", "Noraxon MyoMotion-Segments-Pelvis-Gyroscope-{} (deg/s)")
@@ -485,42 +417,7 @@ def test_damaged_headers_are_named(tmp_path, name, content, words):
         read_record(tmp_path / name)
 
 
-# ---- a log of set-points
-
 LOG = "boot v2\n" + "".join(f"BIN_DATA: {k}, {-10.1 + k}, 21652, 0.13, -0.2, 0.5\n" for k in range(6))
-
-
-def test_a_log_of_set_points_reads_through_a_map_by_position(tmp_path):
-    (tmp_path / "s.log").write_text(LOG)
-    assert detect(tmp_path / "s.log") == "set_points"
-    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
-    read = read_counted(tmp_path / "s.log", columns)
-    np.testing.assert_allclose(read.record.temp_c, -10.1 + np.arange(6))
-    np.testing.assert_allclose(read.record.gyro, [[0.13, -0.2, 0.5]] * 6)
-    assert read.notes == ("1 lines without readings skipped",)
-    with pytest.raises(
-        InputError, match=r"wanted a map of its 6 columns by position \(from 0, after the colon\), got none"
-    ):
-        read_record(tmp_path / "s.log")
-    assert "6 columns by position" in describe(tmp_path / "s.log").summary
-
-
-@pytest.mark.parametrize("first", ["nan, -12.1, 0, 1, 2, 3", ", -12.1, 0, 1, 2, 3"])
-def test_a_set_point_whose_first_cell_is_empty_is_a_row_too(tmp_path, first):
-    (tmp_path / "s.log").write_text(f"BIN_DATA: {first}\n{LOG}")
-    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
-    read = read_counted(tmp_path / "s.log", columns)
-    assert (read.record.temp_c[0], len(read.record)) == (-12.1, 7)
-
-
-def test_a_set_point_in_a_spoilt_line_is_named_or_counted(tmp_path):
-    (tmp_path / "s.log").write_text(f"boot v2 BIN_DATA: 5, -12.1, 0, 1, 2, 3\n{LOG}")
-    columns = ColumnMap(gyro=(3, 4, 5), gyro_unit="dps", temp=1, temp_unit="degC", sample_rate_hz=1.0)
-    with pytest.raises(FileFormatError, match=r"wanted numbers alone in every line of BIN_DATA, got 1 with other text"):
-        read_record(tmp_path / "s.log", columns)
-    kept = replace(columns, layout=TextLayout(drop_bad_rows=True))
-    read = read_counted(tmp_path / "s.log", kept)
-    assert (len(read.record), read.dropped_rows, read.notes) == (6, 1, ("1 lines without readings skipped",))
 
 
 def test_a_zip_is_to_be_unpacked(tmp_path):
@@ -656,17 +553,6 @@ def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
         FileFormatError, match=r"wanted a gyroscope in Gyroscope.csv and an accelerometer in Total.*, got others"
     ):
         read_record(tmp_path)
-
-
-def test_the_map_of_set_points_is_proposed_line_by_line(tmp_path):
-    (tmp_path / "s.txt").write_text("".join(f"BIN_DATA: {k}, -10.1, 21652, 0.13, 0.2, 0.{k}\n" for k in range(5)))
-    example = describe(tmp_path / "s.txt").example
-    assert example == (
-        "columns = { temp = 1, gyro = [3, 4, 5] }",
-        'units = { temp = "?", gyro = "?" }',
-        "sample_rate_hz = ?",
-    )
-    assert describe(maker("xdf", "minimal.xdf")).example[0] == 'columns = { time = "time_s", gyro = [0, 1, 2] }'
 
 
 def gravity_rows(count=9, *, up=9.8, step=0.01, digits=4):

@@ -1,14 +1,13 @@
-"""Poses and markers in text: OpenSim and Xsens on their real files, QTM by its documented layout."""
+"""Poses and markers in text: OpenSim and Xsens on their real files."""
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import rotate
 from undrift.io.columns import ReadSettings
-from undrift.io.formats import detect, read_markers, read_record, read_reference
+from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe
 from undrift.io.reference import ReferenceMap
 
@@ -81,96 +80,6 @@ HEAD = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\n"
 def test_damaged_opensense_tables_are_named(tmp_path, rows, words):
     with pytest.raises(InputError, match=words):
         read_reference(put(tmp_path, "a.sto", HEAD + rows))
-
-
-# ---- QTM
-
-
-def qtm(names, rows, *, key="MARKER_NAMES", columns="", rate="200"):
-    kinds = "NO_OF_MARKERS" if key == "MARKER_NAMES" else "NO_OF_BODIES"
-    head = f"NO_OF_FRAMES\t{len(rows)}\nNO_OF_CAMERAS\t8\n{kinds}\t{len(names)}\nFREQUENCY\t{rate}\n"
-    head += (
-        "DESCRIPTION -- \nTIME_STAMP\t2026-01-19, 10:19:43.755\t2063631.96\nTIME_STAMP\t2026-01-20\nDATA_INCLUDED\t3D\n"
-    )
-    lines = (
-        [f"{key}\t" + "\t".join(names)] + ([columns] if columns else []) + ["\t".join(map(str, row)) for row in rows]
-    )
-    return head + "\n".join(lines) + "\n"
-
-
-@pytest.mark.parametrize("numbered", [False, True])
-def test_qtm_trajectories_are_markers_in_metres(tmp_path, numbered):
-    points = np.round(np.random.default_rng(1).normal(800.0, 100.0, (5, 2, 3)), 3)
-    points[2, 1] = 0.0
-    rows = [[*([k + 1, k / 200] if numbered else []), *frame.ravel()] for k, frame in enumerate(points)]
-    columns = "Frame\tTime\tA X\tA Y\tA Z\tB X\tB Y\tB Z\t" if numbered else ""
-    path = put(tmp_path, "m.tsv", qtm(("A", "B"), rows, columns=columns))
-    assert detect(path) == "qtm_markers"
-    markers = read_markers(path, up="z")
-    assert (markers.labels, markers.sample_rate_hz) == (("A", "B"), pytest.approx(200.0))
-    np.testing.assert_allclose(markers.points[:2], 1e-3 * points[:2])
-    assert np.isnan(markers.points[2, 1]).all()
-    with pytest.raises(InputError, match="wanted the axis that points up, got none; QTM does not say"):
-        read_markers(path)
-    with pytest.raises(FileFormatError, match="got marker trajectories; read them as a reference"):
-        read_record(path)
-
-
-@pytest.mark.parametrize(("gap", "numbered"), [(True, False), (False, False), (True, True)])
-def test_qtm_bodies_are_poses_from_a_matrix_column_by_column(tmp_path, gap, numbered):
-    turn = Rotation.random(6, random_state=2)
-    rows = []
-    for k, matrix in enumerate(turn.as_matrix()):
-        mine = [100.0 * k, 200.0, 300.0, 1, 2, 3, 0.5, *np.round(matrix.T.ravel(), 9)]
-        lost = [0.0] * 6 + [-1] + [0.0] * 9
-        rows.append(
-            [*([k + 1, k / 100] if numbered else []), *lost, *([""] if gap else []), *(mine if k != 3 else lost)]
-        )
-    each = "\t".join(["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{j}]" for j in range(9))])
-    columns = f"Frame\tTime\t{each}\t\t{each}" if numbered else ""
-    path = put(tmp_path, "b.tsv", qtm(("Belt", "Case"), rows, key="BODY_NAMES", columns=columns, rate="100"))
-    poses = read_reference(path, labels=["Case"])
-    assert (len(poses), poses.sample_rate_hz, poses.name) == (6, pytest.approx(100.0), "b.tsv Case")
-    assert poses.valid.tolist() == [True, True, True, False, True, True]
-    seen = poses.valid
-    assert (Rotation.from_quat(poses.q_nb[seen], scalar_first=True) * turn[seen].inv()).magnitude().max() < 1e-7
-    np.testing.assert_allclose(poses.position[5], [0.5, 0.2, 0.3])
-    with pytest.raises(InputError, match="the file holds Belt, Case: name one"):
-        read_reference(path)
-    with pytest.raises(FileFormatError, match=r"wanted rotation matrices Rot\[0..8\], got none; export 6D data"):
-        read_reference(path, labels=["Belt"])
-    assert detect(path) == "qtm_bodies"
-
-
-@pytest.mark.parametrize(("gap", "numbered"), [(True, False), (False, True), (True, True), (False, False)])
-@pytest.mark.parametrize("headed", [True, False])
-def test_three_qtm_bodies_are_told_apart_with_gaps_or_with_frame_and_time(tmp_path, gap, numbered, headed):
-    turn, rows = Rotation.random(18, random_state=5).as_matrix(), []
-    for k in range(6):
-        row = [k + 1, k / 100] if numbered else []
-        for b in range(3):
-            row += [""] if gap and b else []
-            row += [100.0 * b + k, 2, 3, 1, 2, 3, 0.5, *np.round(turn[6 * b + k].T.ravel(), 9)]
-        rows.append(row)
-    each = "\t".join(["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{j}]" for j in range(9))])
-    columns = ("Frame\tTime\t" if numbered else "") + ("\t\t" if gap else "\t").join([each] * 3)
-    text = qtm(("A", "B", "C"), rows, key="BODY_NAMES", columns=columns if headed else "", rate="100")
-    path = put(tmp_path, "b.tsv", text)
-    for b, name in enumerate("ABC"):
-        poses = read_reference(path, labels=[name])
-        np.testing.assert_allclose(poses.position[:, 0], 0.1 * b + 1e-3 * np.arange(6))
-        seen = Rotation.from_quat(poses.q_nb, scalar_first=True).as_matrix()
-        np.testing.assert_allclose(seen, turn[6 * b : 6 * b + 6], atol=1e-7)
-
-
-def test_damaged_qtm_files_are_named(tmp_path):
-    with pytest.raises(FileFormatError, match="wanted MARKER_NAMES and FREQUENCY in Hz in the header, got none"):
-        read_markers(put(tmp_path, "a.tsv", qtm(("A",), [[1, 2, 3]] * 3, rate="EXT")), up="z")
-    with pytest.raises(FileFormatError, match="wanted 3 columns for each of 2 names, got 3 in all; check the export"):
-        read_markers(put(tmp_path, "a.tsv", qtm(("A", "B"), [[1, 2, 3]] * 3)), up="z")
-    path = put(tmp_path, "a.tsv", qtm(("A", "B"), [[1, 2, 3, 4, 5, 6]] * 3))
-    assert describe(path).kind == "markers"
-    assert len(read_markers(put(tmp_path, "a.tsv", qtm(("A", "A"), [[1, 2, 3, 4, 5, 6]] * 3)), up="y").labels) == 2
 
 
 # ---- Xsens

@@ -177,7 +177,7 @@ def correct(
     calibration : Path
         calibration.json of the device, or a folder of calibrations: the newest one of the recording's serial number.
     output : Path
-        File for one recording: .parquet, .csv, .csv.gz, .mat, or sub-.._task-.._tracksys-.._motion.tsv (BIDS); folder for
+        File for one recording: .parquet, .csv or .csv.gz; folder for
         several, made where it is missing.
     temp_history : str
         Course of the temperature before each recording, for a calibration that corrects hysteresis: warming, cooling, or the

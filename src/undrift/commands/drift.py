@@ -50,8 +50,8 @@ def drift(
     ----------
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
-        changes, daily recordings with a rest in each, or tables of set-points (a map with set_points). Several are combined;
-        how far they differ counts as uncertainty. Recordings whose clock runs on within 60 s are one session.
+        changes, or daily recordings with a rest in each. Several are combined; how far they differ counts as uncertainty.
+        Recordings whose clock runs on within 60 s are one session.
     calibration : Path or None
         calibration.json of the device, or a folder of calibrations: the newest one of its serial number. Without it
         physical units keep their nominal scale, and counts are refused.
@@ -104,7 +104,7 @@ def drift(
         notes=(*chosen.notes, *_notes(fit, model, calibration)),
         written=(figure, output),
         after=() if output else (NOTHING_WRITTEN,),
-        next=() if output is None or first.means else _next(recording_of(sessions), first, fit, output),
+        next=() if output is None else _next(recording_of(sessions), first, fit, output),
         failed=fit.calibration.verdict.status == "bad",
     )
 
@@ -126,7 +126,7 @@ def _fitted(
     for k, path in enumerate(sessions):
         with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
-        (stated if detect(path) == "session" or read[-1].means else bare).append(read[-1])
+        (stated if detect(path) == "session" else bare).append(read[-1])
     check_once(read)
     together = [*stated, *one_power_on(bare)]  # bare recordings are one where their clock runs on
     return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]

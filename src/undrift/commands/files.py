@@ -265,13 +265,13 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         bare = [file for file in files if file.is_dir() and not is_recording(file)]
         if bare:  # says what a folder must hold
             read_session(bare[0])
-        return _recorded(session_from_files(files, opening.file_map(), kind=kind, **asdict(place)), files[0])
+        return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
         raise InputError(
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
             "or state the recordings in its session.toml"
         )
-    session = _recorded(read_session(stated[0], clock=opening.clock), stated[0])
+    session = read_session(stated[0], clock=opening.clock)
     given: dict[str, object] = {"--map": opening.column_map, "--drop-bad-rows": opening.drop_bad_rows or None}
     given["--leave-out"] = opening.leave_out or None
     if session.gravity_source != "standard":
@@ -315,31 +315,22 @@ def session_given(
 
 
 def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
-    """Read a session; a recording by itself, or a table of set-points, is a session of one."""
+    """Read a session; a recording by itself is a session of one."""
     from undrift.files import sha256_of
     from undrift.io.formats import detect
-    from undrift.io.session import entry_of, file_map_of, read_session, session_from_files
+    from undrift.io.session import entry_of, file_map_of, read_session
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
     if detect(path) == "session":
         return read_session(path)
     file_map, gravity_m_s2 = opening.file_map(), STANDARD_GRAVITY if model is None else model.gravity_m_s2
-    if file_map is not None and entry_of(file_map).set_points is not None:
-        return replace(session_from_files([path], file_map), gravity_m_s2=gravity_m_s2)
     record = opening.record(path)
     inputs = ((path.name, sha256_of(path)),) if path.is_file() else ()
     # a stretch belongs to one recording
     file_map = file_map and file_map_of(entry_of(file_map), without=("leave_out",))
     about: Any = {"serial": record.device, "gravity_m_s2": gravity_m_s2, "inputs": inputs, "file_map": file_map}
     return Session(kind="thermal", records=(record,), **about)
-
-
-def _recorded(session: "Session", path: Path) -> "Session":
-    """Refuse means of set-points where samples are wanted."""
-    if session.means:
-        raise InputError(f"{path}: wanted recordings, got a table of set-points; it is for undrift drift")
-    return session
 
 
 def is_recording(path: Path) -> bool:

@@ -117,8 +117,8 @@ def info(
         found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
         return _write_map(found, proposal.write_map, proposal, opening)
-    session = (found := _set_points(found, opening)).session
-    records = () if session is None or session.means else session.records
+    session = found.session
+    records = () if session is None else session.records
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
     seen, reason = _look(session, rests)
@@ -263,26 +263,11 @@ def _effects(file: Path) -> dict[str, list[str]]:
 # ---- A recording or session: still phases, and what a person sees
 
 
-def _set_points(found: "Description", opening: Opening) -> "Description":
-    """Return a table of means as its map says, without what is looked for in samples; other descriptions as they are."""
-    from undrift.io.session import entry_of, session_from_files
-
-    stated = opening.file_map()
-    if found.kind != "recording" or stated is None or entry_of(stated).set_points is None:
-        return found
-    held = session_from_files([Path(found.path)], stated)
-    turned = int(held.means[0].rate_b.any(axis=1).sum())
-    summary = f"{found.rows} means over set-points, {turned} of them at known rates"
-    units = tuple((name, unit) for name, unit in found.units if name != "time")
-    bare = replace(found, kind="set-points", summary=summary, units=units, findings=(), duration_s=None)
-    return replace(bare, sample_rate_hz=None, usual_rate_hz=None, session=held)
-
-
 def _look(session: "Session | None", rests: Rests) -> "tuple[Observed | None, str]":
     """Return what is seen of still phases, and why there is none; too short a recording is no error."""
     from undrift.calibration.observe import CalibrateSettings, look
 
-    if session is None or session.means:
+    if session is None:
         return None, ""
     settings = rests.settings()
     try:
@@ -374,9 +359,9 @@ def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still
     """Return what a person sees of a file."""
     lines = [found.summary.partition(", for example")[0] if found.example else found.summary]
     lines += [f"{name}: {unit}" for name, unit in found.units]
-    if found.kind in ("recording", "session", "set-points"):
+    if found.kind in ("recording", "session"):
         lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(found.units)]
-    if found.columns and found.kind not in ("recording", "set-points"):
+    if found.columns and found.kind != "recording":
         more = f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
         lines.append(f"columns: {', '.join(found.columns[:12])}{more}")
     if found.temp_c:
@@ -421,8 +406,6 @@ def _next(found: "Description", stills: int, opening: Opening) -> tuple[object, 
         return ("info", found.path, "--sample-rate-hz", "256")
     if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
         return ("info", found.path, "--reference-up", "y")
-    if found.kind == "set-points":
-        return ("drift", found.path, *opening.words(), "-o", "calibration.json")
     if found.kind == "session" and found.summary.startswith("calibration"):
         return ("calibrate", found.path, "-o", "calibration.json")
     if found.kind == "recording" and stills >= POSES:

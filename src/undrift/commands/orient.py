@@ -154,8 +154,7 @@ def orient(
     record : Path
         A corrected recording, or a raw one with its calibration; or a folder of them, with one of output.
     output : Path
-        Time, quaternion and angles as .parquet, .csv, .csv.gz or .mat; quaternions as .sto (OpenSense) or
-        sub-.._task-.._tracksys-.._motion.tsv (BIDS).
+        Time, quaternion and angles as .parquet, .csv or .csv.gz; quaternions as .sto (OpenSense).
     calibration : Path or None
         calibration.json of the device, for a raw recording; or a folder of calibrations: the newest one of its serial number.
     pdf : Path or None
@@ -176,7 +175,7 @@ def orient(
     up : str or None
         Device axis that points up on the upright segment.
     body : str
-        Name of the body in .sto and BIDS, of the OpenSim model: pelvis heads the column pelvis_imu.
+        Name of the body in .sto, of the OpenSim model: pelvis heads the column pelvis_imu.
     """
     from undrift.correction.rest import named_rest
     from undrift.findings import finding

@@ -33,7 +33,7 @@ PAUSE_S = 1.0  # host s without readings that are not mentioned
 RATE_S = 2.0  # of a recording after which its rate is shown
 NOW_S, MOST_S = 0.5, 100.0  # of readings whose mean is shown; of those that a guide takes at once
 LINES = (".log", ".txt")  # as they come
-FORMATS = (".parquet", ".csv", ".csv.gz", ".mat", "_motion.tsv", *LINES)
+FORMATS = (".parquet", ".csv", ".csv.gz", *LINES)
 HOW = {
     "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured by itself, in any order.",
     "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
@@ -67,7 +67,7 @@ def record(
     address : str or None
         A serial port, or another address (docs/live.md): tcp://host:port. What lines of text hold is found by listening.
     output : Path or None
-        File to write: .parquet, .csv, .csv.gz, .mat or BIDS; as .log or .txt the lines of the device, a stamp before each.
+        File to write: .parquet, .csv or .csv.gz; as .log or .txt the lines of the device, a stamp before each.
     port : str or None
         Serial port, as /dev/ttyUSB0 or COM3; its baud rate is found.
     ble : str or None

@@ -40,7 +40,7 @@ from undrift.export import Target
 from undrift.export.firmware import triads_of
 from undrift.export.losses import Exported, Part, losses, texts_of
 from undrift.findings import Finding, finding
-from undrift.io.foreign import KIND, VERSION
+from undrift.io.imucal import KIND, VERSION
 from undrift.io.store import calibration_text
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical

@@ -23,7 +23,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
-from undrift.units import DEVICE_UNITS, LM335_K_PER_V, ZERO_CELSIUS_K, Quantity, canonical_unit, si_factor, temp_offset
+from undrift.units import DEVICE_UNITS, Quantity, canonical_unit, si_factor
 
 Column: TypeAlias = str | int
 Channel = Literal["time", "gyro", "accel", "temp", "mag"]
@@ -35,15 +35,13 @@ QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "a
 AXES = ("x", "y", "z")
 KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and beside CSV
 _SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
-LM335_RANGE_C = (-40.0, 125.0)  # where the part works
-MOST_TRIM_C = 20.0  # an untrimmed part is within 9 K by its data sheet
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 
 # Ending of a native column name for each unit that a channel may have.
 GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
 ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
 NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
-TEMP_SUFFIX = {"degc": "c", "lm335_v": "lm335_v", "count": "count", "v": "v"}
+TEMP_SUFFIX = {"degc": "c", "count": "count", "v": "v"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,36 +56,6 @@ class ChannelScale:
         """Return the values of one axis."""
         gain, offset = (x[axis] if isinstance(x, tuple) else x for x in (self.gain, self.offset))
         return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trim:
-    """One-point trim of an LM335 at a known temperature, as its third pin does: its output is a line through 0 K.
-
-    T = T_read (true + 273.15) / (reads + 273.15), all in K.
-    """
-
-    reads_c: float  # Temperature by its voltage, degC
-    true_c: float  # Temperature that it had, degC
-
-    def __post_init__(self) -> None:
-        low, high = LM335_RANGE_C
-        for name, value in (("reads_c", self.reads_c), ("true_c", self.true_c)):
-            if not low <= value <= high:
-                raise InputError(
-                    f"temp_trim.{name}: wanted {low:g} to {high:g} degC, got {value:g}; state the LM335's reading and the "
-                    "true temperature, both in degC"
-                )
-        if abs(self.true_c - self.reads_c) > MOST_TRIM_C:
-            raise InputError(
-                f"temp_trim: wanted a reading within {MOST_TRIM_C:g} K of the truth, got {self.reads_c:g} for {self.true_c:g} "
-                "degC; a part that far off is broken or read through another scale"
-            )
-
-    @property
-    def factor(self) -> float:
-        """True over read absolute temperature, 1."""
-        return (self.true_c + ZERO_CELSIUS_K) / (self.reads_c + ZERO_CELSIUS_K)
 
 
 @stored()
@@ -132,7 +100,6 @@ class ColumnMap:
     accel_scale: ChannelScale | None = None
     temp_scale: ChannelScale | None = None
     mag_scale: ChannelScale | None = None
-    temp_trim: Trim | None = None  # Of an LM335, where ``temp_unit`` is "lm335_v"
     sample_rate_hz: float | None = None  # Hz. Never defaulted; beside a time column it is checked against it
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
     gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
@@ -156,11 +123,6 @@ class ColumnMap:
                     f"columns: wanted other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
                     "both; name each column once"
                 )
-        if self.temp_trim is not None and (self.temp is None or self.unit_of("temp") != "lm335_v"):
-            raise InputError(
-                f'temp_trim: wanted units.temp = "lm335_v" beside it, got {self.temp_unit or "no temperature"}; a column in degC '
-                "is shifted by scale.temp (gain 1, offset in K)"
-            )
         if self.time is None and self.sample_rate_hz is None:
             raise InputError("columns: wanted a time column or sample_rate_hz, got neither; the rate is never assumed")
         if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < 1e7:
@@ -205,10 +167,9 @@ class ColumnMap:
             raise InputError(f"units.{channel}: wanted the unit of {channel}, got none; nothing is assumed")
         if columns and canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):
             wanted = "degC" if channel == "temp" else "uT"
-            part = ', or "lm335_v" for an LM335 in V' if channel == "temp" else ""
             raise InputError(
                 f"units.{channel}: wanted {wanted}, got {unit}; give scale.{channel} (gain and offset to {wanted}) "
-                f'and units.{channel} = "{wanted}"{part}, or leave {channel} out'
+                f'and units.{channel} = "{wanted}", or leave {channel} out'
             )
 
 
@@ -544,8 +505,6 @@ def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArra
                 f"{table.source}: wanted an array {columns.columns_of(channel)[0]!r} of shape (N, 3), got none; it holds "
                 f"{', '.join(table.names[:16])}"
             )
-    if unit == "lm335_v":
-        return _lm335(table, columns, wanted[0], scale)
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
     limit = _LARGEST["ut" if channel == "mag" else unit]
     out = np.empty((len(table), len(wanted)))
@@ -555,24 +514,6 @@ def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArra
         _check_values(table, table.names[table.position(column)], values, limit, unit, columns)
         out[:, k] = values
     return out
-
-
-def _lm335(table: RawTable, columns: ColumnMap, column: Column, scale: ChannelScale) -> FloatArray:
-    """Return the temperature by an LM335's voltage, trimmed, shape (N, 1), degC."""
-    volts, name = scale.applied(table.numbers(column), 0), table.names[table.position(column)]
-    _check_gaps(table, name, volts, columns)
-    low, high = ((limit + ZERO_CELSIUS_K) / LM335_K_PER_V for limit in LM335_RANGE_C)
-    bad = np.flatnonzero((volts < low) | (volts > high))
-    if len(bad):
-        row = table.row(int(bad[0]))
-        raise FileFormatError(
-            f"{table.source}: column {name!r}: wanted {low:.2f} to {high:.2f} V of an LM335 (10 mV/K, {LM335_RANGE_C[0]:g} to "
-            f"{LM335_RANGE_C[1]:g} degC), got {volts[bad[0]]:g} V in data row {row} ({len(bad)} such); check its wiring, or "
-            "give scale.temp from the file's numbers to V at the part",
-            row=row,
-        )
-    kelvin = volts * si_factor("lm335_v", "temp") * (columns.temp_trim.factor if columns.temp_trim else 1.0)
-    return (kelvin + temp_offset("lm335_v"))[:, None]
 
 
 def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:

@@ -27,7 +27,6 @@ from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, rea
 from undrift.io.box import sound
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
-from undrift.io.kiel import is_kiel, read_kiel_imu, read_kiel_markers
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
@@ -37,8 +36,6 @@ from undrift.io.reference import (
     poses_in,
     read_array_poses,
     read_parquet_poses,
-    read_qtm_bodies,
-    read_qtm_markers,
     read_sto,
     read_text_poses,
 )
@@ -153,7 +150,6 @@ _EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_ba
 _STREAMS = frozenset({"sensor", "gaps", "repair_time"})
 _BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
 _MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
-_MAT = (b"MATLAB", _HDF5)
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 
 
@@ -181,16 +177,6 @@ FORMATS: dict[str, Format] = {
         lambda _, head: head.startswith(b"MATLAB") and containers.is_mobilised(head),
         record=containers.read_mobilised,
         honours=_STREAMS,
-    ),
-    "kiel_imu": Format(
-        lambda path, head: head.startswith(_MAT) and is_kiel(path, head, "imu_location"),
-        record=read_kiel_imu,
-        honours=_STREAMS,
-    ),
-    "kiel_markers": Format(
-        lambda path, head: head.startswith(_MAT) and is_kiel(path, head, "marker_location"),
-        markers=read_kiel_markers,
-        instead=_MARKERS,
     ),
     "mat": Format(
         _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
@@ -241,20 +227,6 @@ FORMATS: dict[str, Format] = {
         record=makers.read_phone_zip,
         honours=_EXPORT,
     ),
-    "bids_motion": Format(
-        lambda path, _: "_motion.tsv" in path.name and makers.is_bids(path, positions=False),
-        record=makers.read_bids_motion,
-        honours=_EXPORT,
-    ),
-    "bids_positions": Format(
-        lambda path, _: "_motion.tsv" in path.name and makers.is_bids(path, positions=True),
-        markers=makers.read_bids_positions,
-        instead="positions, not readings of a sensor; read them as a reference (labels of one rigid cluster)",
-    ),
-    "qtm_markers": Format(_has(rb"^MARKER_NAMES\t"), markers=read_qtm_markers, instead=_MARKERS),
-    "qtm_bodies": Format(
-        _has(rb"^BODY_NAMES\t"), bodies=read_qtm_bodies, instead="poses of rigid bodies; read them as a reference"
-    ),
     "sto": Format(
         _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
         bodies=read_sto,
@@ -264,11 +236,6 @@ FORMATS: dict[str, Format] = {
         _has(rb"^endheader\s*$"),
         instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor; a reference for undrift validate "
         "is the .sto file of orientations (DataType=Quaternion)",
-    ),
-    "set_points": Format(
-        lambda _, head: b":" in head and makers.is_set_points(head),
-        record=makers.read_set_points,
-        honours=frozenset({"columns", "sample_rate_hz", "drop_bad_rows"}),
     ),
     # The formats of other packages come here.
     "zip": Format(
@@ -459,8 +426,7 @@ def write_record(record: Record, path: str | Path) -> None:
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it), NAME.mat, or the
-        sub-01_task-walk_tracksys-imu_motion.tsv of BIDS with the three files that belong to it.
+        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it).
 
     Raises
     ------
@@ -491,13 +457,13 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; OpenSim .sto, QTM 6D, Xsens; markers in C3D, TRC, QTM or BIDS.
+        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
     columns : ReferenceMap or None
         For foreign names; None for undrift's own.
     labels : tuple of str or None
-        Markers of one rigid cluster, for C3D, TRC, QTM and BIDS; or the name of one body (.sto, QTM 6D).
+        Markers of one rigid cluster, for C3D and TRC; or the name of one body (.sto).
     up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, QTM 3D and BIDS, and for C3D files that do not state it.
+        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
 
     Returns
     -------

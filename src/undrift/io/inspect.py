@@ -29,9 +29,9 @@ from undrift.io.columns import (
     is_native,
     native_columns,
 )
-from undrift.io.foreign import program_of
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
+from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
 from undrift.io.log import log_sheet, log_text
 from undrift.io.makers import apdm_sensors
@@ -268,9 +268,9 @@ def describe(
 ) -> Description:
     """Return what a file holds."""
     path, settings = Path(path), settings or READ_SETTINGS
-    if program := program_of(path):
-        summary = f"calibration of {program}: constants without uncertainty"
-        return Description(path=str(path), kind="calibration", format=program, summary=summary)
+    if is_imucal(path):
+        summary = "calibration of imucal: constants without uncertainty"
+        return Description(path=str(path), kind="calibration", format="imucal", summary=summary)
     name, entry = format_of(path)
     if entry.markers is not None:
         return _markers(path, name, up)

@@ -13,8 +13,6 @@ Sensor Logger the file's name says which sensor; Accelerometer.csv has gravity r
 SensorLog     iOS: g, the opposite of specific force. (phyphox turns the sign of iOS itself.)
 Physics Toolbox  gF in g, w in rad/s; ax, ay, az are the linear accelerometer, without gravity. Arduino Science Journal: ms, m/s2
 MATLAB Mobile Timestamp,X,Y,Z, one timetable a file, named by the file
-BIDS-motion   *_motion.tsv without header; *_channels.tsv and *_motion.json beside it
-set-points    "BIN_DATA: 5, -10.1, 21652, ...": columns without names, read through a map by position
 
 Each is a row of DIALECTS, below: how a file is recognised, and what its manual states but the file does not. A dialect names
 its columns (``columns``), or it is labelled: names and unit rows state what each column is (io/labelled.py), and the row adds units
@@ -32,7 +30,6 @@ Temperature that comes in a file of its own, at its own rate, is interpolated on
 """
 
 import csv
-import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +42,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import LIMITS, read_bytes, read_tree
+from undrift.files import LIMITS, read_bytes
 from undrift.io.box import sound
 from undrift.io.columns import (
     AXES,
@@ -62,7 +59,6 @@ from undrift.io.columns import (
 )
 from undrift.io.containers import chosen
 from undrift.io.labelled import Label, Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet, unit_for, with_manual
-from undrift.io.mocap import Markers, Up, markers_of
 from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
 from undrift.io.text import Text, open_text, parse_text
 from undrift.record import Record, Reference
@@ -477,138 +473,6 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
         )
     with naming(thermometer.path):
         return _with_temp(record, time, temp_c)
-
-
-# ---- BIDS-motion
-
-
-def read_bids_motion(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read one tracked point of a BIDS-motion recording."""
-    sheet, channels = _bids(path)
-    kinds = {"ACCEL": "accel", "GYRO": "gyro", "MAGN": "mag", "LATENCY": "time"}
-    labels: list[Label | None] = []
-    for row in channels:
-        channel, unit = kinds.get(row.get("type", "").upper()), row.get("units", "")
-        known = unit_for(unit, channel) if channel else None
-        axis = row.get("component", "").lower() if channel != "time" else ""
-        point = row.get("tracked_point", "").replace("n/a", "")
-        labels.append(Label(point, channel, axis, *known) if channel and known else None)
-    return read_sheet(replace(sheet, labels=tuple(labels)), settings)
-
-
-def read_bids_positions(path: Path, up: Up | None = None) -> Markers:
-    """Read the positions of a BIDS-motion recording as markers."""
-    sheet, channels = _bids(path)
-    places: dict[str, dict[str, int]] = {}
-    for k, row in enumerate(channels):
-        if row.get("type", "").upper() == "POS":
-            places.setdefault(row.get("tracked_point", ""), {})[row.get("component", "").lower()] = k
-    whole = {name: [axes[axis] for axis in AXES] for name, axes in places.items() if set(axes) >= set(AXES)}
-    if not whole or sheet.rate_hz is None:
-        raise FileFormatError(
-            f"{path}: wanted POS channels x, y, z and SamplingFrequency, got none; check the sidecars"
-        )
-    points = np.stack([sheet.array(columns) for columns in whole.values()], axis=1)
-    unit = channels[next(iter(whole.values()))[0]].get("units", "")
-    time = np.arange(len(points)) / sheet.rate_hz
-    return markers_of(path, tuple(whole), points * si_factor(unit, "length"), time, up=up)
-
-
-def is_bids(path: Path, *, positions: bool) -> bool:
-    """Tell a BIDS-motion table by its name and sidecar: one of positions, or one with inertial sensors."""
-    sidecar = _sidecar(path, "_channels.tsv")
-    if re.search(r"_motion\.tsv(\.gz)?$", path.name) is None:
-        return False
-    inertial = sidecar.is_file() and re.search(rb"\t(ACCEL|GYRO)\t", read_bytes(sidecar), re.IGNORECASE) is not None
-    return inertial is not positions
-
-
-def _sidecar(path: Path, ending: str) -> Path:
-    return path.with_name(re.sub(r"_motion\.tsv(\.gz)?$", ending, path.name))
-
-
-def _bids(path: Path) -> tuple[Sheet, list[dict[str, str]]]:
-    channels, settings = _sidecar(path, "_channels.tsv"), _sidecar(path, "_motion.json")
-    for sidecar in (channels, settings):
-        if not sidecar.is_file():
-            raise FileFormatError(f"{path}: wanted {sidecar.name} beside it, got none; copy the sidecars too")
-    lines = [line.split("\t") for line in as_utf8(read_bytes(channels)).decode().splitlines() if line.strip()]
-    rows = [dict(zip(lines[0], (cell.strip() for cell in line), strict=False)) for line in lines[1:]]
-    try:
-        rate = float(json.loads(read_tree(settings))["SamplingFrequency"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise FileFormatError(f"{settings}: wanted SamplingFrequency in Hz, got none; add it") from error
-    names = tuple(row.get("name", "") for row in rows)
-    content = as_utf8(read_bytes(path))
-    width = content.split(b"\n", 1)[0].count(b"\t") + 1
-    if width != len(names):
-        raise FileFormatError(
-            f"{path}: wanted {len(names)} columns as in {channels.name}, got {width}; the two do not belong together"
-        )
-    layout = TextLayout(delimiter="\t", header=False)
-    return Sheet(path=path, names=names, layout=layout, rows=content, rate_hz=rate), rows
-
-
-# ---- a log of set-points: "BIN_DATA: 5, -10.1, 21652, 0.13, ..."
-
-_SET_POINT = re.compile(rb"^[ \t]*([A-Za-z_]\w*):[ \t]*(?=[-+.\d,]|nan)(.*?)[ \t,]*\r?$", re.MULTILINE | re.IGNORECASE)
-
-_MOST_SET_POINTS = 100  # lines of 8 KiB: readings are many
-
-
-def is_set_points(head: bytes) -> bool:
-    """Tell whether most lines are one word, a colon and numbers, and few enough that each may be a mean; else it is a log."""
-    lines = [line for line in head.splitlines()[:64] if line.strip()]
-    rows = [(m.group(1), m.group(2)) for line in lines if (m := _SET_POINT.match(line))]
-    numbers = [row for _, row in rows if row.count(b",") >= 2 and re.fullmatch(rb"[-+.\deE, \tnaNA]*", row)]
-    return (
-        b"\0" not in head
-        and len(head.splitlines()) <= _MOST_SET_POINTS
-        and len(numbers) >= 2
-        and len(numbers) > 0.5 * len(lines)
-        and len({w for w, _ in rows}) == 1
-    )
-
-
-def read_set_points(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a log of set-points, whose columns have no names, through a map by position."""
-    lines = [line for line in as_utf8(read_bytes(path)).splitlines() if line.strip()]
-    hits = [m.groups() if (m := _SET_POINT.match(line)) else (b"", b"") for line in lines]
-    word = next(word for word, _ in hits if word)
-    found = [row for own, row in hits if own == word]
-    width = found[0].count(b",") + 1
-    spoilt = [
-        line
-        for line, (own, _) in zip(lines, hits, strict=True)
-        if own != word and word + b":" in line and line.count(b",") >= width - 1
-    ]
-    if spoilt and not settings.drop_bad_rows and not (columns and columns.layout.drop_bad_rows):
-        shown = spoilt[0][:40].decode("utf-8", "replace")
-        raise FileFormatError(
-            f"{path}: wanted numbers alone in every line of {word.decode()}, got {len(spoilt)} with other text, the first "
-            f"{shown!r}; repair them, or set drop_bad_rows = true in a map (`column_map` FILE)"
-        )
-    if columns is None:
-        raise InputError(
-            f"{path}: wanted a map of its {width} columns by position (from 0, after the colon), got none; for example columns = "
-            "{ temp = 1, gyro = [3, 4, 5] } with units and sample_rate_hz (`column_map` FILE)",
-            missing="columns",
-            example=(
-                "columns = { temp = 1, gyro = [3, 4, 5] }",
-                'units = { temp = "?", gyro = "?" }',
-                "sample_rate_hz = ?",
-            ),
-        )
-    layout = replace(columns.layout, header=False, skip_rows=0, delimiter=",")
-    names = tuple(str(k) for k in range(width))
-    sheet = Sheet(path=path, names=names, layout=layout, rows=b"\n".join(found) + b"\n")
-    table = sheet.columns(
-        *(int(k) for k in columns.wanted()), drop_bad_rows=layout.drop_bad_rows or settings.drop_bad_rows
-    )
-    other = len(lines) - len(found) - len(spoilt)
-    notes = (f"{other} lines without readings skipped",) if other else ()
-    made = build_record(table, columns)
-    return replace(made, notes=notes, dropped_rows=made.dropped_rows + len(spoilt))
 
 
 # ---- Xsens

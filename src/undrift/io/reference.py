@@ -1,4 +1,4 @@
-"""References: poses from tables of quaternions, of named bodies (OpenSim, QTM), and anatomical bodies from skin markers.
+"""References: poses from tables of quaternions, of named bodies (OpenSim), and anatomical bodies from skin markers.
 
 All axes of a body are x forward, y left, z up, as a device worn at the back would be mounted. With mid(.) the mean of markers::
 
@@ -12,13 +12,11 @@ A cluster is fitted to all of its markers (io/mocap.py); the anatomical axes are
 lacks a marker of the body is a gap: a fit to fewer would jump by what the skin has moved.
 
 OpenSim       .sto: cells "w,x,y,z", a column for each sensor
-QTM           TSV: markers (3D), or bodies (6D) with Rot[0..8] column by column; mm
 
 A file of poses may hold several bodies, of which one is named. Quaternions are scalar first and turn the body to the
 laboratory; a lost body is zeros, NaN or empty cells.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -33,7 +31,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
-from undrift.io.columns import Column, RawTable, TextLayout, is_number, naming
+from undrift.io.columns import Column, RawTable, TextLayout, naming
 from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
@@ -381,7 +379,7 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
         )
 
 
-# ---- poses of named bodies: OpenSim and QTM
+# ---- poses of named bodies: OpenSim
 
 _FROM_Y_UP = np.array(_LEVELLED["y"])  # as level_from turns points
 
@@ -442,67 +440,3 @@ def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Refer
     chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
     values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)
     return reference_of(path, values[:, 0], values[:, chosen : chosen + 4], up=up, name=names[1 + chosen // 4])
-
-
-# ---- QTM
-
-
-def read_qtm_markers(path: Path, up: Up | None = None) -> Markers:
-    """Read marker trajectories from a QTM TSV file of 3D data, mm; 0, 0, 0 is a lost marker."""
-    labels, values, rate = _qtm(path, "MARKER_NAMES", 3)
-    points = values.reshape(len(values), len(labels), 3) * 1e-3
-    points[(points == 0.0).all(axis=2) | np.isnan(points).any(axis=2)] = np.nan
-    return markers_of(path, labels, points, np.arange(len(points)) / rate, up=up, why="QTM")
-
-
-def read_qtm_bodies(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
-    """Read one rigid body of a QTM TSV file of 6D data: mm, Rot[0..8] column by column; z is up unless stated."""
-    from scipy.spatial.transform import Rotation
-
-    labels, values, rate = _qtm(path, "BODY_NAMES", 16)
-    block = values.reshape(len(values), len(labels), 16)[:, labels.index(name_of(path, labels, name))]
-    turn = block[:, 7:].reshape(-1, 3, 3).transpose(0, 2, 1)
-    seen = np.abs(np.linalg.det(np.nan_to_num(turn)) - 1.0) < NEARLY_UNIT
-    if not seen.any():
-        raise FileFormatError(f"{path}: wanted rotation matrices Rot[0..8], got none; export 6D data with the matrix")
-    q_nb = np.full((len(values), 4), np.nan)
-    q_nb[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
-    position = np.where(seen[:, None], block[:, :3] * 1e-3, np.nan)
-    time = np.arange(len(values)) / rate
-    return reference_of(path, time, q_nb, position=position, up=up, name=name_of(path, labels, name))
-
-
-def _qtm(path: Path, key: str, each: int) -> tuple[tuple[str, ...], FloatArray, float]:
-    """Return names, the blocks of all names without frame, time and gap columns, and the frame rate."""
-    lines = as_utf8(read_bytes(path)).decode().splitlines()
-    head: dict[str, str] = {}
-    start = next((k for k, line in enumerate(lines) if not re.match(r"[A-Z_]{4,}(\s|$)", line)), len(lines))
-    for line in lines[:start]:
-        head[line.split("\t")[0]] = line.partition("\t")[2]
-    names = tuple(cell.strip() for cell in head.get(key, "").split("\t") if cell.strip())
-    rate = head.get("FREQUENCY", "").strip()
-    if not names or not is_number(rate) or not rate:
-        raise FileFormatError(
-            f"{path}: wanted {key} and FREQUENCY in Hz in the header, got none; export the TSV header too"
-        )
-    headed = ""
-    if start < len(lines) and not all(
-        is_number(cell) or cell.strip() in ("", "NULL", "-") for cell in lines[start].split("\t")
-    ):
-        headed, start = lines[start], start + 1  # a line of column names
-    rows = [re.sub(r"\t+$", "", line) for line in lines[start:] if line.strip()]
-    width = max((row.count("\t") + 1 for row in rows), default=0)
-    bare = len(names) * each
-    fits = [gap for gap in (0, 1) if width - bare - (len(names) - 1) * gap in (0, 2)]  # frame and time may stand before
-    if not fits:
-        raise FileFormatError(
-            f"{path}: wanted {each} columns for each of {len(names)} names, got {width} in all; check the export"
-        )
-    gap = fits[0]
-    if len(fits) > 1 and not headed.startswith("Frame"):  # of three names the two gaps are as wide as frame and time
-        gap = int(not any(cell.strip() for row in rows for cell in row.split("\t")[each : width : each + 1]))
-    bare += (len(names) - 1) * gap
-    padded = "".join(f"{row}{chr(9) * (width - row.count(chr(9)) - 1)}\n" for row in rows).encode()
-    first = width - bare
-    keep = [first + k * (each + gap) + j for k in range(len(names)) for j in range(each)]
-    return names, _table(path, padded, width)[:, keep], float(rate)

@@ -33,10 +33,8 @@ sample_rate_hz = 102.4
 columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }     # names, or positions from 0
 units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
 scale = { temp = { gain = 0.00294117647, offset = 36.53 } }     # value = gain * cell + offset
-temp_trim = { reads_c = 26.1, true_c = 25.0 }     # of an LM335, units.temp = "lm335_v"
 delimiter = ","      # " " for any number of blanks          header = true     skip_rows = 0     decimal = "."
 gaps = "raise"       # or "keep"         repair_time = false     drop_bad_rows = false     frame = "s"     device = ""
-set_points = { count = "n", gyro_sd = ["sx", "sy", "sz"], rate = "rate", axis = "z", rate_unit = "dps" }   # each row is a mean
 temp_file = { file = "thermometer.csv", time = "t", temp = "T", time_unit = "s", temp_unit = "degC", shift_s = 0.0 }   # of its own
 clock = "file"       # or "regular" for stamps of a host; columns.counter names the device's own counter of samples
 """
@@ -59,14 +57,11 @@ from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.box import one_box
-from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, Trim, naming
+from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, naming
 from undrift.io.formats import read_record, without
 from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
-from undrift.io.text import open_text, parse_text
-from undrift.model import AXES
 from undrift.record import (
-    Axis,
     FileMap,
     GravitySource,
     Kind,
@@ -75,13 +70,12 @@ from undrift.record import (
     RateTable,
     Record,
     Session,
-    SetPointMeans,
     Still,
     TemperatureSensitivity,
     Turn,
     TurnAxis,
 )
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, gravity_at, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 # ---- column maps
 
@@ -89,7 +83,6 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 # For undrift's own names
 NATIVE_KEYS = {"sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file", "leave_out"}
 _SEAL = "# sha256 of all below: "
-ROW_S = 60.0  # from row to row of a table of set-points without times
 _LAYOUT = {"delimiter", "header", "skip_rows", "decimal"}
 
 
@@ -136,13 +129,6 @@ class ScaleEntry(TomlTable):
     mag: LinearEntry | None = None
 
 
-class TrimEntry(TomlTable):
-    """One-point trim of an LM335."""
-
-    reads_c: float  # By its voltage, degC
-    true_c: float  # True temperature, degC
-
-
 class TempFileEntry(TomlTable):
     """A thermometer's file of its own."""
 
@@ -158,21 +144,6 @@ class TempFileEntry(TomlTable):
     decimal: str = "."  # "." or ","
 
 
-class SetPointsEntry(TomlTable):
-    """Columns of a table in which each row is the mean over a set-point, as chamber software writes it."""
-
-    count: str | int | None = None  # Readings in each mean
-    gyro_sd: list[str | int] | None = None  # Standard deviation of those readings, x, y, z, in the unit of the means
-    accel_sd: list[str | int] | None = None
-    gyro_uncertainty: list[str | int] | None = (
-        None  # Standard uncertainty of the means themselves, in place of the former
-    )
-    accel_uncertainty: list[str | int] | None = None
-    rate: list[str | int] | str | int | None = None  # Imposed rate: x, y, z, or one column about ``axis``
-    axis: Axis | None = None
-    rate_unit: str = "dps"  # Any spelling of :mod:`undrift.units`
-
-
 class MapEntry(TomlTable):
     """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
 
@@ -180,7 +151,6 @@ class MapEntry(TomlTable):
     columns: ColumnsEntry | list[ColumnsEntry] | None = None  # One table; or one for each file of files side by side
     units: UnitsEntry = UnitsEntry()  # Units of the mapped channels
     scale: ScaleEntry = ScaleEntry()  # Conversions, where the file's numbers are not in those units
-    temp_trim: TrimEntry | None = None  # Of an LM335
     delimiter: str = ","  # One character; " " for any number of blanks or tabs
     header: bool = True  # Whether a line names the columns
     skip_rows: int = 0  # Lines before the header or the first row
@@ -194,7 +164,6 @@ class MapEntry(TomlTable):
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
-    set_points: SetPointsEntry | None = None  # Where each row is a mean, not a sample
 
     def thermometer(self, folder: Path) -> TempFile | None:
         """Return the thermometer of its own file."""
@@ -212,9 +181,6 @@ class MapEntry(TomlTable):
         shared |= {
             key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "clock", "frame", "device")
         }
-        if self.set_points is not None and self.sample_rate_hz is None and all(table.time is None for table in tables):
-            shared["sample_rate_hz"] = 1.0 / ROW_S
-        shared["temp_trim"] = None if self.temp_trim is None else Trim(**dict(self.temp_trim))
         shared["layout"] = TextLayout(**self.model_dump(include={*_LAYOUT, "drop_bad_rows"}))
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
@@ -332,7 +298,7 @@ _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its s
 class HeadEntry:
     """[session]."""
 
-    kind: Kind  # calibration, thermal, static or set-points
+    kind: Kind  # calibration, thermal or static
     serial: str  # Device serial number
     gravity_m_s2: float | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
     latitude_deg: float | None = None  # Where it was recorded
@@ -458,8 +424,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
-            file_map=None if head.kind == "set-points" else shared_map(held.recording),
-            means=_all_means(path.parent, held.recording, files, records),
+            file_map=shared_map(held.recording),
             gravity_source=source,
             rate_table=held.rate_table,
             sensitivity=held.sensitivity,
@@ -497,15 +462,13 @@ def session_from_files(
         records.append(_read_recording(Path(), names, RecordingEntry(file=names, **stated), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
     gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
-    means = _all_means(Path(), [entry] * len(groups), groups, records)
     return Session(
-        kind="set-points" if means else kind,
+        kind=kind,
         serial=serial or records[0].device,
         gravity_m_s2=gravity_m_s2,
         records=tuple(records),
         inputs=tuple(inputs),
-        file_map=None if means else shared_map([entry]),
-        means=means,
+        file_map=shared_map([entry]),
         gravity_source=source,
     )
 
@@ -536,7 +499,7 @@ def write_session(session: Session, folder: str | Path) -> None:
         The folder cannot be written.
     """
     if session.means:
-        raise InputError("session: wanted recordings to write, got means of set-points; keep their table and its map")
+        raise InputError("session: wanted recordings to write, got means of set-points; write their frame")
     folder = Path(folder)
     head = HeadEntry(
         kind=session.kind,
@@ -554,73 +517,6 @@ def write_session(session: Session, folder: str | Path) -> None:
     text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
     written = (partial(write_parquet, record) for record in session.records)
     write_together({**{folder / file: write for file, write in zip(files, written, strict=True)}, folder / NAME: text})
-
-
-def _means(path: Path, entry: KeptEntry, rows: int) -> SetPointMeans:
-    """Return what the rows of a table of set-points state beside their means."""
-    stated, (table_map,) = entry.set_points or SetPointsEntry(), entry.maps()
-    if stated.gyro_sd is not None and stated.count is None and stated.gyro_uncertainty is None:
-        raise InputError("set_points: wanted count beside gyro_sd, got none; name the column, or gyro_uncertainty")
-    rate = stated.rate if isinstance(stated.rate, list) else [] if stated.rate is None else [stated.rate]
-    if len(rate) not in (0, 3) and stated.axis is None:
-        raise InputError(f'set_points: wanted three columns of rate, or one and axis, got {len(rate)}; add axis = "z"')
-    triples = {name: getattr(stated, name) for name in ("gyro_sd", "accel_sd", "gyro_uncertainty", "accel_uncertainty")}
-    wrong = [name for name, of in triples.items() if of is not None and len(of) != 3]
-    if wrong:
-        raise InputError(f"set_points.{wrong[0]}: wanted three columns x, y, z, got {len(triples[wrong[0]])}")
-    counts = [] if stated.count is None else [stated.count]
-    wanted = [*counts, *rate, *(column for of in triples.values() for column in of or ())]
-    table = parse_text(open_text(path, table_map.layout), tuple(wanted))
-    if wanted and len(table.numbers(wanted[0])) != rows:
-        raise InputError(
-            f"{path}: wanted {rows} rows as of the readings, got {len(table.numbers(wanted[0]))}; repair the table"
-        )
-
-    def numbers(of: Sequence[str | int] | None) -> FloatArray:
-        return np.full((rows, 3), np.nan) if of is None else np.stack([table.numbers(column) for column in of], axis=1)
-
-    count = np.full(rows, np.nan) if stated.count is None else table.numbers(stated.count)
-    if (count < 1.0).any():
-        raise InputError(f"{path}: wanted one reading or more in each mean, got a count of {np.nanmin(count):g}")
-    imposed: FloatArray = np.zeros((rows, 3))
-    if len(rate) == 3:
-        imposed = numbers(rate)
-    elif rate:
-        imposed[:, AXES.index(stated.axis or "x")] = table.numbers(rate[0])
-    if not np.isfinite(imposed).all():
-        raise InputError(
-            f"{path}: wanted a rate in each row, 0 at rest, got {int(np.isnan(imposed).any(axis=1).sum())} gaps"
-        )
-    found: dict[str, FloatArray] = {}
-    for name, scale in (("gyro", table_map.gyro_scale), ("accel", table_map.accel_scale)):
-        own, sd = numbers(triples[f"{name}_uncertainty"]), numbers(triples[f"{name}_sd"])
-        stated_u = np.where(np.isfinite(own), own, sd / np.sqrt(count)[:, None])
-        found[name] = np.where(stated_u >= 0.0, stated_u, np.nan) * np.abs(1.0 if scale is None else scale.gain)
-    return SetPointMeans(
-        count=count,
-        rate_b=imposed * si_factor(stated.rate_unit, "rate"),
-        gyro_uncertainty=found["gyro"],
-        accel_uncertainty=found["accel"],
-        gyro_unit=canonical_unit(table_map.gyro_unit, "rate") if table_map.gyro else "rad/s",
-        accel_unit=canonical_unit(table_map.accel_unit, "accel") if table_map.accel else "m/s2",
-        from_spread=stated.gyro_uncertainty is None and stated.gyro_sd is not None,
-    )
-
-
-def _all_means(
-    folder: Path, entries: Sequence[KeptEntry], names: Sequence[list[str]], records: Sequence[Record]
-) -> tuple[SetPointMeans, ...]:
-    """Return what the rows state; nothing where no map has set_points."""
-    tables = [entry.set_points is not None for entry in entries]
-    if not any(tables):
-        return ()
-    if not all(tables):
-        raise InputError("set_points: wanted it in the map of every recording or of none, got both; keep two sessions")
-    if any(len(own) != 1 or len(entry.maps()) != 1 for own, entry in zip(names, entries, strict=True)):
-        raise InputError("set_points: wanted one file with one table of columns, got several; put them into one table")
-    return tuple(
-        _means(folder / own[0], entry, len(record)) for own, entry, record in zip(names, entries, records, strict=True)
-    )
 
 
 def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock: Clock | None) -> Record:

@@ -12,7 +12,7 @@ from typing import Any
 from undrift.base import codec
 from undrift.files import write_whole
 from undrift.findings import Finding
-from undrift.io.foreign import program_of, read_foreign
+from undrift.io.imucal import is_imucal, read_imucal
 from undrift.io.session import KeptEntry, file_map_of
 from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
@@ -66,7 +66,7 @@ def read_calibration(path: Path | str) -> Calibration:
     Parameters
     ----------
     path : path
-        calibration.json; or what another program or a device holds (io/foreign.py): constants without uncertainty.
+        calibration.json, or a calibration of imucal: constants without uncertainty.
 
     Returns
     -------
@@ -78,8 +78,8 @@ def read_calibration(path: Path | str) -> Calibration:
     FileFormatError
         No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
     """
-    if program := program_of(Path(path)):
-        return read_foreign(Path(path), program)
+    if is_imucal(Path(path)):
+        return read_imucal(Path(path))
     return calibration_of(codec.json_of(Path(path), Calibration), str(path))
 
 

@@ -23,7 +23,7 @@ from undrift.errors import InputError, LinkError
 from undrift.files import first_line
 from undrift.live.decoder import COUNTER, StreamDescription
 from undrift.live.transports import Address, ByteSource, Source, number_of, package_of
-from undrift.units import LM335_K_PER_V, ZERO_CELSIUS_K
+from undrift.units import ZERO_CELSIUS_K
 
 TERMINALS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo_diff": "PSEUDO_DIFF"}
 TRIADS = ("gyro", "accel")
@@ -165,7 +165,7 @@ def daq_source(address: Address) -> Source:
     if temp not in ("", "lm335"):
         raise InputError(f"daq: wanted temp_sensor=lm335, got '{temp}'; state temp_scale and temp_zero for another")
     if temp:
-        described = replace(described, temp_scale=LM335_K_PER_V, temp_zero=-ZERO_CELSIUS_K)
+        described = replace(described, temp_scale=100.0, temp_zero=-ZERO_CELSIUS_K)
     elif "temp" in described.channels and described.temp_scale == 1.0:
         raise InputError(
             "daq: wanted the thermometer's scale, got none; state temp_sensor=lm335, or temp_scale and temp_zero"

@@ -1,0 +1,143 @@
+"""Calibrations of imucal, of the Ferraris kind: constants without uncertainty.
+
+a = (K_a R_a)^-1 (s - b_a)          w = (K_g R_g)^-1 (s - b_g - K_ga a)
+"""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.files import read_bytes
+from undrift.findings import finding
+from undrift.io.columns import naming
+from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Calibration, Provenance, TriadModel, Verdict
+from undrift.units import canonical_unit, is_physical, si_factor
+
+LARGEST = 4_000_000  # bytes of such a file
+VERSION = "2.0.0"
+KIND = "Ferraris"
+GRAVITY = 9.81  # m/s2: the default of imucal's procedure
+WHAT = "imucal calibration"
+
+
+def import_imucal(text: str, *, device: str = "") -> Calibration:
+    """Return the calibration that a FerrarisCalibrationInfo of imucal holds."""
+    content = _read_imucal(text)
+    comment = _comment(content.get("comment"))
+    unit_a, unit_g = _unit(content, "from_acc_unit", "accel"), _unit(content, "from_gyr_unit", "rate")
+    out_a = si_factor(_unit(content, "acc_unit", "accel"), "accel")
+    out_g = si_factor(_unit(content, "gyr_unit", "rate"), "rate")
+    inverse_a, inverse_g = _inverse(content, "K_a", "R_a"), _inverse(content, "K_g", "R_g")
+    g = inverse_g @ _array(content, "K_ga", (3, 3)) * (out_g / out_a)
+
+    def number(key: str, default: float) -> float:
+        value = comment.get(key)
+        return float(value) if isinstance(value, int | float) else default
+
+    return Calibration(
+        device=comment.get("device") or device,
+        reference_temp_c=number("reference_temp_c", math.nan),
+        gravity_m_s2=number("gravity_m_s2", GRAVITY),
+        gyro=_model(inverse_g * out_g, _array(content, "b_g", (3,)), unit_g, "rad/s", g),
+        accel=_model(inverse_a * out_a, _array(content, "b_a", (3,)), unit_a, "m/s2"),
+        verdict=Verdict(status="marginal", findings=(finding("imported.uncertainty", "warn", program="imucal"),)),
+        provenance=Provenance(created=str(comment.get("created", ""))),
+    )
+
+
+def _model(matrix: FloatArray, offset: FloatArray, unit: str, out: str, g: FloatArray | None = None) -> TriadModel:
+    names = (*MATRIX_NAMES, *OFFSET_NAMES, *(() if g is None else G_NAMES))
+    return TriadModel(
+        method="imported/imucal",
+        unit_in=unit,
+        unit_out=out,
+        matrix=matrix,
+        offset=offset,
+        g_sensitivity=g,
+        parameters=names,
+        covariance=np.full((len(names), len(names)), np.nan),
+        rms_residual=math.nan,
+        count=0,
+        rank=0,
+        condition=math.nan,
+        valid_range=(math.nan, math.nan),
+    )
+
+
+def _read_imucal(text: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{WHAT}: wanted JSON, got {error}; save it anew from imucal") from error
+    kind = content.get("cal_type") if isinstance(content, dict) else None
+    if kind != KIND:
+        raise FileFormatError(f"{WHAT}: wanted cal_type {KIND!r}, got {kind!r}; other kinds are not read")
+    version = content.get("_format_version", VERSION if "from_acc_unit" in content else "1.0.0")
+    if version != VERSION:
+        raise FileFormatError(
+            f"{WHAT}: wanted format {VERSION}, got {version!r}; convert it with imucal's legacy helpers first"
+        )
+    return dict(content)
+
+
+def _comment(comment: object) -> dict[str, Any]:
+    """Return what ``export_imucal`` wrote there; nothing where the comment is another's."""
+    if not isinstance(comment, str) or not comment.startswith("undrift "):
+        return {}
+    try:
+        found = json.loads(comment.removeprefix("undrift "))
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _unit(content: dict[str, Any], key: str, quantity: Any) -> str:
+    unit = content.get(key)
+    known = "count" if unit == "a.u." else unit
+    try:
+        found = canonical_unit(known, quantity) if isinstance(known, str) else ""
+    except InputError:
+        found = ""
+    if not found or (not key.startswith("from") and not is_physical(found)):
+        raise FileFormatError(f"{WHAT}: wanted a unit for {key}, got {unit!r}; write it into the file")
+    return found
+
+
+def _array(content: dict[str, Any], key: str, shape: tuple[int, ...]) -> FloatArray:
+    try:
+        array = np.array(content.get(key), dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise FileFormatError(f"{WHAT}: wanted {key} as finite numbers of shape {shape}, got others; save it anew")
+    return array
+
+
+def _inverse(content: dict[str, Any], gains: str, axes: str) -> FloatArray:
+    forward = _array(content, gains, (3, 3)) @ _array(content, axes, (3, 3))
+    if np.linalg.matrix_rank(forward) < 3:
+        raise FileFormatError(
+            f"{WHAT}: wanted a matrix {gains} {axes} that has an inverse, got one that has none; calibrate anew"
+        )
+    inverse: FloatArray = np.linalg.inv(forward)
+    return inverse
+
+
+def is_imucal(path: Path) -> bool:
+    """Return whether a file is a calibration of imucal, from its content."""
+    if not path.is_file() or path.stat().st_size > LARGEST:
+        return False
+    content = read_bytes(path)
+    return b"\0" not in content and re.search(rb'"cal_type"\s*:', content) is not None
+
+
+def read_imucal(path: Path) -> Calibration:
+    """Read a calibration of imucal."""
+    with naming(path):
+        return import_imucal(read_bytes(path).decode("utf-8", "replace"), device=path.stem)

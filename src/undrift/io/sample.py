@@ -1,0 +1,25 @@
+"""The sample of the package: six faces, rate table, soaks, a rest, and a sit-to-stand with optics; simulated."""
+
+import shutil
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from undrift.errors import InputError
+from undrift.files import hidden_folder, no_folder
+
+
+def write_sample(folder: Path) -> None:
+    """Copy the sample into a new folder, all of it or nothing."""
+    if folder.exists():
+        raise InputError(f"{folder}: wanted a folder that does not exist yet, got one that does; name another")
+    if not folder.parent.is_dir():
+        raise InputError(f"{folder}: wanted a folder that exists, got none named {folder.parent}; make it first")
+    try:
+        with as_file(files("undrift").joinpath("sample")) as source, hidden_folder(folder.parent) as hidden:
+            part = hidden / folder.name
+            shutil.copytree(
+                source, part, ignore=shutil.ignore_patterns("*.pyc", "__pycache__"), copy_function=shutil.copyfile
+            )
+            part.rename(folder)
+    except OSError as error:
+        raise no_folder(folder, error) from error
