@@ -47,7 +47,6 @@ ELSEWHERE = {
     "rig run",
     "rig emulate",
     "rig stop",
-    "rig status",
     "rig check",
     "bench",
 }  # long, or on sockets
@@ -70,7 +69,6 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "rig run": ("rig run nowhere.toml --rig manual: --device tcp://127.0.0.1:9 -o {here}/run", "undrift.rig_run"),
     "rig emulate": ("rig emulate --device gold", "undrift.rig_emulate"),
     "rig stop": (f"rig stop --rig '{NOBODY}'", "undrift.rig_stop"),
-    "rig status": (f"rig status --rig '{NOBODY}'", "undrift.rig_status"),
     "rig check": ("rig check --rig manual:", "undrift.rig_check"),
     "bench": ("bench --port 70000", "undrift.bench"),
     "study": ("study --preset note --quick --seed -1", STUDY),
@@ -120,7 +118,7 @@ def test_a_good_answer_has_the_envelope_and_its_own_values_twice(undrift, words,
 def test_a_refused_call_says_so_in_the_envelope_too_and_keeps_its_exit_code(undrift, words, name):
     call, kind = BAD[name]
     answer = undrift(*words(call))
-    code = 3 if name in ("rig stop", "rig status") else 2
+    code = 3 if name == "rig stop" else 2
     assert answer.code == code, answer
     told = answer.json()
     assert tuple(told) == ENVELOPE

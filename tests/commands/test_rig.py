@@ -1,4 +1,4 @@
-"""``undrift rig``: a whole calibration over sockets, refusals in one line, stop and status from another shell."""
+"""``undrift rig``: a whole calibration over sockets, refusals in one line, a stop from another shell."""
 
 import io
 import json
@@ -99,9 +99,6 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
     assert (said["dwells"], len(said["turns"])) == (30, 18)
     assert "30 dwells, 0:0" in err
     assert " left  +30 deg/s about x, dwelling  gyro_x" in err
-    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
-    status = json.loads(capsys.readouterr().out)
-    assert (status["moving"], status["motor_on"], status["fault"]) == (False, False, None)
     assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
     assert "at rest, motor off" in capsys.readouterr().out
     assert run(["calibrate", str(tmp_path / "run"), "-o", str(tmp_path / "calibration.json")]) == 0
@@ -124,23 +121,12 @@ def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emula
     error = found["error_deg"]
     assert error["pass"] is True
     assert 0.0 < error["rms"] < error["max"] < error["limit_deg"] == pytest.approx(0.012)
-    assert found["gains"]["read"] == found["gains"]["held"] == {"kp": 12.5, "ki": 0.0, "kd": 245.0}
-    assert {"crossover_rad_s", "phase_margin_deg"} <= found.keys()
+    assert (found["servo"]["kp"], found["servo"]["ki"], found["servo"]["kd"]) == (12.5, 0.0, 245.0)
     assert found["findings"] == found["verdict"]["findings"]
-    assert run([*call, "--limit-deg", "0.0001", "--card-watchdog"]) == 1
+    assert run([*call, "--limit-deg", "0.0001"]) == 1
     failed = json.loads(capsys.readouterr().out)
     assert (failed["error_deg"]["pass"], failed["verdict"]["status"]) == (False, "bad")
     assert [item["code"] for item in failed["findings"] if item["level"] == "fail"] == ["rig_check.error"]
-    host, port = emulated["rig"].removeprefix("galil:tcp://").split("?")[0].split(":")
-    with socket.create_connection((host, int(port)), timeout=20.0) as card:
-        card.sendall(b"MG UNDRLEFT>0;LS\r")
-        said = b""
-        while said.count(b":") < 2:
-            said += card.recv(100)
-    assert said.split() == [b"1.0000", b":0", b":"]  # the card's watchdog was there, and its program is gone
-    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
-    status = json.loads(capsys.readouterr().out)
-    assert (status["moving"], status["motor_on"], status["fault"]) == (False, False, None)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +135,6 @@ def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emula
         (["run", "none.toml", "--rig", "manual:", "--device", "tcp://h:1", "-o", "x"], "none.toml", 2),
         (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
-        (["status", "--rig", "manual:"], "status: wanted a Galil card", 2),
         (["check", "--rig", "manual:"], "rig check: wanted a table with a motor, got manual:", 2),
         (["check", "--rig", NOBODY, "--seconds", "0"], "rig check: wanted duration_s above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
@@ -184,9 +169,6 @@ def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_
         _, err = process.communicate("\n", timeout=20.0)
         assert process.returncode == 3
     assert "wanted to continue, got it stopped from elsewhere by rig stop; continue with --resume" in err
-    capsys.readouterr()
-    assert run(["rig", "status", "--rig", emulated["rig"], "--json"]) == 0
-    assert not json.loads(capsys.readouterr().out)["motor_on"]
 
 
 def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
@@ -196,34 +178,6 @@ def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "stdin", io.StringIO(said))
         assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
         assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
-
-
-@pytest.fixture
-def emulate():
-    """Start `undrift rig emulate` with options; return its addresses."""
-    started = []
-
-    def start(*words):
-        calls = ["rig", "emulate", "--speed", "20", "--json", *words]
-        process = subprocess.Popen([sys.executable, "-m", "undrift", *calls], stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        return json.loads(process.stdout.readline())
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.communicate(timeout=20.0)
-
-
-def test_faults_come_and_go_at_their_time(emulate, capsys):
-    rig = emulate("--fault", "half_reply:0:100", "--fault", "power_cut:1e9")["rig"]
-    call = ["rig", "status", "--rig", f"{rig}&reply_timeout_s=0.5"]
-    for code in (3, 0):
-        last = time.monotonic() + 60.0
-        while run(call) != code:
-            assert time.monotonic() < last
-    capsys.readouterr()
 
 
 def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):
@@ -242,7 +196,6 @@ def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path,
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     with undrift.rig.emulate(speed=20.0) as bench:
         rig, device = bench.addresses["rig"], bench.addresses["device"]
-        assert undrift.rig.status(rig=rig).data["motor_on"] is False
         assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().failed
         monkeypatch.setattr("builtins.input", lambda line: "n")
         with pytest.raises(InputError, match="wanted a yes to start"):

@@ -65,7 +65,7 @@ def test_a_description_that_cannot_be_is_refused(options, text):
     [
         (
             "tcp",
-            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., ble:..., daq:..., got 'tcp'; name how it is connected",
+            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., got 'tcp'; name how it is connected",
         ),
         ("can:0?rate=1", r"wanted one of tcp"),
         ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),
@@ -78,7 +78,6 @@ def test_a_description_that_cannot_be_is_refused(options, text):
         ("serial:///dev/x?rate=1&baud=0", r"got '/dev/x' and baud '0'"),
         ("lsl:?rate=1", r"wanted lsl:name\?offline=yes or no, got '' and 'no'"),
         ("lsl:imu?rate=1", r"got 'count' among them; LSL has stamps of its own"),
-        ("ble:AA?rate=1", r"wanted ble:id\?characteristic=uuid, got 'AA' and ''"),
     ],
 )
 def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, text):

@@ -1,6 +1,5 @@
 """Sources: the same readings by every way, and every way that is lost says so; no wait without end."""
 
-import asyncio
 import contextlib
 import os
 import socket
@@ -15,7 +14,7 @@ from testkit.byte_sender import Sender
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.decoder import StreamDescription
-from undrift.live.transports import OFFLINE, BlePort, ByteSource, LslSource, configure_lsl, lsl_streams, source_at
+from undrift.live.transports import OFFLINE, LslSource, configure_lsl, lsl_streams, source_at
 
 OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))
@@ -202,63 +201,6 @@ def test_lsl_stays_on_this_computer_unless_configured_otherwise(monkeypatch, tmp
     configure_lsl(OFFLINE)
     with open(os.environ["LSLAPICFG"]) as file:
         assert "ResolveScope = machine" in file.read()
-
-
-class FakeClient:
-    """As a Bluetooth client: brings some values, then may be lost."""
-
-    def __init__(self, on_loss, values, lost=False, absent=False):
-        self.on_loss, self.values, self.lost, self.absent = on_loss, values, lost, absent
-
-    async def connect(self):
-        if self.absent:
-            raise TimeoutError("device was not found")
-
-    async def start_notify(self, characteristic, callback):
-        async def bring() -> None:
-            for value in self.values:
-                callback(characteristic, bytearray(value))
-            if self.lost:
-                self.on_loss(self)
-
-        self._task = asyncio.get_running_loop().create_task(bring())
-
-    async def disconnect(self):
-        await self._task
-
-
-def ble(values, **options):
-    what = StreamDescription(channels=("count", "gyro_x", "gyro_y", "gyro_z"), rate=100.0)
-    return ByteSource("ble:A", what, lambda: BlePort(lambda on_loss: FakeClient(on_loss, values, **options), "uuid"))
-
-
-def test_bluetooth_notifications_are_datagrams():
-    source = ble(TEXT.splitlines())
-    source.open()
-    try:
-        assert counts(source) == [0, 1, 2, 3, 4]
-        with pytest.raises(RigTimeout, match=r"got nothing"):
-            source.read(0.05)
-    finally:
-        source.close()
-    assert not [thread for thread in threading.enumerate() if thread.name == "ble"]
-
-
-def test_a_bluetooth_device_out_of_reach_is_a_lost_link():
-    source = ble(TEXT.splitlines()[:1], lost=True)
-    source.open()
-    try:
-        assert counts(source, 1) == [0]
-        with pytest.raises(LinkError, match=r"the device is out of reach or was switched off; reconnect"):
-            source.read(1.0)
-    finally:
-        source.close()
-
-
-def test_a_bluetooth_device_that_is_not_there_is_a_lost_link_and_leaves_no_thread():
-    with pytest.raises(LinkError, match=r"ble:A: wanted a connection, got 'device was not found'"):
-        ble([], absent=True).open()
-    assert not [thread for thread in threading.enumerate() if thread.name == "ble"]
 
 
 def test_chunks_hold_what_they_say():

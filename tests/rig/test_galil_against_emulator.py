@@ -13,7 +13,7 @@ from testkit.rig_bench import mean_turn_rate
 from testkit.waiting import LONG_S
 from undrift.base.clock import Clock, VirtualClock
 from undrift.errors import LinkError, RigError, RigTimeout
-from undrift.rig.rig import Gains, Limits, RigSettings, open_rig
+from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
@@ -85,7 +85,7 @@ def test_every_command_of_a_session_is_understood(emulator):
         rig.enable(True)
         assert emulator.motor_on
         assert rig.set_acceleration(40.0) == pytest.approx(254_976 * 2 * math.pi / 40_000)
-        assert rig.servo.set_gains(Gains(kp=12.5, ki=0.0, kd=245.0)) == rig.servo.read_gains()
+        assert (rig.read_servo().kp, rig.read_servo().kd) == (12.5, 245.0)
         assert rig.turn(90.0 * DEGREE) == pytest.approx(90.0 * DEGREE, rel=1e-12)
         assert rig.turn(-45.0 * DEGREE) == pytest.approx(-45.0 * DEGREE, rel=1e-12)
         rig.stop()

@@ -4,10 +4,10 @@ import pytest
 
 from testkit.scripted_server import Card, Scripted, transcript
 from testkit.waiting import eventually
-from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.galil import GalilCard, GalilServo, wrong_switches
+from undrift.errors import LinkError, RigFault, RigTimeout
+from undrift.rig.galil import GalilCard, wrong_switches
 from undrift.rig.link import LinkPort, LinkSettings, reply_end
-from undrift.rig.rig import CountScale, Gains, codes, in_words
+from undrift.rig.rig import codes, in_words
 
 ERRORS, STOPS = (
     {int(code): words for code, words in codes(kind).items() if code != "other"}
@@ -206,19 +206,3 @@ def test_a_card_that_is_gone_is_shouted_at_without_complaint():
         talk.port.close()
         talk.port.shout("STX")
         assert not talk.port.is_open
-
-
-def test_gains_are_rounded_as_the_card_rounds_and_read_back():
-    with Talk(Card()) as talk:
-        assert GalilServo(talk.card, CountScale.from_lines(10_000)).set_gains(
-            Gains(kp=12.5, ki=0.0, kd=245.06)
-        ) == Gains(kp=12.5, ki=0.0, kd=245.0)
-        assert [line for line in talk.server.heard if "?" not in line] == ["KP 12.5", "KI 0", "KD 245"]
-        assert GalilServo(talk.card, CountScale.from_lines(10_000)).read_gains() == Gains(kp=12.5, ki=0.0, kd=245.0)
-
-
-def test_gains_beyond_the_card_are_refused_before_a_byte_is_sent():
-    with Talk(Card()) as talk:
-        with pytest.raises(LimitError, match=r"KD: wanted 0 to 4095.875, got 5000"):
-            GalilServo(talk.card, CountScale.from_lines(10_000)).set_gains(Gains(kp=1.0, ki=1.0, kd=5000.0))
-        assert talk.server.heard == []

@@ -18,7 +18,7 @@ from undrift.base.clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilRig
 from undrift.rig.link import LinkPort, LinkSettings
-from undrift.rig.rig import Gains, RigSettings
+from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
@@ -39,8 +39,7 @@ CALLS = {
     "measure": lambda rig: mean_turn_rate(rig, rig.card.clock, 0.1),
     "following error": lambda rig: rig.following_error(),
     "fault": lambda rig: rig.fault(),
-    "gains": lambda rig: rig.servo.set_gains(Gains(kp=12.5, ki=0.5, kd=245.0)),
-    "read gains": lambda rig: rig.servo.read_gains(),
+    "servo": lambda rig: rig.read_servo(),
     "close": lambda rig: rig.close(),
 }
 ASKED = {"turn": "JG 10000", "turn back": "JG -500", "move": "PR 100"}  # what may be begun, as the card must hold it

@@ -29,7 +29,7 @@ VERBS = (
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "data": {"list": "list_sets", "fetch": "fetch"},
-    "rig": {name: name for name in ("run", "emulate", "stop", "status", "check")},
+    "rig": {name: name for name in ("run", "emulate", "stop", "check")},
     "session": {"new": "new"},
 }
 

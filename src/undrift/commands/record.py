@@ -40,8 +40,9 @@ HOW = {
     "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
 }
 LISTED = {  # what is looked for: in words, and what names one
-    "serial_ports": ("Serial ports", "port"), "ble_devices": ("Bluetooth devices", "id"), "lsl_streams": ("LSL streams", "name")
-}  # fmt: skip
+    "serial_ports": ("Serial ports", "port"),
+    "lsl_streams": ("LSL streams", "name"),
+}
 Guides: TypeAlias = "Sequence[Guide]"
 
 
@@ -52,7 +53,6 @@ def record(
     *,
     output: OptionalOutput = None,
     port: str | None = None,
-    ble: str | None = None,
     lsl: str | None = None,
     udp: str | None = None,
     guide: Literal["six-faces", "turns", "poses"] | None = None,
@@ -60,7 +60,7 @@ def record(
     place: Place = Place(),
     screen: Screen = Screen(),
 ) -> Summary:
-    """Record what a device sends until Ctrl-C; without device and file, list serial ports, Bluetooth devices and LSL streams.
+    """Record what a device sends until Ctrl-C; without device and file, list serial ports and LSL streams.
 
     Parameters
     ----------
@@ -70,8 +70,6 @@ def record(
         File to write: .parquet, .csv or .csv.gz; as .log or .txt the lines of the device, a stamp before each.
     port : str or None
         Serial port, as /dev/ttyUSB0 or COM3; its baud rate is found.
-    ble : str or None
-        Bluetooth device and its characteristic: ID?characteristic=UUID
     lsl : str or None
         Stream of the Lab Streaming Layer, and what it holds: NAME?channels=...&rate=100
     udp : str or None
@@ -82,7 +80,7 @@ def record(
     duration_s : float
         Longest time to record, s.
     """
-    ways = {"serial://": port, "ble:": ble, "lsl:": lsl, "udp://:": udp, "": address}
+    ways = {"serial://": port, "lsl:": lsl, "udp://:": udp, "": address}
     named = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
     if not named and output is None:
         return _senders(screen)
@@ -128,7 +126,7 @@ def _senders(screen: Screen) -> Summary:
     """List what can be recorded, and why a way could not be looked at."""
     from undrift.live import transports
 
-    screen.over("Looking for serial ports, Bluetooth devices and LSL streams ...")
+    screen.over("Looking for serial ports and LSL streams ...")
     listed, notes = dict[str, list[tuple[str, str]]](), list[str]()
     for way in LISTED:
         try:

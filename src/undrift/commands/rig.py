@@ -1,4 +1,4 @@
-"""``undrift rig run | emulate | stop | status | check``: a protocol on a rate table, and the table itself.
+"""``undrift rig run | emulate | stop | check``: a protocol on a rate table, and the table itself.
 
 A run shows where it is, and asks its operator, on a ``Screen``. An emulated bench goes on until it is closed.
 """
@@ -41,18 +41,15 @@ HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # that a table is asked for where not
 @options
 @dataclass(frozen=True, kw_only=True)
 class Shaft:
-    """How far a table may turn, and whether its controller watches this computer.
+    """How far a table may turn.
 
     Parameters
     ----------
     travel_deg : float or None
         How far the table may turn either way, deg; without end where not given.
-    card_watchdog : bool
-        Upload a program to a Galil card that stops the axis when this computer has been silent for 5 s; cleared at the end.
     """
 
     travel_deg: float | None = None
-    card_watchdog: bool = False
 
     def settings(self, turn_rate_dps: float, acceleration_dps2: float) -> "RigSettings":
         """Return the settings of a table with its limits."""
@@ -61,7 +58,7 @@ class Shaft:
         dps = RADIAN_PER_DEGREE
         travel = None if self.travel_deg is None else self.travel_deg * dps
         limits = Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
-        return RigSettings(limits=limits, card_watchdog=(lambda: True) if self.card_watchdog else None)
+        return RigSettings(limits=limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -144,13 +141,12 @@ def run(
     rig : str
         Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual:
     device : tuple of str
-        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name, ble:id. Several
+        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name. Several
         devices that are mounted alike on one table are read in the same dwells: state it for each.
     output : Path
         Folder of the run; of several devices, of their folders device-1, device-2.
     chamber : str or None
-        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0,
-        modbus-tcp://host:502?model=watlow-f4 (or watlow-ez-zone, eurotherm), modbus-rtu:///dev/ttyUSB0?model=...; manual:
+        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0; manual:
         asks a person to set it, and the device's thermometer shows when it has soaked.
     operator : str or None
         Address of an emulated operator, who mounts the device; a person is asked where not given.
@@ -197,8 +193,6 @@ def run(
         watched = ["" if place.startswith("manual:") else place for place in (rig, chamber or "")]
         guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
         shown.watch = watch = Watch(StopWatch(rig), guard, programme)
-        if shaft.card_watchdog and guard:
-            settings = replace(settings, card_watchdog=guard.promise_holds)
         first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
         first.serial = serial or first.serial
         bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme)
@@ -467,19 +461,6 @@ def stop(*, rig: TableAddress) -> Summary:
     return Summary(title="A table stopped", answer=f"{rig}: at rest, motor off", data=data)
 
 
-@verb
-def status(*, rig: TableAddress) -> Summary:
-    """Say where a Galil table stands and what is wrong with it; whoever drives it is not disturbed."""
-    from undrift.rig.galil import read_status
-
-    found, dps = read_status(rig), RADIAN_PER_DEGREE
-    words = f"{'moves' if found.moving else 'at rest'}, motor {'on' if found.motor_on else 'off'}"
-    data = {"rig": rig, "identity": found.identity, "moving": found.moving, "motor_on": found.motor_on}
-    angles = {"angle_deg": found.angle / dps, "following_error_deg": found.following_error / dps}
-    answer = f"{found.identity}: {words}, at {found.angle / dps:.3f} deg, {found.fault or 'no fault'}"
-    return Summary(title="A table", answer=answer, data=data | angles | {"fault": found.fault})
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Accepted(Result):
     """A table checked; whether it was accepted is in its verdict."""
@@ -489,44 +470,33 @@ class Accepted(Result):
     found: "RigCheck"
 
     def summary(self) -> Summary:
-        """Return the following error with its limit, and the servo loop where it is seen."""
+        """Return the following error with its limit, and the servo's gains and sample period."""
         from undrift.io.store import verdict_json
 
         found, settings, dps = self.found, self.settings, RADIAN_PER_DEGREE
-        loop, error, gains, verdict = found.loop, found.error, found.gains, verdict_json(found.verdict)
+        error, servo, verdict = found.error, found.servo, verdict_json(found.verdict)
         rms_deg, max_deg, limit_deg = error.rms / dps, error.largest / dps, settings.limit / dps
-        lines = [
-            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate; limit {limit_deg:g} deg"
-        ]
-        if loop is not None:
-            lines.append(
-                f"crossover {loop.crossover:.1f} +- {loop.crossover_uncertainty:.1f} rad/s, phase margin "
-                f"{loop.margin / dps:.1f} +- {loop.margin_uncertainty / dps:.1f} deg (standard uncertainties)"
-            )
-        if gains is not None:
-            lines.append(f"gains KP {gains.kp:g}, KD {gains.kd:g}, KI {gains.ki:g}")
+        lines = (
+            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate; limit {limit_deg:g} deg",
+            f"gains KP {servo.kp:g}, KD {servo.kd:g}, KI {servo.ki:g}; sample period {1e6 * servo.sample_s:g} us",
+        )
         wave = {"seconds": settings.duration_s, "turn_rate_dps": settings.turn_rate / dps}
         wave |= {"achieved_dps": error.turn_rate / dps, "acceleration_dps2": settings.acceleration / dps}
         errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg, "run_up_max": error.in_run_up / dps}
-        sets = {"read": gains, "suggested": found.suggested, "held": found.held}
         return Summary(
             title="Acceptance of a table",
             answer=f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
-            sections=(Section(title="Following error and servo loop", text=tuple(lines)),),
+            sections=(Section(title="Following error and servo", text=lines),),
             verdict=found.verdict,
-            failed=found.passed is False,
+            failed=not found.passed,
             data={
                 "kind": "undrift.rig_check",
                 "format": 1,
                 "rig": self.rig,
                 "identity": found.identity,
                 "wave": wave,
-                "error_deg": errors | {"link_delay": error.unknown / dps, "pass": found.passed},
-                "crossover_rad_s": loop and loop.crossover,
-                "crossover_standard_uncertainty_rad_s": loop and loop.crossover_uncertainty,
-                "phase_margin_deg": loop and loop.margin / dps,
-                "phase_margin_standard_uncertainty_deg": loop and loop.margin_uncertainty / dps,
-                "gains": {name: each and asdict(each) for name, each in sets.items()},
+                "error_deg": errors | {"pass": found.passed},
+                "servo": asdict(servo),
                 "verdict": verdict,
                 "findings": verdict["findings"],
             },
@@ -542,15 +512,14 @@ def check(
     acceleration_dps2: float = 2300.0,
     limit_deg: float = 0.012,
     shaft: Shaft = Shaft(),
-    set_gains: bool = False,
     screen: Screen = Screen(),
 ) -> Accepted:
-    """Accept a table: following error in a step wave, crossover and phase margin of its servo loop. The table turns.
+    """Check a table with a servo: following error in a step wave, with gains and sample period. The table turns.
 
     Parameters
     ----------
     rig : str
-        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0
+        Address of the table: galil:tcp://host:port?encoder_lines=10000
     seconds : float
         Length of the step wave, s of the table.
     turn_rate_dps : float
@@ -559,8 +528,6 @@ def check(
         Of the run-ups, deg/s2.
     limit_deg : float
         Largest following error at steady rate, deg; beyond it the exit code is 1.
-    set_gains : bool
-        Set the suggested gains, until the controller is switched off.
     """
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.rig import WATCHED, open_rig, parse_address
@@ -572,7 +539,6 @@ def check(
         duration_s=seconds,
         acceleration=asked.limits.acceleration,
         limit=limit_deg * RADIAN_PER_DEGREE,
-        set_gains=set_gains,
     )
     if parse_address(rig, asked)[0] == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
@@ -588,7 +554,7 @@ def check(
             screen.over(line)
 
         check_free(rig, motor_on=True)
-        table = open_rig(rig, replace(asked, card_watchdog=guard.promise_holds if shaft.card_watchdog else None))
+        table = open_rig(rig, asked)
         stack.callback(table.close)
         guard.arm()
         found = check_rig(table, parse_address(rig)[2].timing, settings, report)

@@ -26,7 +26,7 @@ from undrift.plugins import split_address
 from undrift.record import sample_rate_of
 
 BAUDS = (115_200, 9_600, 921_600, 57_600, 460_800, 230_400, 38_400, 19_200, 1_000_000, 2_000_000)  # the usual first
-BYTE_WAYS = ("serial", "tcp", "udp", "ble")
+BYTE_WAYS = ("serial", "tcp", "udp")
 SILENCE_S = 6.0  # host s until the first byte: a board that was reset by the connection starts first
 LISTEN_S, TRY_S = 3.0, 1.0  # host s of readings, and of one baud rate
 GARBAGE = 0.1  # a larger share of bytes that are no text is another baud rate

@@ -1,23 +1,18 @@
 """Sources: where readings come from, by address: ``kind:place?option=value&option=value``.
 
-    tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name        ble:id?characteristic=uuid
+    tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name
 
 The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. A device on TCP listens; one on
-UDP sends to this computer's port; each datagram and each Bluetooth notification is whole. LSL has time stamps of its own. Boards
-that read voltages are ``daq:Dev1/ai0:6?...`` (live/daq.py). A new
+UDP sends to this computer's port; each datagram is whole. LSL has time stamps of its own. A new
 kind is a function from an Address to a Source, and a row in SOURCES; or a package with an entry point in "undrift.sources".
 """
 
-import asyncio
 import contextlib
 import importlib
 import os
-import queue
 import socket
 import tempfile
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -33,11 +28,10 @@ from undrift.plugins import Options, load_named, split_address
 
 POLL_S = 0.05
 WRITE_S = 1.0
-CONNECT_S, CONNECT_S_BLE = 5.0, 15.0
+CONNECT_S = 5.0
 LARGEST = 1 << 16
 BAUD = 115_200
 BUFFER_BYTES = 1 << 22  # what the system keeps of datagrams while nobody looks
-MOST_WAITING = 100_000  # Bluetooth notifications
 RESOLVE_S = 5.0
 SCAN_S = 3.0  # for devices and streams that are listed
 QUIET = "[log]\nlevel = -2\n"
@@ -46,8 +40,8 @@ BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A
 LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a person wrote
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
-    kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl", "ble")
-} | {"daq": "undrift.live.daq:daq_source"}
+    kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")
+}
 GROUP = "undrift.sources"
 
 
@@ -177,65 +171,6 @@ class SerialPort:
         self._port.close()
 
 
-class BlePort:
-    """Notifications of a device, brought by an event loop in a thread of its own."""
-
-    datagrams = True
-
-    def __init__(self, make: Callable[[Callable[[Any], None]], Any], characteristic: str) -> None:
-        self._values: queue.Queue[bytes | None] = queue.Queue(MOST_WAITING)
-        self._loop, self._lost = asyncio.new_event_loop(), False
-        self._thread = threading.Thread(target=self._loop.run_forever, name="ble", daemon=True)
-        self._thread.start()
-        try:
-            self._client = self._await(self._begin(make, characteristic))
-        except BaseException as error:
-            self._end()
-            if isinstance(error, Exception):
-                raise OSError(reason_of(error)) from error
-            raise
-
-    def receive(self, wait_s: float) -> bytes:
-        """Return the next notification."""
-        if self._lost and self._values.empty():
-            raise EOFError("the device is out of reach or was switched off")
-        try:
-            return self._values.get(timeout=wait_s) or b""
-        except queue.Empty:
-            return b""
-
-    def close(self) -> None:
-        """Let go of the device and end the thread."""
-        with contextlib.suppress(Exception):  # gone already: nothing is left to let go of
-            self._await(self._client.disconnect())
-        self._end()
-
-    async def _begin(self, make: Callable[[Callable[[Any], None]], Any], characteristic: str) -> Any:
-        client = make(self._on_loss)
-        await client.connect()
-        await client.start_notify(characteristic, self._on_value)
-        return client
-
-    def _on_value(self, sender: Any, value: bytearray) -> None:
-        with contextlib.suppress(queue.Full):  # nobody has looked for long: its number will be missing
-            self._values.put_nowait(bytes(value))
-
-    def _on_loss(self, client: Any) -> None:
-        self._lost = True
-        with contextlib.suppress(queue.Full):
-            self._values.put_nowait(None)  # wakes who waits
-
-    def _await(self, task: Any) -> Any:
-        ending = asyncio.wait_for(task, CONNECT_S_BLE)
-        return asyncio.run_coroutine_threadsafe(ending, self._loop).result(CONNECT_S_BLE + 1.0)
-
-    def _end(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(CONNECT_S_BLE)
-        if not self._thread.is_alive():
-            self._loop.close()
-
-
 def reason_of(error: Exception) -> str:
     """Return an error in words, whatever it is."""
     return str(error) or type(error).__name__
@@ -264,19 +199,6 @@ def serial_ports() -> list[tuple[str, str]]:
     ports = package_of("serial.tools.list_ports", "pyserial", "serial port").comports()
     found = sorted(ports, key=lambda port: (port.vid is None, port.vid not in BOARDS, port.device))
     return [(port.device, port.description if port.vid is not None else "built in") for port in found]
-
-
-def ble_devices() -> list[tuple[str, str]]:
-    """Return the Bluetooth devices within reach by their addresses, and what they call themselves; those with a name first."""
-    bleak = package_of("bleak", "bleak", "Bluetooth")
-    try:
-        with ThreadPoolExecutor(1) as pool:  # a notebook has a loop of its own
-            devices = pool.submit(asyncio.run, bleak.BleakScanner.discover(timeout=SCAN_S)).result()
-    except Exception as error:  # whatever the system's Bluetooth raises
-        raise LinkError(f"Bluetooth: wanted an adapter, got '{reason_of(error)}'; switch it on") from error
-    return sorted(
-        ((one.address, one.name or "no name") for one in devices), key=lambda one: (one[1] == "no name", one[1])
-    )
 
 
 def lsl_streams() -> list[tuple[str, str]]:
@@ -445,25 +367,6 @@ def serial_source(address: Address) -> Source:
     if not place or not text.isdigit() or int(text) == 0:
         raise InputError(f"device: wanted serial:///dev/name?baud=115200, got '{place}' and baud '{text}'; name both")
     return ByteSource(f"serial:{place}", address.describe("baud"), lambda: SerialPort(place, int(text)))
-
-
-def ble_source(address: Address) -> Source:
-    """Return a source that listens to a Bluetooth device."""
-    place, characteristic = address.place, address.option("characteristic", "")
-    if not place or not characteristic:
-        raise InputError(
-            f"device: wanted ble:id?characteristic=uuid, got '{place}' and '{characteristic}'; name device and characteristic"
-        )
-
-    def connect() -> BlePort:
-        bleak = package_of("bleak", "bleak", "ble")
-
-        def make(on_loss: Callable[[Any], None]) -> Any:
-            return bleak.BleakClient(place, disconnected_callback=on_loss, timeout=CONNECT_S_BLE)
-
-        return BlePort(make, characteristic)
-
-    return ByteSource(f"ble:{place}", address.describe("characteristic"), connect)
 
 
 def lsl_source(address: Address) -> Source:

@@ -6,7 +6,7 @@ one that the encoder shows, not the one that was asked for.
 
 ``programme``   what is done step by step, and how long it takes; nothing is opened
 ``rig``         what every table can do, its limits, the rate achieved, and WATCHED: who watches what, and what follows
-``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``, ``modbus``: when air and board of a chamber stand still
+``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``: when air and board of a chamber stand still
 ``run``         a programme on a rig, dwell by dwell; ``judge`` says which dwells are kept, ``folder`` brings them to the disk
 ``watch``       one run for one table, a guard that outlives its program, a stop that leaves at once; ``check``: its acceptance
 

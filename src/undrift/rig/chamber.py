@@ -1,6 +1,6 @@
 """Thermal chambers by address; here those behind a small SCPI-like language, over TCP or a serial port.
 
-``modbus-tcp:`` and ``modbus-rtu:`` are in rig/modbus.py, ``manual:``, a chamber that a person sets, in rig/manual.py.
+``manual:``, a chamber that a person sets, is in rig/manual.py.
 
 ::
 
@@ -228,8 +228,6 @@ class ScpiChamber(Chamber):
 
 CHAMBERS = {  # kind -> the function that opens a chamber; any other address is one of a ScpiChamber
     "manual": "undrift.rig.manual:open_chamber_from",
-    "modbus-tcp": "undrift.rig.modbus:open_from",
-    "modbus-rtu": "undrift.rig.modbus:open_from",
 }
 GROUP = "undrift.chambers"
 

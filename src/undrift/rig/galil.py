@@ -8,24 +8,16 @@ The rate that was achieved is the difference of positions (TP) over the time bet
 in one answer; cards that do not give both give TP alone, half-way between question and answer. When an answer is late or makes no
 sense the driver stops the axis (ST, then AB), switches the motor off (MO), and reports whether the card confirmed it.
 
-Sources: command references DMC-1400, 2x00 and 40x0; user manuals DMC-1700/1800 p. 159 and DMC-1600 p. 142 (arrays).
+Sources: command references DMC-1400, 2x00 and 40x0.
 """
 
-import cmath
-import contextlib
 import logging
-import math
 import re
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
-import numpy as np
-
-from undrift.arrays import FloatArray
-from undrift.base.clock import HOST, Clock, Repeat
-from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.link import CardClock, GalilPort, GclibPort, LinkedRig, LinkPort, ask_until, link_settings
+from undrift.base.clock import HOST, Clock
+from undrift.errors import InputError, LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.link import CardClock, LinkedRig, LinkPort, ask_until, link_settings
 from undrift.rig.rig import (
     ACCELERATION,
     JOG,
@@ -35,10 +27,9 @@ from undrift.rig.rig import (
     SLEW,
     WATCHED,
     CountScale,
-    Gains,
     Position,
     RigSettings,
-    Trace,
+    ServoReport,
     in_words,
     parse_address,
 )
@@ -48,7 +39,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 NUMBER = re.compile(r"[ ]*-?[ ]?\d{1,12}(?:\.\d{1,8})?[ ]*")
 BOTH = re.compile(r" *(-?\d{10}) +(-?\d{10}) *")
-ELEMENTS = re.compile(r"[ ]*-?[ ]?\d{1,10}(?:\.0{1,4})?(?:,[ ]*-?[ ]?\d{1,10}(?:\.0{1,4})?)*[ ]*")
 CABLE = "check cable and baud"
 AXES = "ABCDEFGH"
 STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
@@ -57,7 +47,7 @@ STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
 class GalilCard:
     """Commands and questions to one axis of a card."""
 
-    def __init__(self, port: GalilPort, axis: str = "X", clock: Clock = HOST) -> None:
+    def __init__(self, port: LinkPort, axis: str = "X", clock: Clock = HOST) -> None:
         self.port, self.axis, self.clock = port, axis, clock
         self.commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         self._digits: int | None = None
@@ -160,7 +150,6 @@ class GalilAxis:
         self.refused: str | None = None
         self.broken: RigError | None = None
         self.enabled = self.jogging = False
-        self.watchdog: CardWatchdog | None = None
         self.last: int | None = None  # position
         self.when = (0.0, 0.0)  # s of the clock, and by how much that may be off
         self._clock, self._fastest, self._slack = card.clock, fastest, slack
@@ -298,9 +287,7 @@ class GalilAxis:
         return self.is_on() == was_on
 
     def let_go(self) -> None:
-        """Take the watchdog from the card and close the link."""
-        if self.watchdog is not None:
-            self.watchdog.clear()
+        """Close the link."""
         self.card.port.close()
 
     def _reconnect(self) -> None:
@@ -313,248 +300,6 @@ class GalilAxis:
                     raise
                 self._clock.host.wait(0.3)
         return None
-
-
-# ---- Card watchdog: a program on a Galil card that stops the axis when this computer has not written a variable for 5 s.
-#
-# The guard (rig/watch.py) stops the table when the program that drives it is gone; this helps where both are. It is uploaded on
-# request alone, since DL replaces what the card holds: a card with a program of its own is refused. Nothing is burned.
-#
-#     #UNDRWD                       the program: every 200 ms (WT) a variable goes down by 1
-#     UNDRLEFT=UNDRLEFT-1
-#     WT 200
-#     JP #UNDRWD,(UNDRLEFT>0)       written every second by this computer, to 25
-#     STX                           else stop, after that (AM) motor off, and a mark that it was so
-#     AMX
-#     MOX
-#     UNDRLEFT=-1
-#     EN
-#
-# Each command is carried out whole before the next, so that the card's subtraction and our writing do not mix. Source: DMC-1400,
-# 2x00 and 4103 command references (DL, LS, XQ, HX, WT, JP, AM, ST with an axis, MO). ST and AB without an axis halt programs.
-
-# s of the host without a word; ms of the card; s of the host
-LIMIT_S, COUNT_MS, BEAT_S = WATCHED["variable"].limit, 200, 1.0
-LABEL, LEFT = "#UNDRWD", "UNDRLEFT"
-TRIPPED = -1
-STARTS_S = 5.0  # within which it must count
-
-
-def program_for(axis: str) -> list[str]:
-    """Return the lines of the program."""
-    again, stop = (
-        [f"{LEFT}={LEFT}-1", f"WT {COUNT_MS}", f"JP {LABEL},({LEFT}>0)"],
-        [f"ST{axis}", f"AM{axis}", f"MO{axis}"],
-    )
-    return [LABEL, *again, *stop, f"{LEFT}={TRIPPED}", "EN"]
-
-
-def halt_left_over(card: GalilCard) -> None:
-    """End the program of a run that was killed, which would stop the next one."""
-    if card.port.ask(f"MG {LEFT}") is not None and LABEL in (_listed(card) or ()):
-        card.tries("HX")
-
-
-def _listed(card: GalilCard) -> list[str] | None:
-    """Return the lines of the program on the card; None where they cannot be read."""
-    try:
-        lines = [re.sub(r"^\s*\d+ ?", "", line).strip() for line in card.text("LS").splitlines()]
-    except RigError:  # too long, or with what looks like a refusal: none of ours
-        card.port.resynchronise()
-        return None
-    return [line for line in lines if line]
-
-
-class CardWatchdog:
-    """The program on the card from `start` to `clear`, and the beats that write its variable."""
-
-    def __init__(self, card: GalilCard, axis: GalilAxis, alive: Callable[[], bool]) -> None:
-        self._card, self._axis, self._alive = card, axis, alive
-        self._full = round(LIMIT_S * 1000.0 / COUNT_MS * card.clock.speed)  # an emulated card counts faster
-        self._heart: Repeat | None = None
-
-    def start(self) -> None:
-        """Upload the program, start it and see it count."""
-        card, lines = self._card, program_for(self._card.axis)
-        held = _listed(card)
-        if held is None or (held and held[0] != LABEL):
-            raise RigFault(
-                f"{card.port.name}: wanted a card without a program for `card_watchdog`, got one that it would replace; save and "
-                "clear that one, or leave the option out"
-            )
-        card.tries("HX")
-        card.port.download("\r".join(lines))
-        if _listed(card) != lines:
-            raise LinkError(
-                f"{card.port.name}: wanted the watchdog's program on the card, got another one; check the link"
-            )
-        self._write()
-        card.do(f"XQ {LABEL},0")
-        if not card.clock.host.until(lambda: 0 < self._left() < self._full, STARTS_S):
-            raise RigFault(f"{card.port.name}: wanted the card's watchdog counting, got it at rest; leave it out")
-        self._write()
-        self._heart = card.clock.host.repeat(self._beat, "card watchdog")
-
-    def clear(self) -> None:
-        """End the beats, halt the program and take it from the card; a card that does not answer stops by itself."""
-        if self._heart is not None:
-            self._heart.end()
-        with contextlib.suppress(RigError):
-            self._card.tries("HX")
-            self._card.port.download("")
-            return
-        log.warning("%s: the watchdog's program could not be taken from the card", self._card.port.name)
-
-    def _left(self) -> int:
-        return self._card.integer(f"MG {LEFT}", TRIPPED, self._full)
-
-    def _write(self) -> None:
-        self._card.do(f"{LEFT}={self._full}")
-
-    def _beat(self) -> float | None:
-        """Write the variable where the program is alive; return when to write it again, None where that is no use."""
-        if not self._alive():
-            return BEAT_S
-        try:
-            if self._left() <= 0:
-                self._axis.refused = (
-                    f"its card watchdog stopped it, not having heard of this computer for {LIMIT_S:g} s"
-                )
-                return None
-            self._write()
-        except RigError as error:  # whoever drives the axis meets it too, and reports how it began
-            self._axis.broken = self._axis.broken or error
-            return None
-        return BEAT_S
-
-
-# ---- The servo filter, and what the card records of its own loop (RA, RD, RC).
-
-GAINS = {"kp": (1 / 8, 1023.875), "ki": (1 / 128, 2047.875), "kd": (1 / 8, 4095.875)}  # step, largest
-RECORDED = (("UNDRTP", "TP"), ("UNDRTE", "TE"))  # our arrays, and what goes into them: position and following error
-ARRAYS = ",".join(f"{array}[]" for array, _ in RECORDED)
-ROOM = (500, 250, 100)  # elements of each; small cards have room for 1000 in all arrays
-BLOCK = 100  # elements in one answer
-UPLOAD_S = 10.0  # longest wait for a block, s: 19,200 baud need one
-
-
-class GalilServo:
-    """The loop that a card closes: its gains, and records of position and error at even samples of the card's own clock.
-
-    The filter of older cards (1000, 1400, 1500 and Optima) is D(z) = 4 KP + 4 KD (1 - 1/z) + KI / 2 / (1 - 1/z); newer ones leave
-    out the fours. The card records positions and errors into arrays every 2^n samples by itself.
-    """
-
-    def __init__(
-        self,
-        card: GalilCard,
-        scale: CountScale,
-        axis: GalilAxis | None = None,
-        guarded: Callable[[], AbstractContextManager[None]] = nullcontext,
-    ) -> None:
-        self._card, self._scale, self._axis, self._guarded = card, scale, axis, guarded
-        self._room, self._records, self._period_s = 0, 0, 0.0
-
-    def read_gains(self) -> Gains:
-        """Return the servo filter that the card runs (KP, KI, KD)."""
-        with self._guarded():
-            return Gains(**{name: self._card.number(f"MG _{name.upper()}{self._card.axis}") for name in GAINS})
-
-    def set_gains(self, gains: Gains) -> Gains:
-        """Set the servo filter until the next power-up; what the card holds is returned."""
-        wanted = {}
-        for name, (step, largest) in GAINS.items():
-            value = getattr(gains, name)
-            if not 0.0 <= value <= largest:
-                word = name.upper()
-                raise LimitError(f"{word}: wanted 0 to {largest}, got {value:g}; choose another gain", gain=value)
-            wanted[name] = min(step * math.floor(value / step + 0.5), largest)
-        with self._guarded():  # shown to 0.01
-            held = {name: self._card.set(name.upper(), wanted[name], tolerance=step[0]) for name, step in GAINS.items()}
-        return Gains(**{name: round(held[name] / step) * step for name, (step, _) in GAINS.items()})
-
-    def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
-        """Return gains with a phase margin at a crossover, from the open loop's response there; None where no PD filter has it.
-
-        The plant is response / D, so the wanted filter is D' = exp(j (margin - pi)) D / response; KI is kept.
-        """
-        gains, sample_s = self.read_gains(), self._sample_s()
-        lag = cmath.exp(-1j * crossover * sample_s)  # 1/z
-        integral = 0.5 * gains.ki / (1.0 - lag)
-        held = 4.0 * gains.kp + 4.0 * gains.kd * (1.0 - lag) + integral
-        wanted = cmath.exp(1j * (margin - math.pi)) * held / response - integral
-        kd = wanted.imag / (1.0 - lag).imag / 4.0
-        kp = wanted.real / 4.0 - kd * (1.0 - lag).real
-        if not (0.0 < kp <= GAINS["kp"][1] and 0.0 < kd <= GAINS["kd"][1]):
-            return None
-        return Gains(kp=round(8.0 * kp) / 8.0, ki=gains.ki, kd=round(8.0 * kd) / 8.0)
-
-    def nudge(self, turn_rate: float) -> None:
-        """Change a jog speed; a lost byte can only make it smaller or turn it round, and the record shows what it was."""
-        with self._guarded():
-            self._card.do(f"JG {self._card.commas}{JOG_BY_TWO.round(self._scale.counts(turn_rate))}")
-
-    def start(self, span_s: float) -> None:
-        """Begin to record for a while, every 2^n samples, as densely as the arrays allow."""
-        with self._guarded():
-            self._room = self._room or self._make_room()
-            sample_s = self._sample_s()
-            power = min(max(1, math.ceil(math.log2(span_s / (self._room * sample_s)))), 8)
-            self._period_s = sample_s * 2**power
-            self._records = min(max(2, math.ceil(span_s / self._period_s)), self._room)
-            self._card.do(f"RA {ARRAYS}")
-            self._card.do("RD " + ",".join(f"_{word}{self._card.axis}" for _, word in RECORDED))
-            self._card.do(f"RC {power},{self._records}")
-
-    def recording(self) -> bool:
-        """Return whether the card still records."""
-        with self._guarded():
-            return bool(self._card.integer("MG _RC", 0, 1))
-
-    def trace(self) -> Trace:
-        """Wait for the end of the record and return it."""
-        longest_s = 2.0 * self._records * self._period_s + UPLOAD_S
-        if not self._card.clock.host.until(lambda: not self.recording(), longest_s, 0.002):
-            raise RigTimeout(
-                f"{self._card.port.name}: wanted the end of a record, got it still running; look at the card"
-            )
-        with self._guarded():
-            position, error = (self._scale.angle(1.0) * self._upload(array) for array, _ in RECORDED)
-        return Trace(period_s=self._period_s, position=position, error=error)
-
-    def free(self) -> None:
-        """Give the arrays' room back to the card."""
-        if self._room:
-            self._room = 0
-            with self._guarded():
-                self._card.do("RC 0")
-                self._card.do(f"DA {ARRAYS}")
-
-    def _make_room(self) -> int:
-        self._card.tries(f"DA {ARRAYS}")  # of a check that was interrupted
-        for room in ROOM:
-            if self._card.tries("DM " + ",".join(f"{array}[{room}]" for array, _ in RECORDED)):
-                return room
-        raise RigFault(
-            f"{self._card.port.name}: wanted room for two arrays of {ROOM[-1]}, got none; free arrays on the card (DA)"
-        )
-
-    def _sample_s(self) -> float:
-        known = self._axis.sample_s if self._axis else None
-        return known or 1e-6 * self._card.number("MG _TM")
-
-    def _upload(self, array: str) -> FloatArray:
-        """Return an array, block by block; a lost byte leaves a number or a comma out, or something that is no number."""
-        numbers: list[float] = []
-        for first in range(0, self._records, BLOCK):
-            last = min(first + BLOCK, self._records) - 1
-            command = f"QU {array}[],{first},{last},1"
-            answer = self._card.text(command, UPLOAD_S)
-            parts = answer.split(",") if ELEMENTS.fullmatch(answer) else []
-            if len(parts) != last - first + 1:
-                raise self._card.garbled(f"{last - first + 1} counts", command, repr(answer[:60]))
-            numbers += [float(part.replace(" ", "")) for part in parts]
-        return np.array(numbers)
 
 
 # ---- The rig.
@@ -571,7 +316,7 @@ class GalilReports(LinkedRig):
     unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
     _axis: GalilAxis
 
-    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings()) -> None:
+    def __init__(self, port: LinkPort, settings: RigSettings = RigSettings()) -> None:
         self.card = GalilCard(port, settings.axis or "X", settings.timing)
         self._settings = settings
         self._scale = CountScale.from_lines(settings.encoder_lines)
@@ -625,14 +370,19 @@ def wrong_switches(byte: int, enabled: bool) -> list[str]:
 class GalilRig(GalilReports):
     """A rate table on a Galil card; nothing moves until `turn` or `move_by`."""
 
-    def __init__(self, port: GalilPort, settings: RigSettings = RigSettings()) -> None:
+    def __init__(self, port: LinkPort, settings: RigSettings = RigSettings()) -> None:
         super().__init__(port, settings)
         try:
             self._prepare()
         except RigError:
             self._axis.let_go()
             raise
-        self.servo = GalilServo(self.card, self._scale, self._axis, self._guarded)
+
+    def read_servo(self) -> ServoReport:
+        """Return the gains (KP, KI, KD) and the sample period (TM) that the card runs."""
+        with self._guarded():
+            gains = {name: self.card.number(f"MG _{name.upper()}{self.card.axis}") for name in ("kp", "ki", "kd")}
+            return ServoReport(sample_s=self._axis.sample_s or 1e-6 * self.card.number("MG _TM"), **gains)
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH) or off (MO); off stops the axis first."""
@@ -723,10 +473,6 @@ class GalilRig(GalilReports):
                 forward, reverse = self._home + reach, self._home - reach
             card.set("FL", forward, tolerance=2)
             card.set("BL", reverse, tolerance=2)
-            halt_left_over(card)
-            if self._settings.card_watchdog is not None:
-                axis.watchdog = CardWatchdog(card, axis, self._settings.card_watchdog)
-                axis.watchdog.start()
 
 
 def open_from(url: str, settings: RigSettings) -> GalilRig:
@@ -734,13 +480,11 @@ def open_from(url: str, settings: RigSettings) -> GalilRig:
     return GalilRig(_port(url, settings), settings)
 
 
-def _port(url: str, settings: RigSettings) -> GalilPort:
+def _port(url: str, settings: RigSettings) -> LinkPort:
     if settings.axis not in ("", *"ABCDEFGHXYZW"):
         raise InputError(f"galil: wanted an axis A to H or X, Y, Z, W, got '{settings.axis}'; name one")
     if settings.speed_step not in (1, 2):
         raise InputError(f"galil: wanted speed_step 1 or 2, got {settings.speed_step}; see JG in the card's manual")
-    if url.startswith("gclib://"):
-        return GclibPort(url.removeprefix("gclib://"), settings.reply_timeout_s)
     return LinkPort(url, link_settings(settings))
 
 
@@ -762,7 +506,7 @@ class TableStatus:
 def read_status(address: str, settings: RigSettings = RigSettings()) -> TableStatus:
     """Ask a table on a connection of its own."""
     kind, url, settings = parse_address(address, settings)
-    if kind != "galil" or url.startswith("gclib:"):
+    if kind != "galil":
         raise InputError(
             f"status: wanted a Galil card on TCP or serial, got '{address}'; others cannot be asked unharmed"
         )

@@ -350,7 +350,6 @@ MOVE_DPS = 90.0  # of `move_by`
 class GrblRig(LinkedRig):
     """A rate table behind GRBL; opening resets the controller, which ends any motion."""
 
-    servo = None  # commanded steps count as positions
     stopped = "the table was stopped and its motor put to sleep"
     unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
     _axis: GrblAxis
@@ -367,6 +366,10 @@ class GrblRig(LinkedRig):
         """Return the firmware's greeting and what ``$I`` says."""
         with self._guarded():
             return "; ".join([self._axis.greeting, *(line.strip("[]") for line in self._axis.do("$I"))])
+
+    def read_servo(self) -> None:
+        """Return None: the board drives a stepper and reads no encoder."""
+        return
 
     def enable(self, on: bool) -> None:
         """Wake the motor up, or stop and put it to sleep (``$SLP``)."""

@@ -1,11 +1,11 @@
-"""Links to rigs: questions and answers with a deadline each, over TCP, a serial port or a card maker's library.
+"""Links to rigs: questions and answers with a deadline each, over TCP or a serial port.
 
 Who asks also reads. Bytes that nobody asked for are kept aside: those that come between two exchanges, and, where the device marks
 them, those whose high bit is set (Galil CW1). After an answer that did not come in time the link is out of step - the answer may
 still come, and would be taken for the next one - so it refuses to go on until `ask_anew`.
 
 A place is a URL: ``tcp://host:port``; ``serial:///dev/ttyUSB0`` or a bare path (a pty too); and what pyserial itself understands:
-``socket://host:port``, ``loop://``. A Galil card is also reached by its maker's library gclib (USB, PCI, UDP), on no package index.
+``socket://host:port``, ``loop://``.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Protocol, TypeVar
 
 from undrift.base.clock import HOST, Clock, Port
 from undrift.errors import InputError, LinkError, RigError, RigTimeout, check_positive
@@ -287,91 +287,6 @@ class LinkPort(Link):
             else:
                 self.unsolicited()  # prompts of shouted commands that came before the number was asked for
                 return
-
-
-class GclibPort:
-    """A card behind its maker's library."""
-
-    def __init__(self, address: str, reply_timeout_s: float = 2.0, library: Any = None) -> None:
-        if library is None:
-            try:
-                import gclib
-            except (ImportError, OSError) as error:  # OSError: the wrapper is there, its shared library is not
-                raise LinkError(
-                    "galil over gclib: wanted the maker's library, got none; install gclib, or write galil:tcp://host:port"
-                ) from error
-            library = gclib.py()
-        self.name, self.is_open = f"gclib {address}", False
-        self._library, self._address = library, address
-        self._timeout_ms = round(1000.0 * reply_timeout_s)
-        self._one_at_a_time = threading.RLock()
-        self.reconnect()
-
-    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
-        """Send a command and return the text of its answer."""
-        with self._one_at_a_time:
-            if not self.is_open:
-                raise LinkError(f"{self.name}: wanted an open link, got a closed one; reconnect")
-            self._library.GTimeout(self._timeout_ms if deadline_s is None else round(1000.0 * deadline_s))
-            try:
-                return str(self._library.GCommand(command))
-            except Exception as error:
-                text, wanted = str(error).lower(), f"{self.name}: wanted an answer to '{command}', got '{error}'"
-                if "question mark" in text:
-                    return None
-                if "timed out" in text or "timeout" in text:
-                    raise RigTimeout(f"{wanted}; check power and cable") from error
-                raise LinkError(f"{wanted}; reconnect") from error
-
-    def download(self, program: str) -> None:
-        """Replace the program on the card."""
-        with self._one_at_a_time:
-            try:
-                self._library.GProgramDownload(program)
-            except Exception as error:
-                raise LinkError(
-                    f"{self.name}: wanted a program taken by the card, got '{error}'; see its TC"
-                ) from error
-
-    def shout(self, command: str) -> None:
-        """Send and do not care for the answer."""
-        with contextlib.suppress(LinkError, RigTimeout):
-            self.ask(command, 0.2)
-
-    def resynchronise(self) -> None:
-        """Ask for a number until the answer is that number."""
-        for token in (41_001, 41_002, 41_003):
-            if (self.ask(f"MG {token}") or "").strip().lstrip("0").split(".")[0] == str(token):
-                return
-        raise LinkError(f"{self.name}: wanted answers in step with their commands, got others; reconnect")
-
-    def mask_unsolicited(self) -> None:
-        """Nothing to do: gclib keeps unsolicited text apart."""
-
-    def unsolicited(self) -> str:
-        """Return "": gclib gives unsolicited text to whoever subscribed to it."""
-        return ""
-
-    def reconnect(self) -> None:
-        """Close and open again."""
-        self.close()
-        try:
-            self._library.GOpen(self._address)
-        except Exception as error:
-            raise LinkError(
-                f"{self.name}: wanted a connection, got '{error}'; check power, cable and address"
-            ) from error
-        self.is_open = True
-
-    def close(self) -> None:
-        """Let go of the card; harmless when called again."""
-        if self.is_open:
-            self.is_open = False
-            with contextlib.suppress(Exception):  # it is gone either way
-                self._library.GClose()
-
-
-GalilPort: TypeAlias = LinkPort | GclibPort
 
 
 # ---- A card's own clock.

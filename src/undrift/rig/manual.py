@@ -87,8 +87,6 @@ def open_chamber_from(address: str, settings: ChamberSetup, ask: Callable[[str],
 class ManualRig:
     """A person who is asked, one line at a time."""
 
-    servo = None
-
     def __init__(self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = HOST) -> None:
         self.limits = limits
         self._ask, self._clock = ask, clock
@@ -98,6 +96,10 @@ class ManualRig:
     def identify(self) -> str:
         """Return that this is a person."""
         return "a person who turns the device by hand"
+
+    def read_servo(self) -> None:
+        """Return None: a person has no servo."""
+        return
 
     def enable(self, on: bool) -> None:
         """Nothing to switch."""

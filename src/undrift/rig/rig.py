@@ -6,7 +6,7 @@ Angles are rad, rates rad/s, positive about the table's own axis. An encoder of 
 A rig has an address, ``kind:url?option=value&option=value``. Adding one is a file with ``open_from(url, settings)`` and a row in
 CONTROLLERS.
 
-    galil:tcp://host:port?encoder_lines=10000     galil:serial:///dev/ttyUSB0?baud=19200     galil:gclib://host --direct
+    galil:tcp://host:port?encoder_lines=10000     galil:serial:///dev/ttyUSB0?baud=19200
     grbl:serial:///dev/ttyUSB0?axis=A             grbl:tcp://host:port                       manual:
 """
 
@@ -20,7 +20,6 @@ from typing import Protocol
 
 import numpy as np
 
-from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, check_positive
 from undrift.plugins import load_named, split_address
@@ -146,57 +145,17 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """A servo filter, in the controller's own units."""
+class ServoReport:
+    """Gains and sample period that a controller runs, in its own units."""
 
     kp: float  # Galil: 0 to 1023.875 in steps of 1/8
     ki: float  # Galil: 0 to 2047.875 in steps of 1/128
     kd: float  # Galil: 0 to 4095.875 in steps of 1/8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trace:
-    """What a controller recorded by itself, at even steps of its own clock."""
-
-    period_s: float  # From one sample to the next, controller s
-    position: FloatArray  # (n,), rad
-    error: FloatArray  # (n,), commanded minus actual, rad
-
-
-class Servo(Protocol):
-    """What a controller that closes a loop around an encoder adds to a rig."""
-
-    def read_gains(self) -> Gains:
-        """Return the gains that it runs."""
-
-    def set_gains(self, gains: Gains) -> Gains:
-        """Set gains; what the controller holds is returned."""
-
-    def gains_for(self, margin: float, crossover: float, response: complex) -> Gains | None:
-        """Return gains with a phase margin (rad) at a crossover (rad/s), from the open loop's response there."""
-
-    def nudge(self, turn_rate: float) -> None:
-        """Change the rate of a turn that runs, at once; nothing is read back."""
-
-    def start(self, span_s: float) -> None:
-        """Begin to record for a while."""
-
-    def recording(self) -> bool:
-        """Return whether it still records."""
-
-    def trace(self) -> Trace:
-        """Wait for the end of the record and return it."""
-
-    def free(self) -> None:
-        """Give back what the records needed."""
+    sample_s: float  # s, from one sample of the servo to the next
 
 
 class Rig(Protocol):
     """One axis that turns a device."""
-
-    @property
-    def servo(self) -> Servo | None:
-        """The loop that it closes, None for a stepper without encoder or a person."""
 
     @property
     def limits(self) -> Limits:
@@ -204,6 +163,9 @@ class Rig(Protocol):
 
     def identify(self) -> str:
         """Return make, model and firmware."""
+
+    def read_servo(self) -> ServoReport | None:
+        """Return the servo's gains and sample period, None for a stepper without encoder or a person."""
 
     def enable(self, on: bool) -> None:
         """Switch the motor on or off."""
@@ -383,10 +345,6 @@ WATCHED = {
     ),
     "answer": Watched("driver", "an answer of the controller", 2.0, "stop, abort, motor off, else NOT CONFIRMED"),
     "following error": Watched("Galil card", "commanded minus actual angle (ER, OE1)", 5.0, "motor off", "deg"),
-    "variable": Watched(
-        "card watchdog", "a variable of the card that this computer writes once a second", 5.0,
-        "ST, after that MO: by the card itself",
-    ),
 }  # fmt: skip
 
 
@@ -414,8 +372,6 @@ class RigSettings:
     clock: Clock | None = None  # The table's; None is the host's, at clock_speed
     # Shows a person a line and returns what they typed; a manual rig needs it
     ask: Callable[[str], str] | None = None
-    # Whether the program that drives the rig is alive: a Galil card's own watchdog depends on it; None uploads none
-    card_watchdog: Callable[[], bool] | None = None
 
     @property
     def timing(self) -> Clock:
@@ -451,6 +407,4 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
         except (ValueError, KeyError) as error:
             raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
-    if settings.card_watchdog is not None and kind != "galil":
-        raise InputError(f"card watchdog: wanted a Galil card, got '{address}'; leave `card_watchdog` out")
     return kind, url, settings

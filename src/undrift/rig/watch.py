@@ -20,7 +20,7 @@ run's own connection waits for answers, and its process may be busy, halted or h
     Galil on TCP      a second handle: ST, then MO until the motor is off, AB after half a second
     GRBL on TCP       a second client: 0x85 (end of the jog) until the run has ended, then reset and $SLP
     a serial port     the same device file, opened for the moment: ST, or 0x85; the run's own answers get out of step, and it closes
-    gclib, a person   nothing to shout: the run is ended, and it or its guard stops the table
+    a person          nothing to shout: the run is ended
 """
 
 import contextlib
@@ -358,7 +358,7 @@ def check_free(address: str, settings: RigSettings = RigSettings(), *, motor_on:
     Nothing is set and nothing stops.
     """
     kind, url, settings = parse_address(address, settings)
-    if kind == "galil" and not url.startswith("gclib:"):
+    if kind == "galil":
         found = read_status(address, settings)
         state = "moving" if found.moving else "its motor on" if found.motor_on and not motor_on else ""
     elif kind == "grbl" and url.startswith("tcp:"):  # opening a serial port resets the board

@@ -141,7 +141,7 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
 
 def _found(visit: "Visit") -> None:
     """List what was found; a click connects it."""
-    ways = {"serial_ports": "serial://", "ble_devices": "ble:", "lsl_streams": "lsl:"}
+    ways = {"serial_ports": "serial://", "lsl_streams": "lsl:"}
     pairs = [(kind, one) for way, kind in ways.items() for one in visit.ways.get(way, ())]
     senders = [(kind + next(iter(one.values())), one["device"]) for kind, one in pairs]
     for address, about in senders:

@@ -187,7 +187,6 @@ def test_a_galil_card_on_a_serial_port_is_stopped_between_the_runs_own_commands(
     ("address", "reason", "motor"),
     [
         ("manual:", "no second connection", False),
-        ("galil:gclib://10.0.0.1 --direct", "no second connection", True),
         ("galil:serial:///dev/no-such-port", "a serial port has one owner", True),
         ("galil:tcp://127.0.0.1:9", "127.0.0.1:9", True),
     ],

@@ -66,7 +66,7 @@ class RunOrder:
 
     rig: str = asked("Address of the table", hint="galil:tcp://host:23?encoder_lines=10000, grbl:serial:///dev/ttyUSB0")
     device: str = asked("Address of the device", hint="serial:///dev/ttyUSB0?baud=115200&..., tcp://host:port?...")
-    chamber: str = asked("Address of the chamber", hint="tcp://host:port, modbus-tcp://host:502?model=..., manual:")
+    chamber: str = asked("Address of the chamber", hint="tcp://host:port, manual:")
     operator: str = ""  # of an emulated operator; a person is asked on the page where there is none
     serial: str = asked("Serial number of the device", hint="empty: as the device states it")
     options: tuple[str, ...] = ()  # more words of the command
