@@ -3,7 +3,8 @@
 What modules share is computed once in a run, whichever processes run them; see ``testkit.remembered``.
 """
 
-from collections.abc import Callable, Iterator
+import shutil
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,26 @@ from testkit.remembered import put_everywhere, remembered, run_folder
 settings.register_profile("same", deadline=None, derandomize=True)
 settings.register_profile("hunt", deadline=None, max_examples=3000)
 settings.load_profile("same")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call() -> Generator[None, object, object]:
+    return (yield from skipped_without_gcc())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup() -> Generator[None, object, object]:
+    return (yield from skipped_without_gcc())
+
+
+def skipped_without_gcc() -> Generator[None, object, object]:
+    """Skip a test that compiles C if this machine has no gcc."""
+    try:
+        return (yield)
+    except FileNotFoundError as error:
+        if error.filename == "gcc" and shutil.which("gcc") is None:
+            pytest.skip("this machine has no gcc")
+        raise
 
 
 @pytest.fixture(scope="session")

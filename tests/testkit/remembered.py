@@ -3,7 +3,6 @@
 Results are kept as pickles in a folder of the run, each under the hash of what went in; they go with the folder.
 """
 
-import fcntl
 import io
 import os
 import pickle
@@ -18,13 +17,18 @@ from typing import TypeVar
 
 import pytest
 
+try:
+    import fcntl
+except ImportError:  # Windows has no flock: each process keeps its own results
+    fcntl = None  # type: ignore[assignment]
+
 T = TypeVar("T")
 
 
 def run_folder(factory: pytest.TempPathFactory) -> Path:
-    """Return the folder that all processes of a run share."""
+    """Return the folder that all processes of a run share, or that of this process if no lock is available."""
     base = factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "remembered"
+    folder = (base.parent if fcntl and "PYTEST_XDIST_WORKER" in os.environ else base) / "remembered"
     folder.mkdir(exist_ok=True)
     return folder
 
@@ -32,6 +36,9 @@ def run_folder(factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
     """Let one process at a time into the block."""
+    if fcntl is None:
+        yield
+        return
     with path.with_name(f"{path.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
