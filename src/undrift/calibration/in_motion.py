@@ -39,7 +39,7 @@ BRIDGED_S = 0.05  # the longest gap over which a line is near enough to the read
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)  # of a stretch, s, in each step of the descent
 # rad/s: from rest to motion, from one recording to another, and a raw device's zero-rate output [assumed]
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
-# Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8 (docs/decisions)
+# Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
