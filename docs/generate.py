@@ -398,7 +398,7 @@ def presets() -> str:
             for name, sheet in SHEETS.items()
         ]
         parts.append(f"{title}:\n\n| {heads[side]} |\n|{'---|' * (heads[side].count('|') + 1)}\n" + "\n".join(rows))
-    return "---\norphan: true\n---\n\n# Presets\n\n" + "\n\n".join(parts) + "\n"
+    return "# Presets\n\n" + "\n\n".join(parts) + "\n"
 
 
 def watch() -> str:
@@ -407,7 +407,7 @@ def watch() -> str:
 
     rows = [f"| {row.by} | {row.what} | {row.limit:g} {row.unit} | {row.act} |" for row in WATCHED.values()]
     return (
-        "---\norphan: true\n---\n\n# What is watched while a rate table is driven\n\nGuard, run, lock, standby, driver and card "
+        "# What is watched while a rate table is driven\n\nGuard, run, lock, standby, driver and card "
         "read their limits from one table, `WATCHED` in `rig/rig.py`; this page is made from it. 0 s: at the next look. "
         "[Rigs](../rig.md) says how a run goes.\n\n| who | looks at | limit | then |\n|---|---|---|---|\n"
         + "\n".join(rows)
