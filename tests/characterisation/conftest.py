@@ -1,7 +1,7 @@
-"""One BLAS thread, as recorded; too late, and then seen in the fingerprint, where numpy was imported before."""
+"""The option that writes the numbers of the stages anew."""
 
-import os
-import sys
+import pytest
 
-if "numpy" not in sys.modules:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--record", action="store_true", help="write tests/characterisation/recorded.json")
