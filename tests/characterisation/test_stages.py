@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+
+from testkit.data import DATA, data_path
+from testkit.demo_session import demo_session
 from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.calibrate import calibrate, calibrate_to_references
 from undrift.calibration.noise import fit_noise
@@ -29,9 +32,6 @@ from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_therm
 from undrift.twin.fit import TwinSettings, fit_twin
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import validate_leave_one_out
-
-from testkit.data import DATA, data_path
-from testkit.demo_session import demo_session
 
 pytestmark = [
     pytest.mark.usefixtures("computed_once"),
