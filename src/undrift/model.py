@@ -232,24 +232,6 @@ class WarmUp:
             )
 
 
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hysteresis:
-    """Loop of the offset over temperature about the static table: drift/hysteresis.py has the model."""
-
-    crossing_k: float  # change of temperature that crosses the loop, K
-    crossing_uncertainty_k: float  # standard uncertainty, K
-    temp_c: Nodes  # degC; between them the half-width is straight, beyond them it is held
-    # Offset while cooling minus offset while warming, over two, and its standard uncertainty, raw unit
-    gyro_half_width: Annotated[FloatArray, Shape("n", 3)]
-    gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        if not 0.0 < self.crossing_k < np.inf:
-            raise InputError(f"hysteresis: wanted crossing_k above 0 K, got {self.crossing_k:g}; leave the loop out")
-
-
 def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float, float]:
     """Return the first and last node (n,) that data were near, degC; without marks, or where all are marked, of all."""
     nodes = temp_c if extrapolated is None or extrapolated.all() else temp_c[~extrapolated]
@@ -284,8 +266,6 @@ class StaticDrift:
     # What one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
     gyro_visit: Annotated[Vector, LATER] = None
     accel_visit: Annotated[Vector, LATER] = None
-    # Where it can be corrected: its half-width is the one above
-    hysteresis: Annotated[Hysteresis | None, LATER] = None
     warm_up: Annotated[WarmUp | None, LATER] = None
 
     def __post_init__(self) -> None:
@@ -559,7 +539,6 @@ class Calibration(Shown):
             matrices=_part_of(drift.scale, sensor, "matrix"),
             errors=drift.dynamic if gyro else None,
             warm_up=static.warm_up if gyro and static is not None else None,
-            hysteresis=static.hysteresis if gyro and static is not None else None,
             lsb=adc.gyro_lsb if gyro else adc.accel_lsb,
             rounding=adc.gyro_rounding if gyro else adc.accel_rounding,
         )
@@ -593,9 +572,8 @@ class Triad:
     model: TriadModel | None
     offsets: OverTemperature | None  # raw unit
     matrices: OverTemperature | None  # unit_out per unit_in
-    errors: DynamicDrift | None  # gyroscopes only, and so are the next two
+    errors: DynamicDrift | None  # gyroscopes only, and so is the next
     warm_up: WarmUp | None
-    hysteresis: Hysteresis | None
     lsb: FloatArray | None  # (3,), one code step, raw unit
     rounding: Rounding
 

@@ -9,10 +9,9 @@ import pandas as pd
 import pytest
 
 from testkit.command_line import contents
-from undrift.correction.correct import correct_checked
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import DriftTables, Hysteresis, StaticDrift, WarmUp
+from undrift.model import DriftTables, StaticDrift, WarmUp
 from undrift.record import Record
 from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE
@@ -197,42 +196,6 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
         assert row["notes"][1].startswith("No warm-up was subtracted: up to")
         assert len(row["notes"]) == 2
     assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
-
-
-def test_a_stated_course_of_temperature_decides_how_hysteresis_is_corrected(undrift, tuned, tmp_path):
-    c = read_calibration(tmp_path / "tuned.json")
-    loop = Hysteresis(
-        crossing_k=4.0,
-        crossing_uncertainty_k=1.0,
-        temp_c=[20.0, 30.0],
-        gyro_half_width=np.full((2, 3), 3.0),
-        gyro_uncertainty=np.ones((2, 3)),
-    )
-    static = replace(c.drift.static, hysteresis=loop)
-    write_calibration(replace(c, drift=DriftTables(static=static)), tmp_path / "looped.json")
-    steady = replace(tuned, temp_c=np.full(len(tuned), 27.0))
-    write_record(steady, tmp_path / "steady.parquet")
-    words = ["correct", tmp_path / "steady.parquet", "--calibration", tmp_path / "looped.json"]
-    notes, rates = {}, {}
-    for asked in ("warming", "20,40", "", "none"):
-        out = tmp_path / f"{asked or 'unknown'}.parquet"
-        more = ["--temp-history", asked] if asked else []
-        notes[asked] = undrift.good(*words, *more, "-o", out, "--json").json()["recordings"][0]["notes"][0]
-        rates[asked] = read_record(out).gyro
-    for asked, history in (("warming", "warming"), ("20,40", (20.0, 40.0)), ("", None), ("none", "none")):
-        done = correct_checked(steady, read_calibration(tmp_path / "looped.json"), temp_history=history)
-        np.testing.assert_allclose(rates[asked], done.record.gyro, rtol=0, atol=1e-12)
-    half = 3.0 * c.gyro.matrix.sum(axis=1)
-    np.testing.assert_allclose(rates["warming"] - rates[""], np.tile(half, (len(steady), 1)), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(rates["20,40"] - rates[""], np.tile(-half, (len(steady), 1)), rtol=0, atol=1e-9)
-    assert notes["warming"].startswith("Hysteresis is corrected: half-width up to")
-    assert "state the course of temperature before the recording (--temp-history)" in notes[""]
-    np.testing.assert_array_equal(rates["none"], rates[""])
-    without = ["correct", tmp_path / "steady.parquet", "--calibration", tmp_path / "tuned.json"]
-    refused = undrift(*without, "-o", tmp_path / "x.csv", "--temp-history", "warming")
-    assert "--temp-history: wanted a calibration that corrects hysteresis, got one without" in refused.err
-    wrong = undrift(*words, "-o", tmp_path / "x.csv", "--temp-history", "up")
-    assert "--temp-history: wanted none, warming, cooling or temperatures as in 25,60, got 'up'" in wrong.err
 
 
 def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):

@@ -19,7 +19,7 @@ from undrift.errors import InputError
 from undrift.export import ExportOptions
 from undrift.export.c import export_c, literal
 from undrift.export.firmware import FULL_FORCE, FULL_RATE
-from undrift.model import AdcModel, Hysteresis, Provenance, StaticDrift, Verdict, WarmUp
+from undrift.model import AdcModel, Provenance, StaticDrift, Verdict, WarmUp
 
 KINDS = {
     "constant": {"drift": None},
@@ -278,10 +278,6 @@ def test_a_serial_number_cannot_break_out_of_the_comment(tmp_path):
 def test_what_is_not_carried_is_listed():
     static = StaticDrift(
         temp_c=[0.0, 1.0], gyro_offset=np.zeros((2, 3)), gyro_hysteresis=[1.0, 2.0, 3.0],
-        hysteresis=Hysteresis(
-            crossing_k=4.0, crossing_uncertainty_k=1.0, temp_c=[0.0, 1.0], gyro_half_width=np.ones((2, 3)),
-            gyro_uncertainty=np.ones((2, 3)),
-        ),
         warm_up=WarmUp(power_on_s=[0.0, 60.0], gyro_offset=[[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]),
     )  # fmt: skip
     drift = replace(tables(), static=static, lag_s=30.0, lag_smooth_s=5.0)
@@ -290,10 +286,9 @@ def test_what_is_not_carried_is_listed():
     assert "lag" not in said
     assert "the thermometer's lag of 30 s is removed by undrift_temperature" in " ".join(exported.notes)
     assert "power-on" not in said
-    for text in ("hysteresis", "half-width up to", "uncertainties"):
-        assert text in said
-        assert text in exported.header
-    for text in ("code step", "g-sensitivity", "dynamic table", "gains"):
+    assert "uncertainties" in said
+    assert "uncertainties" in exported.header
+    for text in ("hysteresis", "code step", "g-sensitivity", "dynamic table", "gains"):
         assert text not in said
 
 

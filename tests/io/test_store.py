@@ -20,7 +20,6 @@ from undrift.model import (
     Calibration,
     DriftTables,
     DynamicDrift,
-    Hysteresis,
     NoiseModel,
     Provenance,
     ScaleDrift,
@@ -75,17 +74,6 @@ def warm_ups(draw):
     return WarmUp(power_on_s=[0.0, *times], gyro_offset=offset)
 
 
-def loops():
-    return st.builds(
-        Hysteresis,
-        crossing_k=st.floats(1e-3, 1e3),
-        crossing_uncertainty_k=st.floats(0.0, 1e3),
-        temp_c=nodes(2),
-        gyro_half_width=numbers(2, 3),
-        gyro_uncertainty=numbers(2, 3),
-    )
-
-
 @st.composite
 def drifts(draw):
     n, m = draw(st.integers(2, 4)), draw(st.integers(2, 4))
@@ -99,7 +87,6 @@ def drifts(draw):
         gyro_extrapolated=none | marks(n),
         accel_extrapolated=none | marks(n),
         gyro_hysteresis=none | numbers(3),
-        hysteresis=none | loops(),
         warm_up=none | warm_ups(),
     )
     scale = st.builds(

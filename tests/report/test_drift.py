@@ -35,7 +35,6 @@ def summary(**changes):
         left_out_rms=np.radians([0.02, np.nan, 0.02]),
         half_loop=np.radians([0.05, 0.0, -0.05]),
         half_loop_uncertainty=np.radians([0.004, 0.004, 0.004]),
-        branch=np.radians(np.outer(np.ones(n), [0.05, 0.0, -0.05])),
         loop_kept=True,
         turn_on=np.radians([0.1, 0.1, 0.1]),
         block_temp_c=np.linspace(20.0, 28.0, k),

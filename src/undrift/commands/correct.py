@@ -6,7 +6,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, number, rows_section
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from undrift.correction.correct import Corrector, CorrectorState, OffsetLeft
     from undrift.correction.coverage import Beyond
     from undrift.correction.rest import Stretch
-    from undrift.drift.hysteresis import TempHistory
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record, Still
@@ -161,7 +160,6 @@ def correct(
     calibration: Path,
     output: Output,
     applying: TableUse = TableUse(),
-    temp_history: str | None = None,
     offset: Literal["none", "rest", "motion"] = "none",
     named: NamedRest = NamedRest(),
     opening: Opening = Opening(),
@@ -179,10 +177,6 @@ def correct(
     output : Path
         File for one recording: .parquet, .csv or .csv.gz; folder for
         several, made where it is missing.
-    temp_history : str
-        Course of the temperature before each recording, for a calibration that corrects hysteresis: warming, cooling, or the
-        temperatures at which it turned, oldest first, degC, as in 25,60. Without it hysteresis is corrected as far as a
-        recording shows its own course; none leaves the middle of the loop.
     offset : str
         "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as `offset` of orient
         does: best with tables, for what they cannot know. "motion" starts from that rest, if there is one, and adds what gravity
@@ -203,10 +197,8 @@ def correct(
     opening = opening.like(model, calibration)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
-    history = None if temp_history is None else _history(temp_history, model)
-    corrector = partial(Corrector, model, applying.policy, power_on_s=applying.power_on_s, temp_history=history)
+    corrector = partial(Corrector, model, applying.policy, power_on_s=applying.power_on_s)
     settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
-    settings |= {} if history is None else {"temp_history": temp_history}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
     find_offset = None if offset == "none" else partial(_offset_left, offset=offset, stretch=named.stretch)
     corrected = partial(
@@ -219,24 +211,6 @@ def correct(
             folder.rmdir()
         raise
     return CorrectedFiles(calibration=calibration, model=model, files=files, notes=chosen.notes)
-
-
-def _history(text: str, model: "Calibration") -> "TempHistory":
-    """Return the course of the temperature that was stated."""
-    static = None if model.drift is None else model.drift.static
-    if text != "none" and (static is None or static.hysteresis is None):
-        raise InputError(
-            "`temp_history`: wanted a calibration that corrects hysteresis, got one without; leave it out, or fit tables to "
-            "sweeps both ways"
-        )
-    try:
-        if text in ("none", "warming", "cooling"):
-            return cast('Literal["none", "warming", "cooling"]', text)
-        return tuple(float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"`temp_history`: wanted none, warming, cooling or temperatures as in 25,60, got '{text}'; state one of these"
-        ) from error
 
 
 def _correct_all(

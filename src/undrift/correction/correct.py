@@ -4,8 +4,7 @@ For a reading u (3,) at temperature T, in this order::
 
     1  u1 = u + h sign(u)         codes truncated toward zero; u + h where they were rounded down; h is half a step
     2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, else the constant offset; o is the warm-up of a device that
-             - h(T) c             was switched on t ago, where t is known, and h c its hysteresis, where the course of temperature
-                                  before is known (drift/hysteresis.py); both of gyroscopes only
+                                  was switched on t ago, if t is known; gyroscopes only
     3  w  = M(T) u2               matrix, constant or over temperature
     4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
@@ -20,7 +19,7 @@ a gap, as ``policy`` states. Without a temperature the result is a gap under eve
 
 ``_evaluate_triad`` is where these lines are. Around it: plan.py turns the calibration into what the kernels take, coverage.py
 finds what it does not cover, and ``Corrector`` does the same chunk by chunk: no step looks at another sample but those that
-subtract a thermometer's lag, follow a loop of hysteresis and find turns, which look back only and hand their states on.
+subtract a thermometer's lag and find turns, which look back only and hand their states on.
 """
 
 import warnings
@@ -51,7 +50,6 @@ from undrift.correction.plan import (
     plan_record,
 )
 from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset, moved_by
-from undrift.drift.hysteresis import TempHistory
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration, TriadModel
@@ -75,11 +73,9 @@ def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArra
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
     h = plan.half_step
-    beside = ((plan.warm_up, at.since, np.ones(at.since.size)), (plan.loop, at.temp_c, at.loop))
-    for line, place, weight in beside:  # step 1, and o and h c of step 2
-        if line is not None and weight.size:
-            without_line(u, place, weight, w, h, *line)
-            u, h = w, np.zeros(3)
+    if plan.warm_up is not None and at.since.size:  # step 1, and o of step 2
+        without_line(u, at.since, w, h, *plan.warm_up)
+        u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
         least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, plan.offset, h, g, plan.tables)
         return float(least), float(greatest)
@@ -98,7 +94,7 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     w, a = flat(outputs[0], rows.start, rows.stop), flat(outputs[1], rows.start, rows.stop)
     at = Conditions(*(values[rows] for values in conditions))
     g = None if gyro is None else gyro.g_sensitivity
-    plain = all(plan is not None and plan.tables is None for plan in plans) and not (at.since.size or at.loop.size)
+    plain = all(plan is not None and plan.tables is None for plan in plans) and not at.since.size
     if gyro is not None and accel is not None and g is not None and plain:
         of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
         affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
@@ -179,7 +175,6 @@ def correct(
     out: Buffers | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
-    temp_history: TempHistory | None = None,
     check: bool = True,
 ) -> Record:
     """Turn a device's readings into rate and specific force.
@@ -202,10 +197,6 @@ def correct(
         "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; "motion" also what
         gravity shows while the device moves; an object subtracts one that was found before. A note of ``correct_checked``
         states it with its uncertainty.
-    temp_history : str or sequence of float, optional
-        Course of the temperature before the first sample, for a calibration that corrects hysteresis: "warming", "cooling", or
-        the temperatures at which it turned, oldest first, degC. Without it hysteresis is corrected as far as the record's own
-        temperatures show the course; "none" leaves the middle of the loop.
     check : bool
         Look whether gyroscope and accelerometer agree and rests fit the calibration, as ``correct_checked`` does: some tens of
         milliseconds.
@@ -220,7 +211,7 @@ def correct(
     ------
     InputError
         Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
-        negative power_on_s; no rest where one is asked for; a temp_history that is none.
+        negative power_on_s; no rest where one is asked for.
     DriftRangeError
         Temperatures outside a table under policy "raise".
     Implausible
@@ -237,7 +228,7 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_whole(record, calibration, (power_on_s, temp_history), offset, policy=policy, out=out)
+    corrected = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
     found = _suspicions(corrected, calibration, record) if check else ()
     for text in (*(one.text for one in found), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
@@ -253,7 +244,6 @@ def correct_checked(
     threads: int | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
-    temp_history: TempHistory | None = None,
 ) -> Corrected:
     """Correct a record and say where the calibration did not cover it, or where record and calibration do not fit.
 
@@ -273,8 +263,6 @@ def correct_checked(
         As for ``correct``, s.
     offset : str, RestOffset or MotionOffset
         As for ``correct``.
-    temp_history : str or sequence of float, optional
-        As for ``correct``, degC.
 
     Returns
     -------
@@ -301,9 +289,8 @@ def correct_checked(
     >>> len(done.findings), int(done.outside.sum())
     (0, 0)
     """
-    start = (power_on_s, temp_history)
     how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
-    done = correct_whole(record, calibration, start, offset, **how)
+    done = correct_whole(record, calibration, power_on_s, offset, **how)
     return replace(done, findings=(*_suspicions(done, calibration, record), *done.findings))
 
 
@@ -315,12 +302,12 @@ def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tu
 def correct_whole(
     record: Record,
     calibration: Calibration,
-    start: tuple[float | None, TempHistory | None] = (None, None),
+    power_on_s: float | None = None,
     offset: Offset = "none",
     **how: Any,
 ) -> Corrected:
-    """Correct a record from its start, where power_on_s and temp_history are known or None; `how` is for correct_planned."""
-    carry = carry_at_start(float(record.time[0]), start[0], calibration, start[1])
+    """Correct a record from its start; `how` is for correct_planned."""
+    carry = carry_at_start(float(record.time[0]), power_on_s)
     done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **how)
     return re_zeroed(done, offset, how.get("threads"), calibration.gyro)
 
@@ -481,7 +468,7 @@ class CorrectorState:
     reach: coverage.Reach = field(
         default_factory=coverage.Reach
     )  # How far temperature and rate went so far, where the calibration cares
-    carry: Carry = field(default_factory=Carry)  # Time of power-on, states of the lag and of the hysteresis
+    carry: Carry = field(default_factory=Carry)  # Time of power-on, state of the lag
 
 
 class Corrector:
@@ -497,8 +484,6 @@ class Corrector:
         As for ``correct_checked``, degC.
     power_on_s : float, optional
         Time since power-on at the first sample of the stream, s, as for ``correct``.
-    temp_history : str or sequence of float, optional
-        Course of the temperature before the first sample of the stream, degC, as for ``correct``.
     offset : RestOffset or MotionOffset, optional
         What is left at a rest or in motion, to subtract from every chunk: ``find_rest_offset_in`` finds the former in the first
         corrected chunks.
@@ -524,12 +509,11 @@ class Corrector:
         *,
         reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
-        temp_history: TempHistory | None = None,
         offset: OffsetLeft | None = None,
     ) -> None:
-        carry_at_start(0.0, power_on_s, calibration, temp_history)  # refused now rather than at the first chunk
+        carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
-        self._power_on_s, self._offset, self._history = power_on_s, offset, temp_history
+        self._power_on_s, self._offset = power_on_s, offset
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
 
@@ -596,7 +580,7 @@ class Corrector:
             self._plans[key] = plan_record(chunk, self._calibration)
         carry = self.state.carry
         if not self.state.samples:
-            carry = carry_at_start(float(chunk.time[0]), self._power_on_s, self._calibration, self._history)
+            carry = carry_at_start(float(chunk.time[0]), self._power_on_s)
         done = correct_planned(
             chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
         )

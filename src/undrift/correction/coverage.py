@@ -19,7 +19,6 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_tables, in_pieces
-from undrift.drift.hysteresis import uncertain_share
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel, seen_span
@@ -30,7 +29,6 @@ Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
 TICKS_PER_S = 2.0**30
-UNKNOWN_LOOP = 0.5  # of the half-width: above, the correction is mostly the middle of the loop
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
 
@@ -230,24 +228,12 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
     if record.gyro is None or gyro is None or static is None:
         return tuple(findings)
     if static.gyro_hysteresis is not None and static.gyro_offset is not None:
-        findings.append(_loop_finding(gyro, static, static.gyro_hysteresis, carry))
+        widest = _largest_dps(gyro, static.gyro_hysteresis)
+        findings.append(finding("correct.hysteresis", "info", half_width_dps=widest))
     if static.warm_up is not None and carry.power_on_time is None:
         largest, end = _largest_dps(gyro, static.warm_up.gyro_offset), static.warm_up.power_on_s[-1]
         findings.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
     return tuple(findings)
-
-
-def _loop_finding(gyro: TriadModel, static: StaticDrift, half: FloatArray, carry: Carry) -> Finding:
-    """Say whether hysteresis was corrected: after the temperature has moved, or by a stated history, it was."""
-    model, widest = static.hysteresis, _largest_dps(gyro, half)
-    if model is None or carry.loop is None:
-        return finding("correct.hysteresis", "info", half_width_dps=widest)
-    widest = _largest_dps(gyro, model.gyro_half_width)
-    if carry.loop.unknown > UNKNOWN_LOOP:
-        return finding("correct.hysteresis_unknown", "info", half_width_dps=widest, crossing_k=model.crossing_k)
-    position, share = uncertain_share(carry.loop, model.crossing_uncertainty_k)
-    left = _largest_dps(gyro, np.hypot(share * model.gyro_half_width, position * model.gyro_uncertainty))
-    return finding("correct.hysteresis_corrected", "info", half_width_dps=widest, left_dps=left)
 
 
 def _largest_dps(model: TriadModel, offset: FloatArray) -> float:

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
-from undrift.drift.hysteresis import LoopState, TempHistory, follow_loop, state_of
 from undrift.drift.temperature import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, Triad, TriadModel
@@ -144,7 +143,6 @@ class Constants:
     error_table: LookupTable | None = None
     # extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
     warm_up_table: LookupTable | None = None
-    loop_table: LookupTable | None = None  # half-width of the hysteresis
 
     @property
     def tables(self) -> list[LookupTable]:
@@ -166,7 +164,7 @@ def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Co
     half = half if triad.rounding == "toward_zero" else None
     moving = model.moving_offset
     change = np.zeros(3) if moving is None else model.forward_matrix @ moving / factor
-    g, warm_up, loop = model.g_sensitivity if sensor == "gyro" else None, triad.warm_up, triad.hysteresis
+    g, warm_up = model.g_sensitivity if sensor == "gyro" else None, triad.warm_up
     return Constants(
         name=sensor,
         unit_in=unit or model.unit_in,
@@ -179,7 +177,6 @@ def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Co
         matrix_table=_matrix_table(triad, model, factor),
         error_table=None if triad.errors is None else _error_table(triad.errors),
         warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset / factor),
-        loop_table=None if loop is None else _line(loop.temp_c, loop.gyro_half_width / factor),
     )
 
 
@@ -316,7 +313,6 @@ class TriadPlan:
     temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
     marked: tuple[MarkedTable, ...] = ()  # those of the tables that have extrapolated nodes
     warm_up: "tuple[Grid, FloatArray] | None" = None
-    loop: "tuple[Grid, FloatArray] | None" = None
 
 
 Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
@@ -357,7 +353,6 @@ def _flat_plan(constants: Constants) -> TriadPlan:
         temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
         marked=tuple(_marked(table, table.stated) for table in used if table.stated is not None),
         warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
-        loop=None if constants.loop_table is None else line_cells(constants.loop_table),
     )
 
 
@@ -413,7 +408,6 @@ class Carry:
     power_on_time: float | None = None  # on the recording's clock, s; None where it is not known
     lag: LagState | None = None  # of the thermometer; None before the first sample, or without lag
     last_time: float | None = None  # time of the last sample, s; None before the first
-    loop: LoopState | None = None  # of the hysteresis; None where the calibration has none to correct
     turning: tuple[float, ...] = NOT_TURNING  # of the search for turns; unused where the offset is the same in motion
 
 
@@ -422,31 +416,24 @@ class Conditions(NamedTuple):
 
     temp_c: FloatArray  # (N,), of the sensors, degC
     since: FloatArray  # (N,), time since power-on, s; empty after the warm-up, too
-    loop: FloatArray  # (N,), position in the loop of the hysteresis, -1 ... 1
 
 
-def carry_at_start(
-    first_time: float, power_on_s: float | None, calibration: Calibration, history: TempHistory | None = None
-) -> Carry:
-    """Begin a record or a stream."""
-    static = None if calibration.drift is None else calibration.drift.static
-    model = None if static is None else static.hysteresis
-    off = isinstance(history, str) and history == "none"
-    loop = None if model is None or off else state_of(history, model.crossing_k)
+def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
+    """Return the state before the first sample of a record or a stream."""
     if power_on_s is None:
-        return Carry(loop=loop)
+        return Carry()
     if not 0.0 <= power_on_s < np.inf:
         raise InputError(
             f"power_on_s: wanted the time since power-on at the first sample, 0 s or more, got {power_on_s:g}; leave it out "
             "where it is not known",
             got=power_on_s,
         )
-    return Carry(power_on_time=first_time - power_on_s, loop=loop)
+    return Carry(power_on_time=first_time - power_on_s)
 
 
 def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> tuple[Conditions, Carry]:
     """Return the conditions of a chunk, and what the chunk that follows needs."""
-    drift, lag, loop = calibration.drift, carry.lag, carry.loop
+    drift, lag = calibration.drift, carry.lag
     temp_c = NOTHING if record.temp_c is None else record.temp_c
     if has_tables(plans) and drift is not None and drift.lag_s > 0.0:
         led, lag = without_lag(temp_c, record.time, lag_s=drift.lag_s, smooth_s=drift.lag_smooth_s, state=lag)
@@ -457,11 +444,8 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
         since = record.time - carry.power_on_time
         if since[0] >= plans[0].warm_up[0].nodes[-1]:
             since = NOTHING
-    position: FloatArray = NOTHING
-    if loop is not None and plans[0] is not None and plans[0].loop is not None and len(temp_c):
-        position, loop = follow_loop(temp_c, record.time, state=loop)
-    coming = replace(carry, lag=lag, loop=loop, last_time=float(record.time[-1]))
-    return Conditions(temp_c, since, position), coming
+    coming = replace(carry, lag=lag, last_time=float(record.time[-1]))
+    return Conditions(temp_c, since), coming
 
 
 # ---- pieces of a long record, a thread each: the kernels let other threads run, and no sample looks at another

@@ -5,7 +5,6 @@
     temperature   the thermometer's readings checked and smoothed; its lag estimated and subtracted
     rests         offset readings in cells of temperature; what poses, rests and sessions do not agree on; g-sensitivity
     static        offset(T): smoothing spline, hysteresis, warm-up, sessions
-    hysteresis    a loop followed in use, and estimated
     rate_steps    M(T), and e(w, T) of what is left
     accel         accelerometers: offset(T) and M(T) from poses
     checks        what a fit is worth; do sessions and calibration belong to one device

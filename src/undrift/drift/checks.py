@@ -57,7 +57,6 @@ class TriadSummary:
     left_out_rms: FloatArray  # (3,), cross-validated error; NaN where there are too few temperatures
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling less warming; None where it did not show
     half_loop_uncertainty: FloatArray | None = None  # (3,)
-    branch: FloatArray | None = None  # (n, 3), half-width at the nodes: that of ``half_loop``, or one that changes
     loop_kept: bool = False  # whether the loop is significant and part of the table
     turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
     block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC; may be empty
@@ -143,10 +142,6 @@ def _summary_of(
 ) -> TriadSummary:
     factor, unit = units
     loop, turn_on, blocks = triad.curve.loop, triad.curve.turn_on, triad.offsets.blocks
-    model = None if triad.curve.choice is None else triad.curve.choice.hysteresis
-    branch = None if loop is None else np.tile(loop.half, (len(nodes), 1))
-    if model is not None:
-        branch = interpolated(nodes, model.temp_c, model.gyro_half_width)
     return TriadSummary(
         unit=unit,
         seen_c=triad.span_c,
@@ -161,7 +156,6 @@ def _summary_of(
         left_out_rms=triad.curve.spline.left_out[0] * factor,
         half_loop=None if loop is None else loop.half * factor,
         half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
-        branch=None if branch is None else branch * factor,
         loop_kept=triad.curve.kept_loop,
         turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
         block_temp_c=blocks.temp_c,

@@ -24,7 +24,6 @@ References
 .. [1] L. Breiman, J. H. Friedman, R. A. Olshen, C. J. Stone, "Classification and Regression Trees", 1984, section 3.4.3.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -66,7 +65,6 @@ from undrift.units import RADIAN_PER_DEGREE
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 _SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
-_LAG_BY_LOOPS_S = 15.0  # by which a loop of any shape moves the lag that is found, one standard deviation
 _INPUTS = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
 
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
@@ -285,7 +283,6 @@ def fit_drift(
     thermometer.check_span(together, settings=settings.temperature)
     report("gathering rests and turns", 0.15)
     lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
-    static_settings = replace(static_settings, lag_doubt_s=_lag_doubt(lag, lags_s[0]))
     observe.check_at_rest(rests, device)
     device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe.observe_steps(sessions, temperatures=course, settings=settings.observe)
@@ -339,17 +336,6 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
         raise InputError(f"drift: wanted a lag of 0 s or more, got {settings.lag_s:g}; state the thermometer's")
     observe.check_once(sessions)
     return [in_one_unit(session) for session in sessions]
-
-
-def _lag_doubt(lag: LagFit | None, subtracted_s: float) -> float:
-    """Return the standard uncertainty of the lag that is left in temperatures, s; 0 where none was estimated.
-
-    What was found and not subtracted is all of it. Loops of another shape than two straight branches mislead the fit of the lag.
-    """
-    if lag is None:
-        return 0.0
-    left, own = 0.0 if subtracted_s else lag.lag_s, lag.uncertainty_s if np.isfinite(lag.uncertainty_s) else 0.0
-    return math.hypot(left, own, _LAG_BY_LOOPS_S)
 
 
 def _without_lag(

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.drift.hysteresis import LoopChoice, choose_loop, courses, shows
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rests import (
     UNKNOWN_SCALE_PER_K,
@@ -49,6 +48,7 @@ _START_C = 1.0  # temperature has to move by this before it has a direction
 _TURN_C = 1.0  # and come back by this before the direction changes: more than the thermometer's noise
 _REVERSAL_C = 4.0  # after a turn the loop is crossed over this much of temperature
 _OVERLAP_C = 3.0  # both directions have to have seen a common range as wide as this
+_SIGNIFICANT = 3.0  # standard uncertainties on one axis or more: a smaller half-width is not kept
 _SLOPE_POINTS = 60
 _CHUNK_S = 120.0  # cells are cut there and at its doubles where a warm-up is fitted
 _LEAST_OWN = 0.05  # of the variance of exp(-t / tau) that temperature does not explain
@@ -67,7 +67,6 @@ class StaticSettings:
     warm_up: bool = False  # fit a power-on transient; recordings begin at power-on
     latitude_deg: float | None = None  # to subtract the Earth rate along the vertical; None leaves it in
     accel_unit: str = "count"  # of the accelerometer's readings where no calibration states it
-    lag_doubt_s: float = 0.0  # standard uncertainty of the thermometer's lag, which makes a loop of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,7 +85,6 @@ class OffsetCurve:
     cells: Cells  # what it was fitted to
     loop: HysteresisLoop | None  # hysteresis, significant or not; None where it does not show
     kept_loop: bool  # whether the loop is part of the model
-    choice: LoopChoice | None  # how it is corrected, gyroscopes; None where that was not tried
     warm_up: WarmUp | None  # where it was asked for and observable
     turn_on: TurnOn | None  # None for one session
     findings: tuple[Finding, ...]
@@ -170,7 +168,7 @@ def fit_static(
     findings, gyro, accel = list[Finding](), None, None
     rates = gyro_offsets(blocks, calibration, settings.latitude_deg)
     if rates is not None:
-        gyro = _triad(rates, nodes, settings, correct_loop=True)
+        gyro = _triad(rates, nodes, settings)
         findings += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
     forces = accel_offsets(blocks, calibration, settings.accel_unit)
     if isinstance(forces, Finding):
@@ -194,7 +192,6 @@ def fit_static(
         temp_c=nodes,
         **columns,
         gyro_hysteresis=None if loop is None else loop.half,
-        hysteresis=None if gyro is None or gyro.curve.choice is None else gyro.curve.choice.hysteresis,
         warm_up=None if gyro is None else gyro.curve.warm_up,
     )
     return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*findings))
@@ -205,11 +202,9 @@ def _triad(
     nodes: FloatArray,
     settings: StaticSettings,
     reference: tuple[float, TriadModel] | None = None,
-    *,
-    correct_loop: bool = False,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    curve = fit_curve(offsets, warm_up=settings.warm_up, lag_doubt_s=settings.lag_doubt_s if correct_loop else None)
+    curve = fit_curve(offsets, warm_up=settings.warm_up)
     temp_c, n = offsets.blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, _SLOPE_POINTS))
     at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
@@ -282,13 +277,7 @@ def _triad_findings(sensor: str, triad: TriadDrift) -> list[Finding]:
     if loop is None:
         return far_from_data(sensor, triad)
     size = {"half_width": loop.half, "uncertainty": loop.uncertainty}
-    choice = triad.curve.choice
-    if choice is not None and choice.hysteresis is not None:
-        errors = {"left_out": choice.left_out, "left_out_middle": choice.left_out_middle}
-        crossing = {"crossing_k": choice.hysteresis.crossing_k, "doubt_k": choice.hysteresis.crossing_uncertainty_k}
-        seen = finding("drift.hysteresis_corrected", "info", sensor=sensor, **size, **crossing, **errors)
-    else:
-        seen = finding("drift.hysteresis" if has_loop else "drift.no_hysteresis", "info", sensor=sensor, **size)
+    seen = finding("drift.hysteresis" if has_loop else "drift.no_hysteresis", "info", sensor=sensor, **size)
     return [*far_from_data(sensor, triad), seen]
 
 
@@ -296,8 +285,8 @@ def _triad_findings(sensor: str, triad: TriadDrift) -> list[Finding]:
 
 
 @determined("offset over temperature")
-def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = None) -> OffsetCurve:
-    """Fit offset over temperature and what goes beside it; a loop is corrected where a doubt about the lag is given."""
+def fit_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
+    """Fit offset over temperature, with hysteresis, warm-up and the shifts of sessions."""
     blocks, findings, state = offsets.blocks, list[Finding](), cooling(offsets.blocks)
     seen = both_ways(blocks, state)
     if not seen:
@@ -310,26 +299,13 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = No
             own = error.numbers["share"]
             findings.append(finding("drift.warm_up_not_observable", "info", percent=100.0 * (1.0 - own)))  # type: ignore[operator]
     decay = [] if tau is None else [np.exp(-blocks.power_on_s / tau)]
-    tried = seen and lag_doubt_s is not None
-    given = [*([state] if seen else []), *decay, *([blocks.ramp_c_per_min / 60.0, *courses(blocks).T] if tried else [])]
-    cells = _cells(offsets, given, None if not seen else state, tau)
-    count = int(seen) + len(decay)
-    effects, of_course = cells.regressors[:, :count], cells.regressors[:, count:]
-    loop, choice, has_loop = None, None, False
-    cells = replace(cells, regressors=effects)
+    loop, has_loop = None, False
     if seen:
-        full = _smoothed(cells)
-        loop = _loop_of(full[1])
-        has_loop = shows(full[1], 0)
-    if tried:
-        missed = _missed(full[1], cells, of_course[:, 0], lag_doubt_s or 0.0)
-        choice = choose_loop(cells, of_course[:, 1:], full[1], missed, _smoothed)
-    if choice is not None:
-        full = choice.fitted
-        loop = _loop_of(full[1])
-        has_loop = has_loop or shows(full[1], 0)
-        choice = choice if has_loop else None
-    cells, spline, turn_on = full if has_loop else _smoothed(_cells(offsets, decay, None, tau))
+        cells, spline, turn_on = _smoothed(_cells(offsets, [state, *decay], state, tau))
+        loop = HysteresisLoop(half=spline.coefficient[0], uncertainty=spline.coefficient_uncertainty[0])
+        has_loop = bool((np.abs(loop.half) > _SIGNIFICANT * loop.uncertainty).any())
+    if not has_loop:
+        cells, spline, turn_on = _smoothed(_cells(offsets, decay, None, tau))
     if turn_on is None:
         findings.append(finding("drift.one_session", "info"))
     elif not np.isfinite(turn_on.variance).all():
@@ -343,22 +319,10 @@ def fit_curve(offsets: Offsets, *, warm_up: bool, lag_doubt_s: float | None = No
         cells=cells,
         loop=loop,
         kept_loop=has_loop,
-        choice=choice,
         warm_up=None if tau is None else warm_up_table(tau, spline.coefficient[-1]),
         turn_on=turn_on,
         findings=tuple(findings),
     )
-
-
-def _loop_of(spline: SmoothSpline) -> HysteresisLoop:
-    return HysteresisLoop(half=spline.coefficient[0], uncertainty=spline.coefficient_uncertainty[0])
-
-
-def _missed(spline: SmoothSpline, cells: Cells, ramp_c_per_s: FloatArray, lag_doubt_s: float) -> FloatArray:
-    """Return what a lag of the thermometer that was missed by its standard uncertainty makes of each cell, (3, n)."""
-    places = np.linspace(cells.temp_c.min(), cells.temp_c.max(), _SLOPE_POINTS)
-    slopes = np.gradient(spline.at(places).value, places, axis=0)
-    return np.array([np.interp(cells.temp_c, places, slope) for slope in slopes.T]) * ramp_c_per_s * lag_doubt_s
 
 
 def _cells(offsets: Offsets, columns: list[FloatArray], direction: FloatArray | None, tau: float | None) -> Cells:
@@ -375,10 +339,9 @@ def _cells(offsets: Offsets, columns: list[FloatArray], direction: FloatArray | 
     )
 
 
-def _smoothed(cells: Cells, known: FloatArray | None = None) -> tuple[Cells, SmoothSpline, TurnOn | None]:
-    """Fit the curve with what cells have for regressors; known: covariance beside theirs, (3, n, n)."""
+def _smoothed(cells: Cells) -> tuple[Cells, SmoothSpline, TurnOn | None]:
+    """Fit the curve with the regressors of the cells."""
     turn_on, shared = None, cells.instability if cells.between is None else cells.instability + cells.between.shared
-    shared = shared if known is None else shared + known
     if len(np.unique(cells.session)) > 1:
         turn_on = between_sessions(cells)
         shared = (np.nan_to_num(turn_on.variance)[:, None, None] * (cells.session[:, None] == cells.session)) + shared

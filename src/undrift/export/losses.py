@@ -51,7 +51,7 @@ def texts_of(lost: tuple[Finding, ...], notes: Iterable[Finding]) -> dict[str, A
 # ---- losses
 
 Part = Literal[
-    "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross", "hysteresis", "warm-up",
+    "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross", "warm-up",
     "lag", "uncertainty", "noise", "moving", "magnetometer",
 ]  # fmt: skip
 
@@ -96,11 +96,6 @@ def _tables(calibration: Calibration, drift: DriftTables) -> Iterator[tuple[Part
     static, scale, dynamic = drift.static, drift.scale, drift.dynamic
     if static is not None:
         yield "static", finding("export.static", "warn")
-        if static.gyro_hysteresis is not None:
-            gyro, half = calibration.gyro, static.gyro_hysteresis
-            rate = half if gyro is None else half * gyro.si_per_reading("rate")
-            widest = np.abs(rate).max() / RADIAN_PER_DEGREE
-            yield "hysteresis", finding("export.hysteresis", "warn", half_width_dps=widest)
         if static.warm_up is not None:
             yield "warm-up", finding("export.warm_up", "warn")
     if scale is not None:

@@ -97,10 +97,10 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     )
     name = "table" if summary.in_table else "fit"
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
-    branch = summary.branch
-    if summary.loop_shown(k) and branch is not None:
+    half = summary.half_loop
+    if summary.loop_shown(k) and half is not None:
         for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
-            course = value + sign * branch[:, k] * factor
+            course = value + sign * half[k] * factor
             axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=name, zorder=3)
     spread = np.quantile(held, (0.002, 0.998)) if len(held) else held
     every = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))

@@ -162,7 +162,7 @@ def _of_twin(
     if full is None or full.gyro is None or trial is None:
         return ["no twin without a calibration of the gyroscopes"] * len(real)
     if full.drift and full.drift.static:  # which the twin does not have
-        static = replace(full.drift.static, warm_up=None, hysteresis=None)
+        static = replace(full.drift.static, warm_up=None)
         full = replace(full, drift=replace(full.drift, static=static))
     mounting = trial.mounting.alignment.rotation if trial.mounting and trial.mounting.applied else np.eye(3)
     try:

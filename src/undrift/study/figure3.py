@@ -10,8 +10,8 @@ Three levels of correction: none (constant offset), static (offset over temperat
 rival that needs no chamber, the offset re-zeroed at a rest before the motion ("rest"), and both together ("full and rest"), as is
 recommended: the rest takes the offset of the day, the tables what a rest cannot know. Errors are those
 of the acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
-while it is worn, with a time constant of 10 min, and has been worn for half an hour. That history is stated to the correction,
-which needs it where soaks both ways show hysteresis. The correlation coefficient is that of the two errors over the acquisition.
+while it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is that of the
+two errors over the acquisition.
 
 The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
 
@@ -51,7 +51,7 @@ from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.study.run import Executor, InProcess
 from undrift.study.statistics import mean_interval
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, Trial, TrialSettings, validate_trial
+from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
 
 # ---- the simulated and the actual device
 
@@ -206,7 +206,7 @@ def _judged(
     """Calibrate a device, wear it in a task that optics saw, and judge it for each of ``COMPARED``."""
     levels = calibrated(device, rng=sessions, back=back, climate=climate)
     record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial, room_c=climate.room_c)
-    return judge_compared(levels, record, worn[1], room_c=climate.room_c)
+    return judge_compared(levels, record, worn[1])
 
 
 def judge_compared(
@@ -214,18 +214,15 @@ def judge_compared(
     record: Record,
     reference: Reference,
     names: tuple[str, ...] = COMPARED,
-    *,
-    room_c: float = ROOM_TEMP_C,
 ) -> tuple[Trial, ...]:
     """Compare a worn trial with the optics for each of ``COMPARED``; levels: without tables, with the static one, with all."""
     none, _, full = levels
-    worn = TrialSettings(temp_history=(room_c,))  # where the board was before it was put on
     trials = [
-        validate_trial(record, reference, calibration=level, settings=worn, name=name)
+        validate_trial(record, reference, calibration=level, name=name)
         for level, name in zip(levels, names[:3], strict=True)
     ]
     for level, name in zip((none, full), names[3:], strict=True):
-        zeroed = correct_whole(record, level, (None, worn.temp_history), "rest").record
+        zeroed = correct_whole(record, level, offset="rest").record
         trials.append(validate_trial(zeroed, reference, name=name))
     return tuple(trials)
 

@@ -34,7 +34,6 @@ from undrift.correction.consistency import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import IN_MOTION, RestOffset, find_rest_offset, mean_variance
-from undrift.drift.hysteresis import TempHistory
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
@@ -407,8 +406,6 @@ class TrialSettings:
         How the device is worn: its readings are turned to the segment's axes before they are compared.
     power_on_s : float or None
         Time since power-on at the first sample, s; None where it is not known: then no warm-up is subtracted.
-    temp_history : str, sequence of float or None
-        Course of the temperature before the first sample, as ``correct`` has it; for calibrations that correct hysteresis.
     policy : str
         Temperatures outside a tuning table: "raise", "hold" its end, or "nan", as ``correct`` has it.
     lag : LagSettings
@@ -432,7 +429,6 @@ class TrialSettings:
     up: Face = "+z"
     mounting: BodyMounting | None = None
     power_on_s: float | None = None
-    temp_history: TempHistory | None = None
     policy: Policy = "raise"
     lag: LagSettings = LAG_SETTINGS
     align_above: float = 5.0 * RADIAN_PER_DEGREE
@@ -807,8 +803,7 @@ def _corrected(
     if settings.adc == "none":
         gyro = calibration.gyro
         calibration = replace(calibration, adc=None, gyro=None if gyro is None else replace(gyro, code_offset=None))
-    since, history = settings.power_on_s, settings.temp_history
-    done = correct_checked(record, calibration, policy=settings.policy, power_on_s=since, temp_history=history)
+    done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
     beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)
     return done.record.in_si(), (*padded, *done.findings, *beyond)
 
