@@ -27,7 +27,7 @@ from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.calibration.checks import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.rate_steps import ScaleFit, SoakMatrices, as_mounted, soak_matrices, steps_of
+from undrift.drift.rate_steps import ScaleFit, SoakMatrices, soak_matrices, steps_of
 from undrift.drift.rests import UNKNOWN_SCALE_PER_K
 from undrift.drift.static import StaticFit, TriadDrift, cooling
 from undrift.drift.temperature import LagFit, Temperature
@@ -236,7 +236,7 @@ def check_turns(steps: RateSteps, device: Calibration, static: StaticFit) -> Ver
         return Verdict()
     kept = device.gyro.forward_matrix / si_factor(device.gyro.unit_out, "rate")
     try:
-        soaks = soak_matrices(as_mounted(steps_of(steps), device, static.table), device, static=static.table)
+        soaks = soak_matrices(steps_of(steps), device, static=static.table)
     except CalibrationError:
         return Verdict()  # the selection of tables reports why
     against = np.linalg.inv(kept) @ np.where(np.isfinite(soaks.forward), soaks.forward, kept)

@@ -41,7 +41,7 @@ from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
-from undrift.drift.rests import felt_by_gyro, with_g_sensitivity
+from undrift.drift.rests import felt_by_gyro
 from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, far_from_data, fit_static
 from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
 from undrift.errors import CalibrationError, InputError, NotObservable
@@ -116,6 +116,7 @@ class Choice:
     both: DynamicFit | None  # on top of ``scale``
     alternatives: Alternatives
     verdict: Verdict  # of what was taken
+    missing: tuple[Finding, ...] = ()  # reasons why fits are missing
 
     def taken(self, which: Alternative) -> tuple[ScaleFit | None, DynamicFit | None]:
         """Return the fits that an alternative takes."""
@@ -124,7 +125,7 @@ class Choice:
 
     def verdict_of(self, which: Alternative, why: Finding) -> Verdict:
         """Return why an alternative was taken, and what its fits are worth."""
-        verdict = Verdict.of(why)
+        verdict = Verdict.of(why, *self.missing)
         for fit in self.taken(which):
             verdict = verdict if fit is None else verdict.also(fit.verdict)
         return verdict
@@ -284,7 +285,6 @@ def fit_drift(
     report("gathering rests and turns", 0.15)
     lag, lags_s, rests, course = _without_lag(sessions, trusted, settings)
     observe.check_at_rest(rests, device)
-    device, g_estimated = with_g_sensitivity(rests, device)
     steps = observe.observe_steps(sessions, temperatures=course, settings=settings.observe)
     report("fitting offsets over temperature", 0.4)
     seen = np.concatenate([rests.temp_c, steps.temp_c, *thermometer.met_in_use(sessions, trusted, course, *lags_s)])
@@ -298,14 +298,15 @@ def fit_drift(
     choice, of_choice = _chosen(steps, device, wide, rests, settings)
     static, choice = cropped_static(wide, nodes), choice and cropped_choice(choice, nodes)
     report("fitting accelerometers over temperature", 0.95)
-    accel = _accelerometers(rests, device, nodes)
+    accel, of_poses = _accelerometers(rests, device, nodes)
     gyro = checks.summarise_gyro(static, device)
     of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
     of_sweep = checks.single_sweep_verdict(gyro, rests, together, warm_up_fitted=static.table.warm_up is not None)
     of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
     of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
-    verdict = agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(g_estimated)
-    verdict = verdict.also(of_rests)
+    verdict = (
+        agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(of_rests).also(of_poses)
+    )
     verdict = verdict.also(of_sweep).also(of_accel).also(checks.lag_verdict(lag, lags_s[0]))
     return DriftFit(
         calibration=_calibrated(device, _tables(static, choice, accel, lags_s), verdict, sessions, settings, choice),
@@ -422,6 +423,7 @@ def _requested(choice: Choice, tables: Alternative) -> Choice:
     if ("scale" in tables and scale is None) or ("dynamic" in tables and dynamic is None):
         raise NotObservable(
             f"{tables} cannot be fitted to these steps; turn about each axis at three rates at each soak"
+            + "".join(f"; {item.text}" for item in choice.missing)
         )
     why = finding("drift.tables_requested", "info", tables=tables, automatic=choice.alternatives.chosen)
     if np.isnan(choice.alternatives.left_out_rms_dps).all():
@@ -431,14 +433,14 @@ def _requested(choice: Choice, tables: Alternative) -> Choice:
     return replace(choice, alternatives=asked, verdict=choice.verdict_of(tables, why))
 
 
-def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> AccelDriftFit | None:
-    """Return the accelerometers' fit to poses; None where the poses do not show it."""
+def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> tuple[AccelDriftFit | None, Verdict]:
+    """Return the accelerometers' fit to poses; None if the poses do not determine it, with the reason."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
-        return None
+        return None, Verdict()
     try:
-        return fit_accel_drift(rests, device, temp_c=nodes)
-    except NotObservable:
-        return None
+        return fit_accel_drift(rests, device, temp_c=nodes), Verdict()
+    except NotObservable as error:
+        return None, Verdict.of(finding("drift.accel_poses_not_observable", "info", problem=str(error)))
 
 
 def _tables(
@@ -510,7 +512,6 @@ def choose_tables(
     )
     nodes = np.concatenate(([low], between[(between > low + 1e-9) & (between < high - 1e-9)], [high]))
     clean = rate_steps.with_rest_as_zero(rate_steps.steps_of(steps), rests, calibration, static)
-    clean = rate_steps.as_mounted(clean, calibration, static)
     numbers, point = _set_points(clean)
     if len(numbers) < 2:
         raise NotObservable(
@@ -520,16 +521,22 @@ def choose_tables(
         )
 
     scale = dynamic = both = None
+    missing = list[Finding]()
     bent = partial(rate_steps.fit_dynamic, clean, calibration, static=static, rests=rests, temp_c=nodes)
-    with suppress(CalibrationError):  # the others may still be had
+    try:  # the others may be observable
         scale = rate_steps.fit_scale(clean, calibration, static=static, temp_c=temp_c)
-    with suppress(CalibrationError):
+    except CalibrationError as error:
+        missing.append(finding("drift.scale_not_fitted", "info", problem=str(error)))
+    try:
         dynamic = bent(scale=None)
         both = None if scale is None else bent(scale=scale.drift)
+    except CalibrationError as error:
+        missing.append(finding("drift.dynamic_not_fitted", "info", problem=str(error)))
     if scale is None and dynamic is None:
         raise NotObservable(
             f"scale and dynamic drift: wanted an axis turned at two rates at two soaks, got {len(clean)} steps at {len(numbers)} "
-            "soaks without; repeat the same turns at another temperature",
+            "soaks without; repeat the same turns at another temperature"
+            + "".join(f"; {item.text}" for item in missing),
             soaks=len(numbers),
         )
     every = Fits(None if scale is None else scale.drift, dynamic, both)
@@ -548,7 +555,9 @@ def choose_tables(
     table = _cross_validated(
         clean, every, refitted, lambda of, which: _residuals(clean, of, which, calibration, static=static)
     )
-    choice = Choice(scale=scale, dynamic=dynamic, both=both, alternatives=table, verdict=clean.verdict)
+    choice = Choice(
+        scale=scale, dynamic=dynamic, both=both, alternatives=table, verdict=clean.verdict, missing=tuple(missing)
+    )
     verdict, points = choice.verdict_of(table.chosen, table.why), int(point.max()) + 1
     if points < 3 and table.why.code != "drift.tables_unjudged":
         verdict = verdict.also(Verdict.of(finding("drift.tables_by_rates", "warn", set_points=points)))

@@ -14,14 +14,6 @@ spline (fit/smooth.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
 K is the best straight line over the imposed rates. What bends belongs to the dynamic table; so the noise is what a line, a
 parabola and a cubic leave.
 
-A skew mounting turns about one direction a of the case off all axes, as (1, 1, 1), and shows a sum of each row of K. With T_0 a
-temperature at which K is known, by turns about x, y and z in the same session, else the calibration's ::
-
-    a = K(T_0)^-1 (what it reads at T_0)            K_ij(T) = K_ij(T_0) (K(T) a)_i / (K(T_0) a)_i
-
-as long as each sensor's cross-axis terms keep their share of its scale factor. By how much they do not is not observable: it counts
-as ``CROSS_PER_K`` |T - T_0| for each, common to all soaks, as is what K(T_0) and a are uncertain.
-
 Scale factor asymmetry (IEEE Std 528): at each soak and axis, o the offset of the mounting::
 
     u = o + S+ max(w, 0) + S- min(w, 0)        asymmetry = 2 (S+ - S-) / (S+ + S-)
@@ -56,21 +48,16 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.static import near_data
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.equations import inverse_jacobian
 from undrift.fit.least_squares import determined, excess_variance
-from undrift.fit.smooth import Cubics, Scatter, fit_smooth
+from undrift.fit.smooth import Cubics, fit_smooth
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
 _BENT = 8  # rows of a mounting from which a parabola and a cubic differ from noise
 _OWN = 0.9  # share of the turning rate from which a row counts for one axis alone
-CROSS_PER_K = (
-    2e-5  # 1/K, of a cross-axis term over temperature, one standard deviation [assumed]: a tenth of 1 % over 50 K
-)
-_SKEW = 0.4  # share of the turning rate that each axis has in a skew mounting
-_AS_STATED = (np.cos(np.radians(10.0)), 0.1)  # cosine and relative length: a skew mounting further off is another
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses, or of gravity
 _SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one, and imposed rates one node
@@ -88,18 +75,6 @@ _NEGLIGIBLE = 1e-2  # weight
 _LEAST = 1e-6  # of the values: less noise is beyond what the equations resolve; rad/s where all values are 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SkewMounting:
-    """What the sums of a session's skew mounting are measured from."""
-
-    session: int
-    temp_c: float  # T_0, degC
-    forward: FloatArray  # (3, 3), K(T_0)
-    axis_b: FloatArray  # (3,), a; its length is 1 as far as the rates are true
-    uncertainty: FloatArray  # (3, 3), of K(T_0), own scale factors with that of a
-    cross: FloatArray  # (3, 3), of K for each kelvin from T_0, by cross-axis terms that change
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps(RateSteps):
     """Usable rate steps, n rows; the variance is the median where it is not known."""
@@ -107,13 +82,10 @@ class Steps(RateSteps):
     mounting: IntArray  # (n,), numbered from 0 over all soaks, as soaks are over all sessions
     along: FloatArray  # (n,), rate along the direction of its mounting, rad/s
     verdict: Verdict  # what was left out
-    inclined: BoolArray  # (n,), of a skew mounting, with the rates about its axis as it was mounted
-    skew: tuple[SkewMounting, ...] = ()  # one a session that has such rows
 
 
-Known: TypeAlias = tuple[float, FloatArray, FloatArray]  # T_0, K, its uncertainty
-# Temperature, K, its variance, residuals, deviations common to soaks: a row of SoakMatrices
-Soak: TypeAlias = tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]
+# Temperature, K, its variance, residuals: a row of SoakMatrices
+Soak: TypeAlias = tuple[float, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +96,6 @@ class SoakMatrices:
     forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis; NaN for an axis that the soak did not turn
     variance: FloatArray  # (S, 3, 3), of each element, that unit squared
     rms: FloatArray  # (S, 3), residual of each sensor about its line, raw unit
-    common: FloatArray  # (S, 3, 3, M), standard deviations of M errors that soaks have in common
 
     @property
     def seen(self) -> BoolArray:
@@ -160,7 +131,7 @@ def fit_scale(
     steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, temp_c: FloatArray
 ) -> ScaleFit:
     """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
-    clean, model = as_mounted(steps_of(steps), calibration, static), gyro_model(calibration)
+    clean, model = steps_of(steps), gyro_model(calibration)
     soaks = soak_matrices(clean, calibration, static=static)
     forward, variance = _over_temperature(soaks, model, temp_c)
     matrix = np.linalg.inv(forward)
@@ -193,71 +164,9 @@ def soak_matrices(steps: Steps, calibration: Calibration, *, static: StaticDrift
     """Fit the forward matrix at each soak."""
     kept = _forward(gyro_model(calibration))
     own = steps.gyro - offset_at(steps.temp_c, calibration, static)
-    parts = []
-    for rows in (np.flatnonzero(steps.soak == s) for s in np.unique(steps.soak)):
-        plain = rows[~steps.inclined[rows]]
-        parts.append(_one_soak(steps, own, plain, kept) if len(plain) else _from_sums(steps, own, rows))
+    parts = [_one_soak(steps, own, np.flatnonzero(steps.soak == s), kept) for s in np.unique(steps.soak)]
     parts.sort(key=lambda part: part[0])
     return SoakMatrices(*(np.array(column) for column in zip(*parts, strict=True)))
-
-
-def as_mounted(steps: Steps, calibration: Calibration, static: StaticDrift | None) -> Steps:
-    """Return steps whose skew mountings turn about the axis that they show."""
-    direction, along = _directions(steps.rate_b)
-    inclined = np.asarray((np.abs(steps.rate_b) > _SKEW * np.abs(along)[:, None]).all(axis=1))
-    if steps.skew or not inclined.any() or len(np.unique(direction[inclined])) > 1:  # several separate the axes
-        return steps
-    reading = steps.gyro - offset_at(steps.temp_c, calibration, static)
-    rate_b, skew = steps.rate_b.copy(), list[SkewMounting]()
-    for session in np.unique(steps.session[inclined]):
-        here, rows = steps.session == session, np.flatnonzero(inclined & (steps.session == session))
-        soaks = [rows[steps.soak[rows] == s] for s in np.unique(steps.soak[rows])]
-        sums = np.array([_slopes(steps, reading[soak], soak, along[soak, None])[:2] for soak in soaks])[..., 0]
-        temp_c = np.array([steps.temp_c[soak].mean() for soak in soaks])
-        if np.ptp(temp_c) < _SAME_TEMPERATURE_C:
-            raise NotObservable(
-                f"skew mounting: wanted its turns at two temperatures, got {temp_c.mean():.1f} degC alone; repeat them at another"
-            )
-        at_c, forward, doubt = _known_matrix(steps.taken(here & ~inclined), calibration, static)
-        read = fit_smooth(temp_c, sums[:, 0], sums[:, 1]).at(np.array([at_c]))
-        axis_b, nominal = np.linalg.solve(forward, read.value[0]), steps.rate_b[rows[0]] / along[rows[0]]
-        length = float(np.linalg.norm(axis_b))
-        if axis_b @ nominal < _AS_STATED[0] * length or abs(length - 1.0) > _AS_STATED[1]:
-            got, wanted = (", ".join(f"{v:+.2f}" for v in vector) for vector in (axis_b, nominal))
-            raise Implausible(
-                f"skew mounting: wanted turns about ({wanted}) of the case, got ({got}) by the matrix at {at_c:.1f} degC; correct "
-                "how it is mounted, the sign of the rates or the calibration"
-            )
-        rate_b[rows] = along[rows, None] * axis_b
-        changes = np.where(np.eye(3), np.sqrt((length / axis_b) ** 2 - 1.0)[:, None], 1.0) * CROSS_PER_K
-        doubt, cross = np.hypot(doubt, np.diag(read.uncertainty[0] / axis_b)), changes * np.diag(forward)[:, None]
-        skew.append(SkewMounting(int(session), at_c, forward, axis_b, doubt, cross))
-    return replace(steps, rate_b=rate_b, inclined=inclined, skew=tuple(skew))
-
-
-def _known_matrix(plain: Steps, calibration: Calibration, static: StaticDrift | None) -> Known:
-    """Return T_0, K(T_0) and its uncertainty: of turns about x, y and z, else of the calibration."""
-    model, at_c = gyro_model(calibration), calibration.reference_temp_c
-    if len(plain) and (soaks := soak_matrices(plain, calibration, static=static)).seen.all(axis=1).any():
-        k = int(np.where(soaks.seen.all(axis=1), np.abs(soaks.temp_c - np.nan_to_num(at_c)), np.inf).argmin())
-        return float(soaks.temp_c[k]), soaks.forward[k], np.sqrt(soaks.variance[k])
-    if not np.isfinite(at_c):
-        raise NotObservable(
-            "skew mounting: wanted turns about x, y and z, or a calibration of a known temperature, got neither; calibrate anew"
-        )
-    doubt = np.sqrt(inverse_jacobian(model.matrix) ** 2 @ model.standard_uncertainty[:9] ** 2).reshape(3, 3)
-    return at_c, _forward(model), doubt / si_factor(model.unit_out, "rate")
-
-
-def _from_sums(steps: Steps, own: FloatArray, rows: IntArray) -> Soak:
-    """Return a soak of a skew mounting."""
-    place = [each.session for each in steps.skew].index(int(steps.session[rows[0]]))
-    skew, common = steps.skew[place], np.zeros((3, 3, 1 + len(steps.skew)))
-    slope, variance, rms = _slopes(steps, own[rows], rows, steps.along[rows, None])
-    before, temp_c = skew.forward @ skew.axis_b, float(steps.temp_c[rows].mean())
-    common[..., 0], common[..., 1 + place] = skew.cross * (temp_c - skew.temp_c), skew.uncertainty
-    spread = np.tile((np.diag(skew.forward) / before)[:, None] ** 2 * variance, 3)
-    return temp_c, skew.forward * slope / before[:, None], spread, rms, common
 
 
 def _forward(model: TriadModel) -> FloatArray:
@@ -289,7 +198,7 @@ def _one_soak(steps: Steps, own: FloatArray, rows: IntArray, matrix: FloatArray)
         )
     forward, spread = np.full((2, 3, 3), np.nan)
     forward[:, turned], spread[:, turned], rms = _slopes(steps, reading, rows, rate[:, turned])
-    return float(steps.temp_c[rows].mean()), forward, spread, rms, np.zeros((3, 3, 1 + len(steps.skew)))
+    return float(steps.temp_c[rows].mean()), forward, spread, rms
 
 
 def _slopes(
@@ -336,9 +245,7 @@ def _over_temperature(
     for j, temps in enumerate(temperatures):
         if len(temps) >= 2:  # one temperature, or none: nothing over temperature
             have = soaks.seen[:, j]
-            shared = np.einsum("sik,tik->ist", soaks.common[have, :, j], soaks.common[have, :, j])
-            columns = soaks.forward[have, :, j], soaks.variance[have, :, j]
-            at = fit_smooth(temps, *columns, scatter=Scatter(shared=shared)).at(nodes, spread=spread)
+            at = fit_smooth(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes, spread=spread)
             forward[:, :, j] = at.value
             if spread:
                 variance[:, :, j] = at.uncertainty**2
@@ -355,8 +262,7 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
             continue
         zero = reference_temp_c if np.isfinite(reference_temp_c) else float(t.mean())
         (value, change), inverse = _weighted(np.column_stack((np.ones(len(t)), t - zero)), k, v)
-        common = np.linalg.norm(np.polyfit(t, soaks.common[have, j, j], 1)[0])
-        slope[j], doubt[j] = 100.0 * change / value, abs(100.0 / value) * np.hypot(np.sqrt(inverse[1, 1]), common)
+        slope[j], doubt[j] = 100.0 * change / value, abs(100.0 / value) * np.sqrt(inverse[1, 1])
     return slope, doubt
 
 
@@ -367,7 +273,6 @@ def _verdict(soaks: SoakMatrices, slope: FloatArray, doubt: FloatArray) -> Verdi
             findings.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=n))
         else:
             findings.append(finding("drift.scale", "info", axis=axis, percent_per_k=s, expanded_percent_per_k=2.0 * u))
-    findings += [finding("drift.scale_skew", "info", percent_per_k=100.0 * CROSS_PER_K)] if soaks.common.any() else []
     two = tuple(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
     return Verdict.of(*findings, *([finding("drift.scale_two_temperatures", "warn", axes=two)] if two else []))
 
@@ -443,8 +348,7 @@ def steps_of(steps: RateSteps) -> Steps:
     gaps = [finding("drift.steps_left_out", "warn", count=lost, steps=len(steps))] if lost else []
     own = {name: getattr(usable, name) for name in usable.__dataclass_fields__}
     own |= {"soak": soak, "gyro_variance": _variance(usable.gyro_variance, usable.gyro)}
-    plain = np.zeros(len(rows), dtype=bool)
-    return Steps(**own, mounting=mounting, along=along, inclined=plain, verdict=Verdict.of(*gaps))
+    return Steps(**own, mounting=mounting, along=along, verdict=Verdict.of(*gaps))
 
 
 def _one_rate(along: FloatArray) -> bool:
@@ -629,7 +533,7 @@ def fit_dynamic(
     Nodes of the measured rate (k,), rad/s, are the imposed rates, zero and the ends of what was measured, those of the temperature
     (m,) every 5 degC over the soaks; the softness of each surface is found by cross-validation, or as in an earlier fit.
     """
-    clean = as_mounted(steps_of(steps), calibration, static)
+    clean = steps_of(steps)
     points = _points(clean, calibration, static, scale, rests)
     turn_rate, temp_c = _nodes(clean, points, temp_c)
     shape = (len(temp_c), len(turn_rate), 3)

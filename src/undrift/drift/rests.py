@@ -47,17 +47,9 @@ moves. Each node gets tau2 k: a session to come has a shift of its own.
 Few poses, rests or sessions know a variance badly: k = (t / z)^2 with the 97.5 % points of Student's distribution for that many
 degrees of freedom and of the normal; p2 and r2 are drawn towards the mean of the three axes, with weight 2.
 
-g-sensitivity, where the calibration has none: means of rests in several poses, reading u in a cell of temperature, corrected
-specific force a, ::
-
-    u_r = m_cell + H a_r + P_pose + E_r + noise and instability          G = M H, which ``correct`` subtracts as G a
-
-H by least squares within cells; P, what poses leave of that, and E have their variances from the same rests, and all of it is in
-the covariance of H, widened for few poses by Student's factor. H is kept where its nine elements are larger, by that covariance,
-than chance makes them once in a thousand. A G that the calibration has is kept.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -68,7 +60,7 @@ from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import excess_variance
 from undrift.fit.smooth import Scatter, fit_smooth, widening_of
-from undrift.model import G_NAMES, Calibration, Verdict
+from undrift.model import G_NAMES, Calibration
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 UNKNOWN_SCALE_PER_K = 2e-4  # of an accelerometer that was seen in one pose: a capacitive one shifts by +-1 % in 50 K
@@ -89,10 +81,6 @@ _APART_S = 60.0  # in one cell and pose: a later block belongs to another rest
 _MOST_OF_IT = 0.8  # of a pose's range, that one mounting has seen: the others are left out [assumed]
 _NONE = 1e-6  # singular value of shares: poses that no cell compares
 _ALIKE = 2.0  # degrees of freedom by which the axes of a triad are taken to be alike
-_CHANCE = 1e-3
-_LEAST_SEEN = 0.3  # of the best seen direction of gravity: a worse one is not estimated
-_RESOLVED = 0.1  # singular value, root rests of a pose: below, poses differ by what drifts in gravity's reading alone
-_LEAST_SPARE = 1  # poses beyond those that H takes
 _SHARED_C = 1.0  # cells of two sessions nearer than this share a temperature
 
 
@@ -215,9 +203,6 @@ class RestScatter:
     own: FloatArray  # (n, 3), variance that rests give each cell, raw unit squared
     rests: list[IntArray]  # blocks of each
     in_pose: FloatArray  # (N, poses), one where a rest lay in a pose
-    centred: FloatArray  # (N, N), subtracts the mean of its cell from each rest
-    mean: FloatArray  # (N, 3), of each rest, the slope within its cell subtracted, raw unit
-    covariance: FloatArray  # (3, N, N), of these means by noise and instability, raw unit squared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -498,9 +483,6 @@ def _rest_scatter(
         own=(share**2).sum(axis=0)[:, None] * rest * widening_of(freedom + _ALIKE),
         rests=rests,
         in_pose=in_pose,
-        centred=centred,
-        mean=mean,
-        covariance=covariance,
     )
 
 
@@ -585,63 +567,3 @@ def _shifts(cells: Cells, numbers: IntArray) -> FloatArray:
     shifts = np.zeros((len(numbers), len(numbers) - count))
     shifts[np.argsort(group, kind="stable")] = block_diag(*(np.vstack((np.eye(n - 1), -np.ones(n - 1))) for n in sizes))
     return shifts
-
-
-# ---- g-sensitivity
-
-
-def with_g_sensitivity(rests: RestBlocks, device: Calibration) -> tuple[Calibration, Verdict]:
-    """Give a calibration the g-sensitivity that rests in several poses show."""
-    model, nothing = device.gyro, (device, Verdict())
-    if model is None or device.accel is None or model.g_sensitivity is not None:
-        return nothing
-    blocks = rests.taken(np.isfinite(rests.gyro).all(axis=1) & np.isfinite(rests.accel).all(axis=1))
-    force = specific_force(blocks, device)
-    if not len(blocks) or force is None:
-        return nothing
-    between = gather(
-        blocks,
-        blocks.gyro,
-        known_variance(blocks.gyro_variance),
-        direction=np.zeros(len(blocks)),
-        regressors=np.zeros((len(blocks), 0)),
-        step_error=blocks.gyro_step_error,
-    ).between
-    estimated = None if between is None else _g_sensitivity(between, force)
-    if between is None or estimated is None:
-        return nothing
-    count, m, g = len(model.parameters), model.matrix, model.matrix @ estimated[0]
-    covariance = np.zeros((count + len(G_NAMES), count + len(G_NAMES)))
-    covariance[:count, :count] = model.covariance
-    covariance[count:, count:] = np.einsum("ak,bk,kij->aibj", m, m, estimated[1]).reshape(len(G_NAMES), len(G_NAMES))
-    names = (*model.parameters, *G_NAMES)
-    known = replace(model, g_sensitivity=g, parameters=names, covariance=covariance, budget=None)
-    size = float(np.abs(g).max()) * si_factor(model.unit_out, "rate") * STANDARD_GRAVITY / RADIAN_PER_DEGREE
-    estimate = finding("drift.g_sensitivity", "info", largest_dps_per_g=size, poses=between.in_pose.shape[1])
-    return replace(device, gyro=known), Verdict.of(estimate)
-
-
-def _g_sensitivity(between: RestScatter, force: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-    """Return H (3, 3), raw unit per m/s2, and the covariance of each row, (3, 3, 3); None where it is not observable."""
-    from scipy.special import chdtri
-
-    centred, poses = between.centred, between.in_pose
-    seen = centred @ np.array([force[rows].mean(axis=0) for rows in between.rests])
-    strength = np.linalg.svd(seen, compute_uv=False)
-    if len(strength) < 3 or strength[-1] < _LEAST_SEEN * strength[0]:
-        return None
-    taken = np.linalg.pinv(seen) @ centred
-    left_out = centred - seen @ taken
-    spare = int(np.linalg.matrix_rank(left_out @ poses, tol=_RESOLVED))
-    if spare < _LEAST_SPARE:
-        return None
-    covariance = between.covariance + (between.rest**2)[:, None, None] * np.eye(len(seen))
-    left, size, right = np.linalg.svd(left_out @ poses, full_matrices=False)
-    kept = size > _RESOLVED  # the pseudo-inverse without directions that are hardly resolved
-    of_pose = (right[kept].T / size[kept]) @ left[:, kept].T @ left_out
-    pose_variance = pooled(excess(of_pose, float(((of_pose @ poses) ** 2).sum()), between.mean, covariance), spare)
-    covariance = covariance + pose_variance[:, None, None] * (poses @ poses.T)
-    found = (taken @ between.mean).T
-    known = widening_of(spare + 2.0) * np.einsum("ij,kjl,ml->kim", taken, covariance, taken)
-    square = sum(float(h @ np.linalg.solve(c, h)) for h, c in zip(found, known, strict=True))
-    return (found, known) if square > float(chdtri(len(G_NAMES), _CHANCE)) else None
