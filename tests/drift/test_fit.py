@@ -18,11 +18,20 @@ from undrift.commands.drift import choice_rows, drift_summary
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift import fit as procedure_module
 from undrift.drift.checks import static_verdict, verdict_before
-from undrift.drift.fit import ALTERNATIVES, DriftSettings, _requested, choose_tables, fit_drift, widened
+from undrift.drift.fit import (
+    ALTERNATIVES,
+    DriftSettings,
+    _accelerometers,
+    _requested,
+    choose_tables,
+    fit_drift,
+    widened,
+)
 from undrift.drift.observe import RestBlocks
 from undrift.drift.static import StaticSettings
 from undrift.errors import InputError, NotObservable
 from undrift.export.autopilots import export_ardupilot, export_px4
+from undrift.model import Verdict
 from undrift.report.page import write_page
 from undrift.sim.device.effects import RateDrift, ThermalScale
 from undrift.sim.device.presets import preset, random_device_of
@@ -458,6 +467,27 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
     assert any(
         item.code == "drift.scale_not_observable" and item.values["axis"] == "y" for item in choice.verdict.findings
     )
+
+
+def test_a_missing_table_has_its_reason():
+    choice, _ = one_way(0, TEMPS)
+    assert choice.scale is not None
+    assert choice.dynamic is None
+    (why,) = [item for item in choice.verdict.findings if item.code == "drift.dynamic_not_fitted"]
+    assert "dynamic drift: wanted" in why.text
+    with pytest.raises(NotObservable, match="dynamic drift: wanted"):
+        _requested(choice, "dynamic")
+
+
+def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
+    nodes, two = fit.static.table.temp_c, replace(fit.rests, pose=np.arange(len(fit.rests)) % 2)
+    assert _accelerometers(fit.rests, CALIBRATION, nodes) == (None, Verdict())  # one pose
+    found, verdict = _accelerometers(two, CALIBRATION, nodes)
+    (why,) = verdict.findings
+    assert found is None
+    assert why.code == "drift.accel_poses_not_observable"
+    assert "sensitivity x" in why.text
+    assert "rest on all six faces at two temperatures" in why.text
 
 
 def test_the_dynamic_table_spans_what_the_matrix_table_spans():
