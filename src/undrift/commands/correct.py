@@ -6,7 +6,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, number, rows_section
