@@ -44,8 +44,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     from undrift.calibration.reference import align
     from undrift.drift.fit import choose_tables
     from undrift.study.case import run_unit
-    from undrift.study.figure3 import calibrated, effect_table, figure3
-    from undrift.study.search import optimal_rates
+    from undrift.study.figure3 import calibrated, figure3
     from undrift.sync import find_lag, in_step, native_poses
     from undrift.twin.fit import fit_prepared
     from undrift.validation.agreement import validate_leave_one_out
@@ -53,7 +52,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
 
     poses = native_poses, find_lag, in_step, align
     fits = choose_tables, fit_prepared, calibrated
-    studies = run_unit, figure3, effect_table, optimal_rates
+    studies = run_unit, figure3
     folder = run_folder(tmp_path_factory)
     return [
         (pure, remembered(pure, folder)) for pure in (*poses, *fits, *studies, validate_trial, validate_leave_one_out)

@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.real_people import MEASURES, Captured, CapturedTrial, CohortComparison, motion_rows, read_stance, sway_rows
 from undrift.io.mocap import read_trc
 from undrift.io.reference import device_on, find_body
 from undrift.sim.motion.tasks import CategoryName
-from undrift.study.real import MEASURES, Captured, CapturedTrial, CohortComparison, motion_rows, read_stance, sway_rows
 
 SHARE, BEYOND, PEOPLE = 0.75, 1.25, 60
 STATED_CF = {  # PDS13, eyes closed on foam, and open on foam: the note of the data

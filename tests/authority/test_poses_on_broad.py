@@ -17,8 +17,6 @@ from testkit.data import show
 from undrift.sim.motion.poses import (
     ORDER,
     PoseSettings,
-    cutoff_by_residual,
-    cutoff_by_rest,
     fit_pose_spline,
     zero_phase,
 )
@@ -133,19 +131,6 @@ def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_h
     show("lever arm in the two fast trials, mm", np.round(1e3 * arms, 1).tolist(), "about 9 mm; 1.5 mm of one another")
     assert np.linalg.norm(arms, axis=1) == pytest.approx(0.008, abs=0.0015)
     assert np.abs(arms[0] - arms[1]).max() < 1.5e-3  # one board, one device
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [2, 7])
-def test_cut_offs_are_those_of_a_hand_held_board(number):
-    _, poses, _ = seen(number)
-    slow_or_fast = {"residual": cutoff_by_residual(poses, "orientation"), "rest": cutoff_by_rest(poses, "orientation")}
-    for method, chosen in slow_or_fast.items():
-        shown = "no crossing" if chosen is None else f"{chosen.cutoff_hz:.1f} Hz: {chosen.reason}"
-        show(f"trial {number:02d} orientation by {method}", shown)
-    position = cutoff_by_residual(poses, "position")
-    show(f"trial {number:02d} position by residual", f"{position.cutoff_hz:.1f} Hz: {position.reason}")
-    assert 1.0 < slow_or_fast["residual"].cutoff_hz < 42.0
 
 
 def test_long_gaps_of_the_optics_are_masked_and_nothing_is_drawn_across_them():

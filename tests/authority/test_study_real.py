@@ -9,23 +9,19 @@ from functools import cache
 
 import pytest
 
-from testkit.broad_trials import DEVICES, FILES, of_device
 from testkit.data import data_path, show
-from undrift.io.mocap import read_c3d, read_trc
-from undrift.io.reference import device_on, find_body
-from undrift.study.real import (
+from testkit.real_people import (
     Captured,
     CapturedTrial,
     CohortComparison,
     Condition,
-    DeviceTrials,
     Stance,
     motion_rows,
     read_stance,
-    real_errors,
     sway_rows,
-    worn_in,
 )
+from undrift.io.mocap import read_c3d, read_trc
+from undrift.io.reference import device_on, find_body
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -72,42 +68,6 @@ def tell(rows: tuple[CohortComparison, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_broad_trials_by_level_and_their_agreement() -> None:
-    devices = tuple(DeviceTrials(device=name, names=of_device(name)[1], pairs=of_device(name)[0]) for name in DEVICES)
-    levels = real_errors(devices)
-    none, rest, calibrated, *left_in = levels
-    for level in levels:
-        assert level.agreement is not None
-        limits, icc = level.agreement.limits, level.agreement.icc
-        show(
-            f"BROAD, {level.level}, rounding {level.rounding}: median rms total, inclination; largest pitch; end, deg",
-            f"{level.median.rmse_total_deg:.2f}, {level.median.rmse_inclination_deg:.2f}; {level.median.max_abs_pitch_deg:.1f}; "
-            f"{level.median.end_total_deg:.2f}",
-        )
-        show(
-            "   mean inclination: bias, limits, deg; ICC(2,1) and interval",
-            f"{limits.bias:.2f}, {limits.limits[0]:.2f} to {limits.limits[1]:.2f}; {icc.value:.5f}, "
-            f"{icc.interval[0]:.4f} to {icc.interval[1]:.4f}",
-        )
-    assert len(none.trials) == len(FILES)
-    assert (
-        none.median.rmse_total_deg > 4.0 * rest.median.rmse_total_deg
-    )  # offsets of half a degree a second over two minutes
-    assert [level.rounding for level in left_in] == ["left in"] * 3
-    # Truncated codes: half a step is an offset that turning reads differently from resting.
-    assert left_in[1].median.rmse_total_deg > 1.2 * rest.median.rmse_total_deg
-    # Where the change to motion acts while the device turns alone, they cost the end more than the rms, which tilt and poses make.
-    assert left_in[2].median.end_total_deg > calibrated.median.end_total_deg
-    # A third at least: what the matrix and the offset in motion are worth beyond the rest and the half step given back, on
-    # trials that the fit never saw.
-    assert calibrated.median.rmse_total_deg < 0.67 * rest.median.rmse_total_deg
-    assert calibrated.median.end_total_deg < 1.5
-    assert calibrated.agreement is not None
-    assert rest.agreement is not None
-    assert calibrated.agreement.limits.standard_deviation < rest.agreement.limits.standard_deviation
-
-
-@pytest.mark.slow
 def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() -> None:
     rows = motion_rows(captures())
     tell(rows)
@@ -119,31 +79,6 @@ def test_people_rise_faster_than_the_notes_bound_and_climb_as_the_cohort_does() 
     assert by["squats1", "lean"].task.endswith("5 repetitions")
     assert all(by["StairUp3", m].inside for m in ("pitch range", "peak pitch rate", "peak roll rate"))
     assert all(row.note for row in rows if not row.task.startswith("sit_to_stand"))
-
-
-@pytest.mark.slow
-def test_the_notes_device_worn_in_captured_motion_keeps_to_the_optics_with_both_tables() -> None:
-    worn = worn_in(captures())
-    for row in worn.rows:
-        show(
-            f"{row.trial}, {row.length_s:.1f} s, {row.level}: rms, largest pitch error, deg; lean optics, device, deg",
-            f"{row.error_rms_deg:.2f}, {row.error_max_deg:.2f}; {row.lean_optics_deg:.1f}, {row.lean_device_deg:.1f}",
-        )
-    for level, pairwise in worn.agreement:
-        show(
-            f"{pairwise.quantity}, {level}: bias, limits; ICC(2,1), interval",
-            f"{pairwise.limits.bias:.2f}, {pairwise.limits.limits[0]:.2f} to {pairwise.limits.limits[1]:.2f}; "
-            f"{pairwise.icc.value:.5f}, {pairwise.icc.interval[0]:.4f} to {pairwise.icc.interval[1]:.4f}",
-        )
-    full = [row for row in worn.rows if row.level == "full"]
-    none = [row for row in worn.rows if row.level == "none"]
-    assert all(row.saturated == 0.0 for row in worn.rows)
-    # Up to 20 s without any aid: 0.015 deg/s of offset that wanders and of noise make 0.3 deg.
-    assert max(row.error_max_deg for row in full) < 0.35
-    assert all(n.error_max_deg > 10.0 * f.error_max_deg for n, f in zip(none, full, strict=True))
-    agreement = dict(worn.agreement)
-    assert abs(agreement["full"].limits.bias) < 0.1
-    assert agreement["full"].limits.standard_deviation < agreement["static"].limits.standard_deviation
 
 
 @pytest.fixture(scope="module")

@@ -113,7 +113,7 @@ def test_without_a_command_the_help_is_shown_in_80_columns(undrift):
     assert undrift.good("--version").out == f"{__version__}\n"
 
 
-@pytest.mark.parametrize("command", ["measure", "correct", "rig run"])
+@pytest.mark.parametrize("command", ["correct", "rig run"])
 def test_sentences_of_a_help_fill_its_lines(undrift, monkeypatch, command):
     monkeypatch.setenv("COLUMNS", "100")
     shown = undrift.good(*command.split(), "--help").out.partition("─ Parameters ")[2].splitlines()[1:]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.host import HostSettings, stamp_on_host
 from undrift.io.formats import read_record, write_record
 from undrift.record import Record
-from undrift.sim.host import HostSettings, stamp_on_host
 
 WHOLE = HostSettings(lost_share=0.0, outages=0)  # strapdown has nothing to go by across a hole
 

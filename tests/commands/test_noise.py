@@ -8,10 +8,10 @@ import yaml
 
 from testkit.command_line import at_rest, contents
 from testkit.data import data_path, show
+from testkit.host import stamp_on_host
 from undrift.commands.noise import noise
 from undrift.io.formats import write_record
 from undrift.record import Record
-from undrift.sim.host import stamp_on_host
 
 MAP = (
     'sample_rate_hz = 100\nskip_rows = 4\ncolumns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }\n'

@@ -55,8 +55,8 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
         r"Sit to stand: [\d.]+ Hz and rates of .* deg/s are (enough|the best that were tried), ", copy.read_text()
     )
     first, *stages = (line.removeprefix("undrift study: ") for line in answer.err.splitlines())
-    assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker, in all about" in first
-    assert [line.split(", about")[0] for line in stages] == [
+    assert "small: 18 runs (sit_to_stand; 3 subjects) on 1 worker" in first
+    assert stages == [
         "calibration sessions",
         "the other cohort",
         "what the error is made of",
@@ -79,10 +79,10 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     table = pq.read_table(out / "surface.parquet")
     assert table.num_rows == 18
     told = json.loads((out / "summary.json").read_text())
-    assert (told["objective"], told["timing"]) == ("rms", "real time")
+    assert (told["objective"], told["timing"]) == ("rms", "offline")
     (task,) = told["tasks"]
     assert set(task["errors"]) == {name for name in table.column_names if name.startswith("error_")}
-    assert task["errors"]["error_rms_deg"] == pytest.approx(task["error_rms_deg"])
+    assert task["errors"]["error_offline_rms_deg"] == pytest.approx(task["error_rms_deg"])
     (split, *_) = task["made_of"]
     assert split["together"] + sum(term["share"] for term in split["terms"]) == pytest.approx(1.0)
     assert {term["effect"] for term in split["terms"]} >= {"delay", "gyroscope offset", "accelerometer offset"}
@@ -90,7 +90,7 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     wanted = {"task", "optimum", "error_rms_deg", "error_max_deg", "p_value", "equivalent_protocols", "rig_minutes"}
     assert task.keys() >= wanted
     assert task["equivalent_protocols"] + task["worse_protocols"] + task["undecided_protocols"] == task["protocols"]
-    assert (told["margin_deg"], task["one_way"]["values"]) == (0.087, 18)
+    assert told["margin_deg"] == 0.087
     judged = next(effect["judged"] for effect in task["effects"] if effect["judged"])
     assert judged["verdict"] in ("better", "equivalent", "not decidable")
     assert judged["decisions"][0]["margin"] == 0.087
@@ -98,7 +98,7 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
     assert task["optimum"].keys() == {"cutoff_hz", "turn_rate_step_dps", "turn_rate_min_dps", "turn_rate_max_dps"}
     best = task["optimum"]
     rows = np.all([np.isclose(table.column(name).to_numpy(), value) for name, value in best.items()], axis=0)
-    assert table.column("error_rms_deg").to_numpy()[rows].mean() == pytest.approx(task["error_rms_deg"])
+    assert table.column("error_offline_rms_deg").to_numpy()[rows].mean() == pytest.approx(task["error_rms_deg"])
     assert told["figure3"].keys() >= {
         "none_max_deg",
         "static_max_deg",
@@ -109,71 +109,9 @@ def test_a_plan_comes_to_a_surface_a_summary_and_a_page(undrift, plan, tmp_path)
         "simulated_actual_max_deg",
     }
     assert told["figure3"]["decrease_deg"] > 3.2  # the note's figure, on the typical device
-    assert (first_told["tasks"], first_told["designs"]) == (told["tasks"], told["designs"])  # by one worker
-    assert [(row["degree"], row["criterion"]) for row in told["designs"]] == [
-        (degree, name) for degree in (1, 3) for name in ("uniform", "D", "I")
-    ]
-    assert (told["rivals"], told["rivals_missing"], told["real"]) == (None, "not asked for", None)
+    assert first_told["tasks"] == told["tasks"]  # with one worker
+    assert (told["rivals"], told["rivals_missing"]) == (None, "not asked for")
     assert (out / "surface.parquet").read_bytes() == before
-
-
-WIDE = """
-[study]
-name = "wide"
-subjects = 6
-[[task]]
-name = "step"
-[task.space]
-cutoff_hz = [1.0, 2.0, 4.0, 11.4]
-turn_rate_step_dps = [6.0]
-turn_rate_min_dps = [9.0]
-turn_rate_max_dps = [15.0, 21.0, 27.0, 33.0]
-[task.protocol]
-dwell_s = 1.0
-bracket_s = 3.0
-set_points_c = [18.0, 36.0, 54.0, 75.0]
-"""
-
-
-@pytest.mark.slow
-def test_a_halving_resumes_and_keeps_to_its_folder(undrift, tmp_path):
-    text = WIDE.replace("subjects = 6", 'subjects = 6\nsearch = "halving"').replace("[1.0, 2.0, 4.0, 11.4]", "[11.4]")
-    plan = tmp_path / "study.toml"
-    plan.write_text(text)
-    words = ["study", plan, "-o", tmp_path / "h", "--workers", "1", "--no-rivals", "--json"]
-    whole = done(undrift, *words)
-    pieces = sorted((tmp_path / "h" / "halving").glob("step/round-*/runs/*.parquet"))
-    assert len(pieces) == 6
-    kept = {piece: piece.stat().st_mtime_ns for piece in pieces[:4]}
-    for piece in pieces[4:]:
-        piece.unlink()
-    again = done(undrift, *words)
-    assert again.json() == whole.json()
-    assert {piece: piece.stat().st_mtime_ns for piece in pieces[:4]} == kept
-    assert all(piece.exists() for piece in pieces)
-    line = undrift.refused(*words[:-1], "--search", "grid")
-    assert "wanted an empty folder or one of this study" in line
-    plan.write_text(text.replace('"halving"', '"guess"'))
-    assert "grid" in undrift.refused(*words)
-
-
-@pytest.mark.parametrize("search", ["grid", "halving", "cma"])
-def test_a_study_of_the_dwell_and_the_gain_comes_to_its_end_by_every_search(undrift, tmp_path, search):
-    if search == "cma":
-        pytest.importorskip("cma")
-    path, out = tmp_path / "study.toml", tmp_path / "out"
-    lists = "[50.0, 70.0, 90.0]\ngain = [10.0, 20.0]\nfaces = [5, 6]\ndwell_s = [0.5, 1.0]"
-    fixed = "subjects = 3\n[study.trial]\ntissue_deg_per_m_s2 = 0\nimpact_g = 0"  # other draws, other finalists
-    text = TEXT.replace("subjects = 3", fixed).replace("sit_to_stand", "step")
-    path.write_text(text.replace("[50.0, 70.0, 90.0]", lists))
-    words = ("study", path, "-o", out, "--workers", "1", "--no-rivals", "--search", search, "--candidates", "24")
-    answer = done(undrift, *words)
-    assert re.search(r"\bstep: optimum \(.*dwell \(s\) ", answer.out, re.M)
-    for heading in ("gain of the gyroscopes&#39; amplifier", "faces", "dwell (s)"):
-        assert heading in (out / "report.html").read_text()
-    (task,) = json.loads((out / "summary.json").read_text())["tasks"]
-    assert {"gain", "faces", "dwell_s"} <= set(task["optimum"])
-    assert {"gain", "faces", "dwell_s"} & {row["parameter"] for row in task["made_of"]}
 
 
 def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path):
@@ -185,37 +123,6 @@ def test_a_stated_rest_that_is_none_ends_with_two_and_one_line(undrift, tmp_path
     assert "wanted a body at rest for its first rest_s = 1 s, got one that turns at up to 67.3 deg/s" in line
     assert "it is still for 0 s: take a recording that begins with 0.5 s at rest or more, or set hold = true" in line
     assert not (tmp_path / "out").exists()
-
-
-def test_real_recordings_that_cannot_be_read_stop_the_study_before_it_runs(undrift, plan, tmp_path):
-    real = tmp_path / "real.toml"
-
-    def refused(text):
-        real.write_text(text)
-        line = undrift.refused("study", plan, "-o", tmp_path / "out", "--real", real)
-        assert not (tmp_path / "out").exists()
-        return line
-
-    assert "check the path" in undrift.refused("study", plan, "-o", tmp_path / "out", "--real", tmp_path / "none.toml")
-    assert "wanted a [[trial]], a [[capture]], a [[stance]] or [actual], got none" in refused("# none\n")
-    assert "one of 'B'; a fit that judges a trial must come from others" in refused(
-        '[[trial]]\nrecording = "a.hdf5"\ndevice = "B"\n'
-    )
-    assert "a.hdf5" in refused('[[trial]]\nrecording = "a.hdf5"\ndevice = "B"\n' * 2)
-    assert "STS.trc" in refused('[[capture]]\nfile = "STS.trc"\ntask = "squat"\nbody = "pelvis"\nup = "y"\n')
-    assert "wanted a body and up, got no up" in refused(
-        '[[capture]]\nfile = "STS.trc"\ntask = "squat"\nbody = "pelvis"\n'
-    )
-    assert "foot.txt" in refused('[[stance]]\nfile = "foot.txt"\nmass_kg = 60.0\ncondition = "open on firm"\n')
-    (tmp_path / "bare.csv").write_text("time,gyro_x\n0.0,0.0\n")
-    assert "got none and no BROAD file, which holds its own" in refused(
-        '[[trial]]\nrecording = "bare.csv"\ndevice = "B"\n' * 2
-    )
-    poses = "".join(f"{0.01 * k:.2f},1,0,0,0\n" for k in range(200))
-    (tmp_path / "poses.csv").write_text("time_s,q_w,q_x,q_y,q_z\n" + poses)
-    assert "wanted poses with positions, got none; risings are found by the height" in refused(
-        '[[capture]]\nfile = "poses.csv"\ntask = "squat"\n'
-    )
 
 
 def test_what_study_refuses(undrift, plan, tmp_path):

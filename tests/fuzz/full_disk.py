@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -89,9 +89,6 @@ CALLS = {
     "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
     "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
     "orient --pdf": Call(ORIENT + "x.csv --report {o}/r.html --pdf {o}/trial.pdf", slow=True),
-    "measure": Call(
-        "measure {b}/trial.parquet --calibration {b}/worn.json --task sit-to-stand -o {o}/x_events.tsv", together=True
-    ),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
     "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
@@ -122,7 +119,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
     from undrift.io.store import read_calibration, write_calibration
-    from undrift.model import BodyMounting
     from undrift.sim.device.presets import preset, random_device_of
     from undrift.sim.device.truth import true_calibration
 
@@ -142,8 +138,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     first = read_calibration(folder / "calibration.json")
     (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
-    worn = BodyMounting(place="lower-back", matrix=np.eye(3), covariance=3e-4 * np.eye(3), basis="posture")
-    write_calibration(replace(first, mounting=worn), folder / "worn.json")
     (folder / "people").mkdir()
     for name in ("trial.parquet", "reference.parquet", "calibration.json"):
         shutil.copy(folder / name, folder / "people")

@@ -22,7 +22,6 @@ from undrift.base.clock import Clock
 from undrift.cli.app import run
 from undrift.errors import UndriftError
 from undrift.files import LIMITS
-from undrift.io.reference import write_reference
 from undrift.io.session import read_file_map, read_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.live.decoder import read_description
@@ -36,7 +35,6 @@ from undrift.sim.rig.galil_card import CardSettings
 from undrift.sim.rig.galil_language import GalilMachine
 from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 from undrift.study.plan import read_study
-from undrift.study.real import read_real
 
 BAD = ("crash", "hang", "over 1 GB", "unforeseen", "partial file", oracle.KINDS[-1])
 ALL_CUTS, SOME_CUTS = (
@@ -242,23 +240,6 @@ turn_rate_max_dps = [45.0]
 [task.protocol]
 dwell_s = 2.0
 """
-REAL = b"""[[capture]]
-file = "poses.parquet"
-task = "sit_to_stand"
-category = "young"
-[[trial]]
-recording = "r.parquet"
-reference = "poses.parquet"
-device = "B"
-[[trial]]
-recording = "r.parquet"
-reference = "poses.parquet"
-device = "B"
-[[stance]]
-file = "plate.txt"
-mass_kg = 65.35
-condition = "open on foam"
-"""
 RATES = b"time_s,angle_deg\n" + b"".join(b"%.2f,%.2f\n" % (k / 20, 3.0 * k) for k in range(200))
 STREAM = b"""[stream]
 channels = ["count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
@@ -295,7 +276,6 @@ def seeds() -> list[Seed]:
     }
     made += [Seed(name, content, by_function(read)) for name, (content, read) in settings.items()]
     made.append(Seed("session.toml", SESSION, by_function(lambda path: read_session(path.parent)), {"r.csv": row}))
-    made.append(Seed("real.toml", REAL, by_function(read_real), _beside_real()))
     made += [Seed(f"{kind}.txt", content, by_machine(kind)) for kind, content in LINES.items()]
     return made
 
@@ -305,26 +285,6 @@ def _written(write: Callable[[Path], object], suffix: str = "") -> bytes:
         made = Path(folder) / f"made{suffix}"
         write(made)
         return made.read_bytes()
-
-
-def _beside_real() -> dict[str, bytes]:
-    time, rng = np.arange(200) / 100.0, np.random.default_rng(0)
-    rest = np.tile([1.0, 0.0, 0.0, 0.0], (200, 1))
-    poses = undrift.Reference(time=time, q_nb=rest, position=np.zeros((200, 3)))
-    record = undrift.Record(
-        time=time,
-        gyro=rng.standard_normal((200, 3)),
-        accel=rng.standard_normal((200, 3)),
-        gyro_unit="dps",
-        accel_unit="g",
-    )
-    rows = np.column_stack((time, rng.standard_normal((200, 4))))
-    return {
-        "poses.parquet": _written(lambda path: write_reference(poses, path), ".parquet"),
-        "r.parquet": _written(lambda path: undrift.write_record(record, path), ".parquet"),
-        "plate.txt": b"Time[s]\tFx[N]\tFy[N]\tCOPx[cm]\tCOPy[cm]\n"
-        + b"".join(b"\t".join(b"%.4f" % x for x in row) + b"\n" for row in rows.tolist()),
-    }
 
 
 def _simulated() -> Iterator[tuple[str, bytes]]:

@@ -7,6 +7,7 @@ import pytest
 
 from testkit.data import data_path, show
 from testkit.findings import codes, only
+from testkit.host import HostSettings, HostStamped, stamp_on_host
 from undrift.errors import FileFormatError, InputError
 from undrift.io.clock import fit_clock, host_stamps, unwrapped
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
@@ -14,7 +15,6 @@ from undrift.io.formats import iter_record, read_counted, read_record, write_rec
 from undrift.io.inspect import describe, find_symptoms
 from undrift.io.session import read_session, write_session
 from undrift.record import Record, Session
-from undrift.sim.host import HostSettings, HostStamped, stamp_on_host
 
 RATE, SLOW = 100.0, 2e-4  # Hz; the host's seconds are longer by this
 

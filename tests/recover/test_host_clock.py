@@ -1,7 +1,7 @@
 """A session whose host stamped it in bursts, with drop-outs, calibrates as well as with the device's own clock.
 
-The simulator of the host (sim/host.py) shares nothing with the fit of the clock (io/clock.py). Errors are those of the gyroscope's
-matrix against the device's true one in the accelerometer's axes, largest element.
+The simulator of the host (testkit/host.py) shares nothing with the fit of the clock (io/clock.py). Errors are those of the
+gyroscope's matrix against the device's true one in the accelerometer's axes, largest element.
 """
 
 from dataclasses import replace
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.host import HostSettings, HostStamped, stamp_on_host
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import CalibrationError
 from undrift.io.clock import fit_clock
@@ -18,7 +19,6 @@ from undrift.model import Calibration
 from undrift.record import Record, Session
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.host import HostSettings, HostStamped, stamp_on_host
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
 

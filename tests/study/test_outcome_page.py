@@ -15,10 +15,9 @@ from undrift.report.figures import draw_effects, draw_pareto, svg_of
 from undrift.report.page import write_page
 from undrift.study.case import device_of
 from undrift.study.judge import compare_with_note, find_optimum, other_study
-from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, forecast, judge_study
+from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, judge_study
 from undrift.study.plan import TABLE_1, Space, ends_of, note_study
-from undrift.study.run import InProcess, TaskSurface, run_study
-from undrift.study.search import design_rows, task_rates
+from undrift.study.run import InProcess, TaskSurface
 from undrift.study.space import HEADINGS
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -104,10 +103,6 @@ def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyO
 @pytest.mark.slow
 def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
     for task in outcome.tasks:
-        assert task.stopping is not None
-        assert task.stopping_of in {power.name for power in task.powers}
-        assert task.stopping.false_alarm > 0.03
-        assert all(0.0 <= power.power <= 1.0 for power in task.powers)
         assert len(task.effect_reach_deg) == 4
     assert outcome.figure3 is not None
     assert [cohort.group for cohort in outcome.cohorts] == ["simulation", "testing"]
@@ -121,7 +116,6 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "Table 1: optimised parameters",
         "Against the note&#39;s Table 1",
         "The note&#39;s values beside the next ones",
-        "The note&#39;s analysis of variance beside a stricter one",
         "sit to stand: the optimum&#39;s values against the others",
         "On the other cohort",
         "Table 2: cohorts",
@@ -130,17 +124,12 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
         "sit to stand: what the error is made of",
         "real time: rms, largest, end (deg)",
         "offline: rms, largest, end (deg)",
-        "Above real time, below offline.",
-        "the root-mean-square error of the sagittal pitch is minimised, in real time",
+        "Above offline, below real time.",
+        "the root-mean-square error of the sagittal pitch is minimised, offline",
         "<strong>What the error is made of</strong>: ",
-        "Optional stopping",
         "printed 111.4 Hz; lies between 11.1 and 11.5",
         "p of Mauchly",
         "Figure 3: sit-to-stand, simulated and actual device",
-        "Rates to dwell at: D- and I-optimal sets against the uniform grid",
-        "Sit to stand, cubic: the I-optimal set reaches the error of the note&#39;s grid in",
-        "34 rates from -90 to 90, equal shares",
-        "25 % at -90, 25 % at -40.3",
         "<strong>Other ways to calibrate</strong>: not asked for",
     ):
         assert wanted in text, wanted
@@ -182,35 +171,6 @@ def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome
     assert cut == []
 
 
-@pytest.mark.slow
-def test_optimal_rates_beat_the_grid_by_their_own_measure_for_the_cohorts_motions(outcome: StudyOutcome) -> None:
-    assert {row.task for row in outcome.designs} == {"sit_to_stand", "step"}
-    for task in ("sit_to_stand", "step"):
-        for degree in (1, 3):
-            even, d, i = (row for row in outcome.designs if (row.task, row.degree) == (task, degree))
-            assert d.d_efficiency_uniform < 1.0
-            assert i.i_efficiency_uniform < 1.0
-            assert even.error_dps is not None
-            assert i.error_dps is not None
-            # information goes with the square of the error: two ways to the same figure
-            assert (i.error_dps / even.error_dps) ** 2 == pytest.approx(i.i_efficiency_uniform, rel=0.01)
-            assert sum(i.share) == pytest.approx(1.0)
-    line = next(row for row in outcome.designs if (row.degree, row.criterion) == (1, "D"))
-    assert line.turn_rate_dps == pytest.approx((-90.0, 90.0))
-
-
-def test_rates_of_a_task_are_those_of_its_motions_and_a_short_grid_holds_a_line_alone() -> None:
-    study = note_study(quick=True, subjects=3)
-    sit, _, stand = study.tasks
-    fast, slow = task_rates(study, sit), task_rates(study, stand)
-    assert 30.0 < np.degrees(np.abs(fast).max()) <= 90.0  # the note's bound for a Tinetti level of 2
-    assert np.abs(slow).max() < 0.2 * np.abs(fast).max()
-    free = replace(sit, name="free")
-    short = replace(sit.base, turn_rate_step=0.5, turn_rate_min=0.5, turn_rate_max=1.0)
-    rows = design_rows(study, free, short)
-    assert [(row.degree, row.grid) for row in rows] == [(1, "the optimum's")] * 3
-
-
 def test_the_ends_of_a_study_are_a_first_look() -> None:
     whole = note_study()
     ends = ends_of(whole)
@@ -218,26 +178,6 @@ def test_the_ends_of_a_study_are_a_first_look() -> None:
         count = task.space.count
         assert 2 <= count <= 16
         assert len(task.space.cutoff_hz) == 2
-
-
-@pytest.mark.slow
-def test_what_a_study_costs_is_told_by_stage_and_what_is_done_already_costs_nothing(tmp_path: Path) -> None:
-    study = note_study(quick=True, subjects=3)
-    study = replace(study, tasks=study.tasks[1:2])
-    stages = forecast(study, tmp_path, workers=1, rivals=True, real=None)
-    assert [stage.name for stage in stages] == [
-        "calibration sessions",
-        "the other cohort",
-        "what the error is made of",
-        "rival methods",
-    ]  # no sit-to-stand, no Figure 3
-    assert stages[0].seconds > 0.0
-    run_study(study, InProcess(), tmp_path)
-    assert forecast(study, tmp_path, workers=1, rivals=False, real=None)[0].seconds == 0.0
-    names = [
-        stage.name for stage in forecast(note_study(quick=True), tmp_path / "b", workers=1, rivals=True, real=None)
-    ]
-    assert names[3:] == ["Figure 3, effect by effect", "Figure 3, drawn units", "rival methods"]
 
 
 def test_values_without_a_protocol_are_named_and_so_are_those_whose_sessions_are_too_long() -> None:

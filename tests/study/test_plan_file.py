@@ -84,9 +84,9 @@ def test_what_the_file_says_arrives(tmp_path: Path) -> None:
     assert study.margin_deg == note_study().margin_deg == pytest.approx(0.15 / 3**0.5, abs=5e-4)  # the note's Figure 3
     largest = read_study(written(tmp_path, TEXT.replace("seed = 5", "seed = 5\nobjective = 'maximum'")))
     assert largest.margin_deg == 0.15
-    assert study.timing == note_study().timing == "real time"
-    ended = read_study(written(tmp_path, TEXT.replace("seed = 5", "seed = 5\nobjective = 'end'\ntiming = 'offline'")))
-    assert (ended.objective, ended.timing, ended.margin_deg) == ("end", "offline", 0.15)
+    assert study.timing == note_study().timing == "offline"
+    ended = read_study(written(tmp_path, TEXT.replace("seed = 5", "seed = 5\nobjective = 'end'\ntiming = 'real time'")))
+    assert (ended.objective, ended.timing, ended.margin_deg) == ("end", "real time", 0.15)
     for wrong in ("timing = 'later'", "objective = 'mean'"):
         with pytest.raises(FileFormatError, match=wrong.split(" ")[0]):
             read_study(written(tmp_path, TEXT.replace("seed = 5", f"seed = 5\n{wrong}")))

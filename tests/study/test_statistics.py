@@ -9,10 +9,6 @@ from undrift.study.statistics import (
     adjust_holm,
     compare_conditions,
     compare_pairs,
-    compare_unbalanced,
-    power_of_anova,
-    stopping_of,
-    subjects_needed,
 )
 
 # A. Field, Discovering statistics: eight people, seconds until they retch at four foods.
@@ -100,78 +96,6 @@ def test_the_level_is_kept_on_null_data_spherical_or_not() -> None:
         rate = np.mean([compare_conditions(study).p_value < 0.05 for study in y])
         show(f"type I error, {name} (30 subjects, 6 conditions, 2,000 studies)", float(rate), "0.04 to 0.06")
         assert 0.04 <= rate <= 0.06
-
-
-@pytest.mark.slow
-def test_power_is_what_was_predicted() -> None:
-    rng, means, sd = np.random.default_rng(5), np.array([0.0, 0.1, 0.25, 0.4]), 1.0
-    for n in (20, 40):
-        expected = power_of_anova(means, sd**2, n)
-        y = rng.normal(0.0, sd, (2000, n, 4)) + means + rng.normal(0.0, 2.0, (2000, n, 1))
-        got = float(np.mean([compare_conditions(study).p_uncorrected < 0.05 for study in y]))
-        show(f"power with {n} subjects, predicted {expected:.3f}", got, "within 0.05")
-        assert abs(got - expected) < 0.05
-
-
-def test_the_number_of_subjects_needed_is_the_least_that_has_the_power() -> None:
-    means = [0.0, 0.2, 0.5]
-    n = subjects_needed(means, 1.0)
-    assert power_of_anova(means, 1.0, n) >= 0.8 > power_of_anova(means, 1.0, n - 1)
-    assert subjects_needed([0.0, 1e-4], 1.0) is None
-    with pytest.raises(InputError, match="variance above 0"):
-        power_of_anova(means, 0.0, 10)
-
-
-def test_adding_subjects_until_it_is_significant_raises_the_false_alarms() -> None:
-    rng = np.random.default_rng(6)
-    found = stopping_of(rng.normal(size=(30, 4)), first=10, simulations=400, rng=rng)
-    show("false alarms when looking after each of 10 to 30 subjects", found.false_alarm, "> 0.10")
-    assert found.looks == 21
-    assert found.false_alarm > 0.10
-    assert [m for m, _ in found.p_by_subjects] == list(range(10, 31))
-
-
-def test_a_mixed_model_on_balanced_data_gives_the_same_means_and_f() -> None:
-    rng = np.random.default_rng(7)
-    y = rng.normal(size=(20, 3)) + np.array([0.0, 0.3, 1.0]) + rng.normal(0.0, 2.0, (20, 1))
-    found = compare_unbalanced(y.ravel(), np.repeat([f"s{i}" for i in range(20)], 3).tolist(), list("abc") * 20)
-    np.testing.assert_allclose(found.means, y.mean(axis=0), rtol=1e-6)
-    balanced = compare_conditions(y)
-    assert found.f == pytest.approx(balanced.f, rel=1e-6)  # the ratio of the variances is found to 1e-9
-    assert found.partial_eta_squared == pytest.approx(balanced.partial_eta_squared, rel=1e-6)
-    assert found.residual_sd == pytest.approx(balanced.mean_square_error**0.5, rel=1e-6)
-
-
-@pytest.mark.parametrize("spread", [0.0, 1e-3, 1.0, 1e6])
-def test_a_mixed_model_does_not_mind_how_much_subjects_differ(spread: float) -> None:
-    rng = np.random.default_rng(9)
-    keep = np.ones(300, dtype=bool)
-    keep[[3, 17, 50]] = False
-    subject, condition = np.repeat(np.arange(30), 10)[keep], np.tile(np.arange(10), 30)[keep]
-    noise, own = rng.normal(size=300)[keep], rng.normal(size=30)[subject]
-    found = compare_unbalanced(noise + spread * own, [str(s) for s in subject], [str(c) for c in condition])
-    assert found.residual_sd == pytest.approx(1.0, abs=0.15)  # 1 / sqrt(2 x 261) = 0.044
-    assert found.subject_sd == pytest.approx(spread, rel=0.45, abs=0.3)  # 30 subjects: 0.13, and at 0 what noise allows
-
-
-def test_a_mixed_model_without_variance_is_refused() -> None:
-    with pytest.raises(InputError, match="subjects that differ in how they respond"):
-        compare_unbalanced([0.0, 1.0, 2.0, 3.0, 7.0], list("aabbc"), list("xyxyx"))
-    with pytest.raises(InputError, match="met more than once each"):
-        compare_unbalanced([0.0, 1.0, 2.0], list("abc"), list("xyx"))
-
-
-def test_a_mixed_model_takes_missing_conditions() -> None:
-    rng = np.random.default_rng(8)
-    keep = rng.random(120) > 0.2
-    subject, condition = np.repeat(np.arange(40), 3)[keep], np.tile(np.arange(3), 40)[keep]
-    y = rng.normal(size=keep.sum()) + 2.0 * rng.normal(size=40)[subject] + condition
-    found = compare_unbalanced(y, [str(s) for s in subject], [str(c) for c in condition])
-    apart = dict(zip(found.conditions, found.means, strict=True))
-    assert apart["2"] - apart["0"] == pytest.approx(2.0, abs=1.0)  # three standard uncertainties
-    assert found.p_value < 1e-4
-    with pytest.raises(InputError, match="as many subjects"):
-        compare_unbalanced(y, ["a"], ["b"])
 
 
 @pytest.mark.parametrize(

@@ -1,24 +1,17 @@
 """Parameters of a twin: their errors, noise and bandwidth at rest, offsets over temperature."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 from scipy.spatial.transform import Rotation
 
-from undrift.errors import InputError
 from undrift.record import Record
-from undrift.sim.device.effects import Thermometer
-from undrift.sim.device.presets import preset
 from undrift.twin.fit import (
-    fit_warm_up,
     g_sensitivity_parameters,
     mean_with_error,
     polar_rotation,
     rest_noise,
     spread_of,
-    with_warm_up,
 )
 
 # ---- parameters of a twin: rotations, spreads, means
@@ -122,38 +115,3 @@ def warm_up(rate_hz: float = 30.0, duration_s: float = 1800.0) -> Record:
         gyro_unit="dps",
         accel_unit="m/s2",
     )
-
-
-def test_planted_courses_over_temperature_come_back_within_their_noise() -> None:
-    found = fit_warm_up(warm_up(), reference_c=15.0)
-    assert found.range_c == pytest.approx((11.2, 28.5), abs=0.15)
-    d = np.linspace(*found.range_c, 50)[:, None] - 15.0
-    # Means of 300 readings scatter by NOISE / sqrt(300); a cubic over 180 of them is known to a quarter of that, its ends to half.
-    for got, planted, noise in ((found.gyro_per_k, GYRO, NOISE), (found.accel_per_k, ACCEL, 0.02)):
-        course = sum((one - other) * d ** (k + 1) for k, (one, other) in enumerate(zip(got, planted, strict=True)))
-        assert np.abs(course).max() < 4.0 * noise / np.sqrt(300.0)
-    assert found.thermometer.step_c == pytest.approx(STEP_C, rel=1e-6)
-    assert found.thermometer.noise_c == pytest.approx(NOISE_C, rel=0.05)
-
-
-def test_a_device_takes_the_course_and_keeps_its_offset_at_the_reference() -> None:
-    unit = preset("xsens_mti1")
-    unit = replace(unit, thermometer=Thermometer(lag_s=3.0))
-    found = fit_warm_up(warm_up(), reference_c=15.0)
-    twin = with_warm_up(unit, found)
-    assert unit.gyro.offset is not None
-    assert twin.gyro.offset is not None
-    np.testing.assert_array_equal(twin.gyro.offset.constant, unit.gyro.offset.constant)
-    np.testing.assert_array_equal(twin.gyro.offset.per_k, found.gyro_per_k)
-    assert (twin.reference_temp_c, twin.thermometer) == (15.0, found.thermometer)
-    assert twin.gyro.white_noise is unit.gyro.white_noise
-
-
-def test_a_recording_that_shows_no_course_is_refused() -> None:
-    whole = warm_up()
-    with pytest.raises(
-        InputError, match="wanted gyroscopes, accelerometers and temperature, got a recording without one"
-    ):
-        fit_warm_up(replace(whole, temp_c=None), reference_c=15.0)
-    with pytest.raises(InputError, match=r"wanted 5 K or more over 5 blocks of 10 s or more, got 0\.\d K over \d+"):
-        fit_warm_up(whole.part(45000, len(whole)), reference_c=15.0)

@@ -112,7 +112,8 @@ def test_a_thousand_malformed_uploads_and_fuzzed_routes_break_nothing(server: Be
         "/files/",
         "/static/",
         "/upload",
-        "/trace/",
+        "/feed",
+        "/stop",
         "/_nicegui/",
         "/_nicegui_ws/socket.io/?EIO=4&transport=polling",
         "/",
@@ -135,6 +136,7 @@ def test_a_thousand_malformed_uploads_and_fuzzed_routes_break_nothing(server: Be
     assert {path for path in server.folder.parent.rglob("*") if server.folder not in path.parents} == outside
     assert {path.relative_to(server.folder).parts[0] for path in server.folder.rglob("*")} <= {
         ".lock",
+        "devices",
         "jobs",
         "uploads",
     }

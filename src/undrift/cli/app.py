@@ -34,7 +34,6 @@ COMMANDS = {  # one line of 80 columns each
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",
     "mount": "How a device is worn: device axes to body axes.",
-    "measure": "Sit-to-stand, up and go, walking, steps, sway: each with its +-.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
-    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "measure", "mount", "noise", "orient",
+    "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "mount", "noise", "orient",
     "record", "simulate", "study", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each

@@ -1,4 +1,4 @@
-"""``undrift demo``: the note's method on an emulated bench over real sockets, a reduced study, a page and a summary.
+"""``undrift demo``: the note's method on an emulated bench over real sockets, a page and a summary.
 
 Table, chamber and device are emulated, the rest is not: what they say goes over TCP into run folders and is read back, and
 nothing that fits or corrects knows the truth. The truth serves the checks at the end alone.
@@ -7,13 +7,13 @@ nothing that fits or corrects knows the truth. The truth serves the checks at th
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from undrift.base.options import WRITTEN, Flag, verb
-from undrift.base.summary import Cells, Section, Summary, at, figure_of, plain_words, plus_minus, table_section
+from undrift.base.summary import Cells, Section, Summary, at, figure_of, plus_minus, table_section
 from undrift.commands import Progress, silent
 from undrift.commands.calibrate import calibration_sections
 from undrift.commands.files import check_folder, origin_of, save_json
@@ -25,35 +25,32 @@ if TYPE_CHECKING:
     from undrift.rig.programme import Protocol
     from undrift.rig.run import RunResult
     from undrift.sim.device.model import DeviceModel
-    from undrift.study.outcome import StudyOutcome
     from undrift.study.virtual_bench import BenchFit, BenchRun, Check
     from undrift.validation.trial import Trial
 
 SEED = 2007
-RUNS = ("bench", "thermal", "study")  # folders of an earlier demo
-PAGES = ("report.html", "tables.html", "study.html")  # what to look at, and all that stands behind it
+RUNS = ("bench", "thermal")  # folders of an earlier demo
+PAGES = ("report.html", "tables.html")  # the report, and the tables over temperature behind it
 FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", *PAGES)
-STUDY_HOST_S = {False: 18.0, True: 3.0}  # forecasts, host s
-REST_HOST_S = {False: 6.0, True: 3.0}
+REST_HOST_S = {False: 6.0, True: 3.0}  # forecast of what follows the runs, host s
 
 
 @verb
 def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, progress: Progress = silent) -> Summary:
-    """Calibrate a device on an emulated bench, correct a worn sit-to-stand, find a protocol by a small study.
+    """Calibrate a device on an emulated bench, correct a worn sit-to-stand.
 
     Parameters
     ----------
     out : Path
-        Folder for the runs, calibration.json, the corrected trial, the study, summary.json and pages: report.html, which two
-        others stand behind, tables.html and study.html.
+        Folder for the runs, calibration.json, the corrected trial, summary.json and two pages, report.html and tables.html.
     quick : bool
-        Fewer rates, set-points and subjects: 20 seconds in place of 90.
+        Fewer rates and set-points: 20 seconds in place of 60.
     """
     from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, record_on_bench
 
     _check_fresh(out)
     device, plan, whole_s = bench_device(), bench_plan(quick=quick), 0.0
-    after_s = STUDY_HOST_S[quick] + REST_HOST_S[quick]
+    after_s = REST_HOST_S[quick]
 
     def tell(what: str, left_s: float) -> None:
         nonlocal whole_s
@@ -71,11 +68,10 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
         ) from disk
     tell("fitting calibration and tables, judging a worn trial", after_s)
     fit, trials = _judged(device, out)
-    study = _studied(quick, out, tell)
     tell("report", 0.5 * REST_HOST_S[quick])
-    shown = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device), study)
+    shown = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device))
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
-    for name, page in zip(PAGES, (shown, *_behind(fit, study, out)), strict=False):
+    for name, page in zip(PAGES, (shown, _tables(fit)), strict=True):
         at("undrift.report.page:write_page")(out / name, page, origin)
     save_json(out / "summary.json", shown.data)
     return shown
@@ -121,26 +117,7 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
     return fit, judge_levels(fit, record, read_reference(out / "reference.parquet"))
 
 
-def _studied(quick: bool, out: Path, tell: "Callable[[str, float], None]") -> "StudyOutcome":
-    from undrift.study.outcome import StudyProgress, judge_study
-    from undrift.study.plan import note_study
-    from undrift.study.run import InProcess, choose_executor
-
-    # the note's study, reduced: a sit-to-stand brings Figure 3 with it, which the quick demo leaves out
-    plan = note_study(subjects=4 if quick else 8, seed=SEED, quick=True)
-    plan = replace(plan, tasks=plan.tasks[1:2]) if quick else plan
-
-    def progress(what: str, share: float) -> None:
-        tell(f"study: {what}", (1.0 - 0.5 * share) * STUDY_HOST_S[quick] + 0.5 * REST_HOST_S[quick])
-
-    executor = InProcess() if quick else choose_executor(None, None)
-    return judge_study(plan, executor, out / "study", course=StudyProgress(progress))
-
-
-def _summary(
-    out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: "tuple[Check, ...]", study: "StudyOutcome"
-) -> Summary:
-    from undrift.commands.study import study_json
+def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: "tuple[Check, ...]") -> Summary:
     from undrift.io.store import calibration_json
 
     run, fit, trials = made
@@ -151,13 +128,12 @@ def _summary(
         f"calibration, {rest} re-zeroed at a rest before the motion, {full} with tuning tables, {both} with both.",
         data={
             "calibration": calibration_json(fit.drift.calibration),
-            "study": study_json(study),
             "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
         },
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
         findings=tuple(item for trial in trials for item in trial.findings),
-        sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more(study)),
+        sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more()),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),
         failed=not all(check.passed for check in checks),
@@ -171,23 +147,20 @@ def _details(run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...]) -> I
         yield replace(section, folded=True)
 
 
-def _behind(fit: "BenchFit", study: "StudyOutcome", out: Path) -> tuple[Summary, ...]:
-    """Return the pages behind the report: tables over temperature, and the study."""
+def _tables(fit: "BenchFit") -> Summary:
+    """Return the page with the tables over temperature."""
     from undrift.commands.drift import drift_summary
-    from undrift.commands.study import Studied
 
-    return drift_summary(fit.drift), Studied(outcome=study, output=out / "study").summary()
+    return drift_summary(fit.drift)
 
 
-def _more(study: "StudyOutcome") -> Section:
-    """Say what the pages beside this one hold."""
-    tasks = ", ".join(plain_words(task.name) for task in study.study.tasks)
+def _more() -> Section:
+    """Name what else there is to see."""
     return Section(
-        title="Tables over temperature, and a reduced study",
+        title="Tables over temperature, and the study",
         text=(
             "The page tables.html has the tables over temperature, with their residuals and the verdict.",
-            f"The page study.html asks which calibration protocol is enough for a task, by {study.runs} simulated calibrations for "
-            f"{tasks} and {study.study.subjects} subjects; undrift study `preset` note does all of it.",
+            "undrift study `preset` note computes which calibration protocol is enough for a task.",
         ),
     )
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from undrift.base.options import Flag, Gravity, Output, Up, verb
 from undrift.base.summary import Section, Summary, figure_of, plain_words, rows_section
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from undrift.arrays import FloatArray
-    from undrift.record import Record, Reference
+    from undrift.record import Record
     from undrift.sim.device.model import DeviceModel
     from undrift.sim.device.simulate import Simulated
     from undrift.sim.motion.motion import Motion
-    from undrift.sim.motion.poses import Cutoff, PoseSettings
+    from undrift.sim.motion.poses import PoseSettings
     from undrift.sim.thermal import ThermalKind
 
 THERMAL = "thermal_"  # before the kind of a thermal session
@@ -42,7 +42,6 @@ def simulate(
     cutoff_hz: str | None = None,
     truth: Path | None = None,
     save_device: Path | None = None,
-    stamps: Literal["device", "host"] = "device",
     seed: int = 0,
     progress: Progress = silent,
 ) -> Summary:
@@ -68,16 +67,13 @@ def simulate(
     markers : str or None
         Labels of one rigid cluster, comma between, for TRC or C3D.
     cutoff_hz : str or None
-        Low-pass of recorded poses, Hz: a number for orientation and position, auto to choose both from the recording, none to
-        filter nothing; 20 Hz for orientation and 10 Hz for position where not given.
+        Low-pass of recorded poses, Hz: a number for orientation and position, none to filter nothing; 20 Hz for orientation and
+        10 Hz for position where not given.
     truth : Path or None
         Write the true orientation at the samples there, and the position where the motion has one, as a reference: .parquet or
         .csv, which this command takes for a motion again.
     save_device : Path or None
         Write the device there, as device.json.
-    stamps : str
-        "host" writes the time at which a host would have received each sample, in bursts and with drop-outs: a task to try
-        --clock regular on.
     seed : int
         Seed of every random draw: the same seed gives the same file.
     """
@@ -87,7 +83,6 @@ def simulate(
     from undrift.record import Reference
     from undrift.sim.device.model import write_device
     from undrift.sim.device.simulate import simulate_device
-    from undrift.sim.host import stamp_on_host
 
     if sample_rate_hz is not None and not sample_rate_hz > 0.0:
         raise InputError(f"sample rate: wanted more than 0 Hz, got {sample_rate_hz:g}; give the rate of the device")
@@ -96,17 +91,15 @@ def simulate(
     progress(f"simulating {motion}", 0.0)
     if motion.startswith(THERMAL):
         unused: dict[str, object] = {"temp_c": temp_c, "markers": markers, "reference_up": reference_up}
-        unused |= {"cutoff_hz": cutoff_hz, "truth": truth, "stamps": None if stamps == "device" else stamps}
+        unused |= {"cutoff_hz": cutoff_hz, "truth": truth}
         _check_unused(motion, [name for name, value in unused.items() if value is not None], power_on_s)
         answer = _thermal(motion, model, output, (sample_rate_hz, power_on_s, gravity_m_s2), rng)
     else:
-        moved, where, chosen = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
+        moved, where = _motion(motion, rate_hz, gravity_m_s2, (markers, reference_up, cutoff_hz), rng)
         simulated = simulate_device(model, moved, rng=rng, temp_c=temp_c, power_on_s=power_on_s or 0.0)
-        if stamps == "host":
-            simulated = replace(simulated, record=stamp_on_host(simulated.record, rng=rng).record)
         if truth is not None:
             write_reference(Reference(time=moved.time, q_nb=moved.q_nb, position=where, moving=moved.moving), truth)
-        answer = _moved(motion, model, output, simulated, chosen)
+        answer = _moved(motion, model, output, simulated)
     if save_device is not None:
         write_device(model, save_device)
     return answer
@@ -177,8 +170,8 @@ def _motion(
     gravity_m_s2: float,
     how: tuple[str | None, Up, str | None],
     rng: "np.random.Generator",
-) -> tuple["Motion", "FloatArray | None", "dict[str, Cutoff]"]:
-    """Return the motion, the positions of the device in m (None of poses without), and the cut-offs that were chosen.
+) -> tuple["Motion", "FloatArray | None"]:
+    """Return the motion, and the positions of the device in m (None of poses without).
 
     How poses are read: markers, the axis that points up, the cut-off.
     """
@@ -195,44 +188,35 @@ def _motion(
                 raise InputError(f"{task}: wanted no `cutoff_hz`, got {cutoff_hz}; tasks have no camera noise")
             performed = draw_task(task, rng=rng)
             time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
-            return performed.at(time, gravity_m_s2), performed.position(time), {}
+            return performed.at(time, gravity_m_s2), performed.position(time)
     if not Path(name).exists():
         raise InputError(
             f"motion: wanted a file of poses or markers, or one of {', '.join(get_args(TaskName))}, got '{name}'; name one"
         )
     reference = read_reference(Path(name), labels=labels_of(markers), up=up)
-    settings, chosen = _pose_settings(reference, cutoff_hz)
-    spline = fit_pose_spline(reference, settings)
+    spline = fit_pose_spline(reference, _pose_settings(cutoff_hz))
     start, stop = spline.span_s
     time = start + np.arange(int((stop - start) * sample_rate_hz + 1e-6) + 1) / sample_rate_hz
-    return spline.at(time, gravity_m_s2), None if reference.position is None else spline.position(time), chosen
+    time = np.minimum(time, stop)  # the last instant may round to one just after the last pose, where nothing is known
+    return spline.at(time, gravity_m_s2), None if reference.position is None else spline.position(time)
 
 
-def _pose_settings(reference: "Reference", cutoff_hz: str | None) -> tuple["PoseSettings", "dict[str, Cutoff]"]:
-    """Return how poses are filtered, and the cut-offs that were chosen from the recording."""
-    from undrift.sim.motion.poses import PoseSettings, Signal, choose_cutoff
+def _pose_settings(cutoff_hz: str | None) -> "PoseSettings":
+    """Return how poses are filtered."""
+    from undrift.sim.motion.poses import PoseSettings
 
     if cutoff_hz is None:
-        return PoseSettings(), {}
+        return PoseSettings()
     if cutoff_hz == "none":
-        return PoseSettings(cutoff_hz=None, position_cutoff_hz=None), {}
-    if cutoff_hz == "auto":
-        signals: tuple[Signal, ...] = ("orientation",) if reference.position is None else ("orientation", "position")
-        chosen = {str(signal): choose_cutoff(reference, signal=signal) for signal in signals}
-        position = chosen["position"].cutoff_hz if "position" in chosen else None
-        return PoseSettings(cutoff_hz=chosen["orientation"].cutoff_hz, position_cutoff_hz=position), chosen
+        return PoseSettings(cutoff_hz=None, position_cutoff_hz=None)
     try:
         stated = float(cutoff_hz)
     except ValueError:
-        raise InputError(
-            f"`cutoff_hz`: wanted a number in Hz, auto or none, got '{cutoff_hz}'; give one of them"
-        ) from None
-    return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated), {}
+        raise InputError(f"`cutoff_hz`: wanted a number in Hz or none, got '{cutoff_hz}'; give one of them") from None
+    return PoseSettings(cutoff_hz=stated, position_cutoff_hz=stated)
 
 
-def _moved(
-    motion: str, model: "DeviceModel", output: Path, simulated: "Simulated", chosen: "dict[str, Cutoff]"
-) -> Summary:
+def _moved(motion: str, model: "DeviceModel", output: Path, simulated: "Simulated") -> Summary:
     """Write a simulated motion, and return the size of each effect, saturation and gaps."""
     import numpy as np
 
@@ -240,10 +224,9 @@ def _moved(
 
     record = simulated.record
     write_record(record, output)
-    cutoffs = {signal: {"cutoff_hz": one.cutoff_hz, "method": one.method} for signal, one in chosen.items()}
-    text = [f"cut-off of the {name}: {one.cutoff_hz:.1f} Hz, as {one.reason}" for name, one in chosen.items()]
+    text = list[str]()
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
-    figures = ({"cutoff": cutoffs} if chosen else {}) | _of_record(model, record) | {"gaps": gaps}
+    figures = _of_record(model, record) | {"gaps": gaps}
     rows = list[dict[str, str]]()
     for name, key, unit, factor, triad in (
         ("gyroscope", "gyro_rad_s", "deg/s", RADIAN_PER_DEGREE, simulated.gyro),

@@ -15,16 +15,13 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
     from undrift.study.judge import ParameterEffect
-    from undrift.study.outcome import EffectPower, ErrorBreakdown, Stage, StudyOutcome, TaskOutcome
+    from undrift.study.outcome import ErrorBreakdown, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
-    from undrift.study.real import CohortComparison, RealOutcome
-    from undrift.study.rivals import TriadRow
     from undrift.study.run import TaskSurface
 
 QUICK_SUBJECTS = 8
 # Of a study, in place of the plan's
-NUMBERS = ("subjects", "search", "offset", "target_deg", "confidence", "seed", "candidates")
-REAL_FIGURES = ("rmse_total_deg", "rmse_inclination_deg", "max_abs_pitch_deg", "end_total_deg")
+NUMBERS = ("subjects", "offset", "target_deg", "confidence", "seed")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -61,17 +58,9 @@ class Choices:
     ----------
     quick : bool
         The ends of what is tried, on eight subjects: a first look.
-    search : str or None
-        "grid" runs every protocol on every subject; "halving" keeps the better half of the protocols and doubles the subjects,
-        round by round; "cma" evolves protocols by CMA-ES, for wide spaces (pip install undrift[search]). The plan's where not
-        given, else "grid".
     categories : str or None
         Categories of subjects, separated by commas, or "all": level_1 to level_4 (level_2 is the note's), young, elderly,
-        impaired, parkinson, and those of the plan. Each performs every task, and each one's optimum is worn by the others. The
-        plan's where not given, else level_2.
-    candidates : int or None
-        Most protocols of a task that halving draws from a wider space, or that cma tries; the plan's where not given, else all
-        and 600.
+        impaired, parkinson, and those of the plan. Each performs every task. The plan's where not given, else level_2.
     subjects : int or None
         Other number of subjects than the plan's.
     offset : str or None
@@ -86,9 +75,7 @@ class Choices:
     """
 
     quick: Flag = False
-    search: Literal["grid", "halving", "cma"] | None = None
     categories: str | None = None
-    candidates: int | None = None
     subjects: int | None = None
     offset: Literal["rest", "motion", "none"] | None = None
     target_deg: float | None = None
@@ -98,19 +85,15 @@ class Choices:
     def applied(self, plan: Path | None) -> "Study":
         """Return the study of a plan, or the note's, with these choices."""
         from undrift.study.plan import ends_of, note_study, read_study, with_categories
-        from undrift.study.search import check_installed
 
         if self.seed is not None and self.seed < 0:
             raise InputError(f"seed: wanted 0 or more, got {self.seed}; give another")
-        if self.candidates is not None and self.candidates < 4:
-            raise InputError(f"candidates: wanted 4 or more, got {self.candidates}; give more")
         study = note_study(quick=self.quick) if plan is None else read_study(plan)
         if self.quick:
             study = study if plan is None else ends_of(study)
             study = replace(study, subjects=min(QUICK_SUBJECTS, study.subjects))
         numbers: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
         study = replace(study, **{name: value for name, value in numbers.items() if value is not None})
-        check_installed(study)
         if self.categories is None:
             return study
         stated = [name.strip() for name in self.categories.split(",")]
@@ -128,7 +111,6 @@ def study(
     workers: int | None = None,
     scheduler: str | None = None,
     no_rivals: Flag = False,
-    real: Path | None = None,
     progress: Progress = silent,
 ) -> Studied:
     """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
@@ -147,10 +129,8 @@ def study(
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
     no_rivals : bool
-        Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and Figure 3 effect by
-        effect, about 9 s, and its 30 drawn units, 5 s each on one processor. --quick implies it.
-    real : Path or None
-        real.toml: real recordings to judge too. See docs/study-results.md.
+        Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and the 30 drawn units
+        of Figure 3, 5 s each on one processor. --quick implies it.
     """
     from undrift.study.case import run_unit, units_of
     from undrift.study.run import HEAD, Pool, RunStore, choose_executor
@@ -158,12 +138,7 @@ def study(
     if (plan is None) == (preset is None):
         raise InputError(f"study: wanted a study.toml or `preset` note, got {'both' if plan else 'neither'}; name one")
     planned = choices.applied(plan)
-    executor, rivals, recordings = choose_executor(scheduler, workers), not (no_rivals or choices.quick), None
-    if real is not None:
-        from undrift.study.real import read_real
-
-        progress("reading real recordings", 0.0)
-        recordings = read_real(real)
+    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
         raise InputError(f"{output}: wanted a new folder, or that of this study, got other files; name another")
@@ -171,32 +146,28 @@ def study(
     if isinstance(executor, Pool):  # while this process imports what it alone needs
         executor.start(partial(run_unit, units_of(planned)[0]))
     from undrift.commands.study_rig import write_protocols
-    from undrift.study.outcome import StudyProgress, forecast, judge_study
+    from undrift.study.outcome import StudyProgress, judge_study
 
-    stages = forecast(planned, output, workers=executor.workers, rivals=rivals, real=recordings)
-    progress("\n".join((*_announced(planned, stages, executor.workers), stages[0].name)), 0.0)
-    course = StudyProgress(progress, stages)
-    result = Studied(
-        outcome=judge_study(planned, executor, output, course=course, rivals=rivals, real=recordings), output=output
-    )
+    progress("\n".join((*_announced(planned, executor.workers), "")), 0.0)
+    course = StudyProgress(progress, stages=5 if rivals else 3)
+    outcome = judge_study(planned, executor, output, course=course, rivals=rivals)
+    result = Studied(outcome=outcome, output=output)
     write_protocols(result.outcome, output)
     summary = result.summary()
     save_json(output / "summary.json", summary.data)
-    at("undrift.report.page:write_page")(output / "report.html", summary, origin_of(plan, real))
+    at("undrift.report.page:write_page")(output / "report.html", summary, origin_of(plan))
     return result
 
 
-def _announced(planned: "Study", stages: "tuple[Stage, ...]", workers: int) -> tuple[str, ...]:
-    """Say how many runs there are, about how long all stages take, and which values no protocol has."""
-    from undrift.study.outcome import duration, untried_findings
-    from undrift.study.search import count_runs
+def _announced(planned: "Study", workers: int) -> tuple[str, ...]:
+    """Return how many runs there are, and which values no protocol has."""
+    from undrift.study.outcome import untried_findings
+    from undrift.study.run import count_runs
 
     tasks = ", ".join(task.key for task in planned.tasks)
-    most = sorted(stages, key=lambda stage: -stage.seconds)[:3]
-    parts = ", ".join(f"{stage.name} {duration(stage.seconds)}" for stage in stages if stage in most)
     return (
         f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
-        f"worker{'s' * (workers > 1)}, in all about {duration(sum(stage.seconds for stage in stages))} ({parts})",
+        f"worker{'s' * (workers > 1)}",
         *(f"{task.key}: {item.text}" for task in planned.tasks for item in untried_findings(task.space.untried())),
     )
 
@@ -205,8 +176,8 @@ def _announced(planned: "Study", stages: "tuple[Stage, ...]", workers: int) -> t
 
 
 HEAD_KEYS = (
-    "name", "device", "subjects", "seed", "objective", "timing", "search", "offset", "candidates", "level", "margin_deg",
-    "target_deg", "confidence",
+    "name", "device", "subjects", "seed", "objective", "timing", "offset", "level", "margin_deg", "target_deg",
+    "confidence",
 )  # fmt: skip
 FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg", "full_and_rest_max_deg")
 
@@ -214,14 +185,11 @@ FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg"
 def study_json(outcome: "StudyOutcome") -> dict[str, object]:
     """Return the JSON of a study."""
     from undrift.base.codec import tree_of
-    from undrift.study.claims import claims_of
 
     held, figure = outcome.study, outcome.figure3
     return {
         **{key: getattr(held, key) for key in HEAD_KEYS},
         "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
-        "trial": tree_of(held.trial) if held.trial.on else None,
-        "prices": tree_of(held.prices),
         "runs": outcome.runs,
         "tasks": [_task_json(task) for task in outcome.tasks],
         "cohorts": [
@@ -232,27 +200,10 @@ def study_json(outcome: "StudyOutcome") -> dict[str, object]:
         "figure3": figure and _figure3_json(figure),
         "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
         "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
-        "figure3_effects": [asdict(row) for row in outcome.figure3_effects] or None,
-        "designs": [asdict(row) for row in outcome.designs],
         "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,  # binding key
-        "rival_triads": [_triad_json(row) for row in outcome.rival_triads] or None,
-        "claims": [asdict(row) | {"lacks": row.lacks and row.lacks.text} for row in claims_of(outcome)],
+        "rival_triads": [asdict(row) for row in outcome.rival_triads] or None,
         "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
-        "real": outcome.real and _real_json(outcome.real),
-        "categories": [
-            asdict(each) | {"because": each.finding.text, "code": each.finding.code} for each in outcome.categories
-        ]
-        or None,
     }
-
-
-def _triad_json(row: "TriadRow") -> dict[str, object]:
-    needed = [worth.decision and worth.decision.subjects_needed for worth in row.worth]
-    held = asdict(row)
-    for worth, units in zip(held["worth"], needed, strict=True):
-        if worth["decision"] is not None:
-            worth["decision"] |= {"units_needed": units}
-    return held
 
 
 def _figure3_json(figure: "Figure3") -> dict[str, object]:
@@ -270,39 +221,11 @@ def _figure3_json(figure: "Figure3") -> dict[str, object]:
     }
 
 
-def _real_json(real: "RealOutcome") -> dict[str, object]:
-    def compared(rows: "tuple[CohortComparison, ...]") -> list[dict[str, object]]:
-        return [asdict(row) | {"inside": row.inside, "said": row.note} for row in rows]  # binding key
-
-    return {
-        "trials": [
-            {
-                "level": level.level,
-                "rounding": level.rounding,
-                "median": {name: getattr(level.median, name) for name in REAL_FIGURES},
-                "trials": [{"recording": trial.recording} | asdict(trial.figures) for trial in level.trials],
-                "agreement": level.agreement and asdict(level.agreement),
-            }
-            for level in real.errors
-        ],
-        "captures": compared(real.motions),
-        "worn": real.worn
-        and {
-            "rows": [asdict(row) for row in real.worn.rows],
-            "agreement": {level: asdict(pairwise) for level, pairwise in real.worn.agreement},
-        },
-        "stances": compared(real.sways),
-        "lacks": [lack.text for lack in real.lacks],
-        "figure3": real.figure3 and _figure3_json(real.figure3),
-    }
-
-
 def _task_json(task: "TaskOutcome") -> dict[str, object]:
     from undrift.io.store import findings_json
     from undrift.study.plan import ERRORS
 
-    surface, found, stopping, front = task.surface, task.optimum, task.stopping, task.front
-    powers = {power.name: power for power in task.powers}
+    surface, found, front = task.surface, task.optimum, task.front
     errors = ("error_rms_deg", "error_max_deg", "honest_error_deg", "honest_interval_deg", "p_value")
     return {
         "task": surface.task,
@@ -340,14 +263,8 @@ def _task_json(task: "TaskOutcome") -> dict[str, object]:
             for row in task.untried
         ],
         "made_of": [_split_json(split) for split in task.splits],
-        "effects": [_effect_json(effect, powers.get(effect.name)) for effect in found.effects],
-        "one_way": task.one_way and asdict(task.one_way),
-        "repeated_measures": task.repeated and asdict(task.repeated),
-        "optional_stopping": stopping
-        and {"parameter": task.stopping_of}
-        | {key: getattr(stopping, key) for key in ("looks", "crossings", "false_alarm")},
+        "effects": [_effect_json(effect) for effect in found.effects],
         "note": _note_json(task),
-        "halving": _halving_json(task),
         "findings": findings_json(task.findings),
     }
 
@@ -377,8 +294,7 @@ def _note_json(task: "TaskOutcome") -> dict[str, object] | None:
     values = [
         {"parameter": each.name, "value": each.value, "verdict": each.verdict, "because": each.finding.text}
         | {
-            name: found
-            and asdict(found) | {"other": _protocol(surface, found.other), "subjects_needed": found.subjects_needed}
+            name: found and asdict(found) | {"other": _protocol(surface, found.other)}
             for name, found in (("lower", each.lower), ("upper", each.upper))
         }
         for each in note.values
@@ -387,24 +303,11 @@ def _note_json(task: "TaskOutcome") -> dict[str, object] | None:
     return {**asdict(note.row), **figures, "because": note.finding.text, "values": values}
 
 
-def _halving_json(task: "TaskOutcome") -> dict[str, object] | None:
-    halving = task.halving
-    if halving is None:
-        return None
-    rounds = []
-    for each in halving.rounds:
-        means = zip(each.candidates, each.mean_deg.tolist(), strict=True)
-        rows = [_protocol(halving.every, int(place)) | {"mean_deg": mean} for place, mean in means]
-        rounds.append({"subjects": each.subjects, "protocols": rows})
-    numbers = {"runs": halving.runs, "runs_of_grid": halving.runs_of_grid, "generations": halving.generations}
-    return {**numbers, "rounds": rounds}
-
-
-def _effect_json(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, object]:
-    test, judged = effect.test, effect.judged
+def _effect_json(effect: "ParameterEffect") -> dict[str, object]:
+    test, judged = effect.anova, effect.judged
     return {
         "parameter": effect.name,
-        **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "missing", "dropped")},
+        **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "dropped")},
         "untested": effect.untested and effect.untested.detail,
         "f": test and test.f,
         "p_value": test and test.p_value,
@@ -412,18 +315,10 @@ def _effect_json(effect: "ParameterEffect", power: "EffectPower | None") -> dict
         "partial_eta_squared": test and test.partial_eta_squared,
         "partial_eta_squared_interval": test and test.partial_eta_squared_interval,
         "judged": judged
-        and {key: getattr(judged, key) for key in ("verdict", "p_better", "p_equivalent", "subjects_needed")}
-        | {
-            "decisions": [
-                asdict(each) | {"other": effect.values[each.other], "subjects_needed": each.subjects_needed}
-                for each in judged.decisions
-            ]
-        },
-        "greenhouse_geisser": effect.anova and effect.epsilon,
-        "power": power and power.power,
-        "subjects_needed": power and power.subjects,
-        "anova": effect.anova and asdict(effect.anova),
-        "mixed_model": effect.mixed and asdict(effect.mixed),
+        and {key: getattr(judged, key) for key in ("verdict", "p_better", "p_equivalent")}
+        | {"decisions": [asdict(each) | {"other": effect.values[each.other]} for each in judged.decisions]},
+        "greenhouse_geisser": test and test.sphericity.greenhouse_geisser,
+        "anova": test and asdict(test),
         "pairs": [
             asdict(pair) | {"first": effect.values[pair.first], "second": effect.values[pair.second]}
             for pair in effect.pairs

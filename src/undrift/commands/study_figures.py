@@ -1,18 +1,12 @@
-"""What a study shows of devices that were worn: the note's Figures 1 to 3, simulated and actual, and real recordings.
-
-Rows are those of study/figure3.py and study/real.py; ``study_sections`` puts the sections in their places.
-"""
+"""Sections of a study's report with the note's Figures 1 to 3. The rows of Figure 3 come from study/figure3.py."""
 
 from typing import TYPE_CHECKING
 
 from undrift.base.summary import (
-    Cells,
     Section,
     figure_of,
-    number,
     plain_words,
     rows_section,
-    table_section,
     with_interval,
 )
 from undrift.sim.motion.tasks import CATEGORIES
@@ -21,7 +15,6 @@ from undrift.study.space import COMPARED_NAMES
 if TYPE_CHECKING:
     from undrift.study.figure3 import DrawnRow, Figure3
     from undrift.study.outcome import StudyOutcome
-    from undrift.study.real import CohortComparison, Pairwise, RealErrors, RealOutcome, Worn, WornRow
 
 SLOPE_OF_THE_NOTE = (
     "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
@@ -34,103 +27,6 @@ def task_words(key: str) -> str:
     name, _, category = key.partition("-")
     label = next((held.label for kind, held in CATEGORIES.items() if kind == category), plain_words(category))
     return f"{plain_words(name)}, {label}" if label else plain_words(name)
-
-
-# ---- real recordings
-
-
-def real_sections(real: "RealOutcome | None") -> tuple[Section, ...]:
-    """Return the sections on real recordings."""
-    if real is None:
-        return ()
-    return (
-        _trials(real.errors),
-        _compared("Real recordings: captured people and the cohort", real.motions),
-        *((_worn(real.worn),) if real.worn else ()),
-        _compared("Real recordings: stance on a force plate and the cohort's sway", real.sways),
-        Section(title="Real recordings: what is not there", findings=real.lacks),
-    )
-
-
-def _trials(levels: "tuple[RealErrors, ...]") -> Section:
-    if not levels:
-        return Section(title="")
-    heads = {
-        "rmse_total_deg": "total rms (deg)",
-        "rmse_inclination_deg": "inclination rms",
-        "max_abs_pitch_deg": "largest pitch error",
-        "end_total_deg": "total at the end",
-    }
-    named = [(trial.recording, level, trial.figures) for level in levels for trial in level.trials]
-    rows = tuple(
-        (name, level.level, level.rounding, *(number(getattr(figures, key)) for key in heads))
-        for name, level, figures in (*named, *(("median", level, level.median) for level in levels))
-    )
-    rounding = (
-        "Converters that truncate leave half a step as an offset. Rounding undone: the half step is corrected at all three "
-        "levels; left in: at none. Compare levels with the same treatment alone."
-    )
-    if levels[0].rounding == "none found":
-        rounding = "The codes of no recording show how the converter rounds: no correction."
-    return Section(
-        title="Real recordings: devices worn beside optics",
-        text=(
-            "none: no offset removed; rest: less the mean rate of the first rest; calibrated: a gyroscope fit to the other trials "
-            "of the same device, without the one that is judged.",
-            rounding,
-            *(
-                _agreement(f"{each.level}, rounding {each.rounding}", each.agreement)
-                for each in levels
-                if each.agreement
-            ),
-        ),
-        columns=("recording", "level", "converter's rounding", *heads.values()),
-        rows=rows,
-    )
-
-
-def _agreement(level: str, held: "Pairwise") -> str:
-    limits, icc = held.limits, held.icc
-    return (
-        f"{level}: {held.quantity}: bias {limits.bias:.2f}, limits of agreement {limits.limits[0]:.2f} to "
-        f"{limits.limits[1]:.2f} ({limits.count} trials); ICC(2,1) {icc.value:.4f} [{icc.interval[0]:.4f}, "
-        f"{icc.interval[1]:.4f}]."
-    )
-
-
-def _compared(title: str, rows: "tuple[CohortComparison, ...]") -> Section:
-    cells: Cells[CohortComparison] = (
-        ("trial", lambda row: row.trial),
-        ("task", lambda row: task_words(row.task)),
-        ("measure", lambda row: f"{row.measure} ({row.unit})"),
-        ("real", lambda row: number(row.real)),
-        ("cohort's median", lambda row: f"{row.median:.2f}"),
-        ("cohort's 95 %", lambda row: f"{row.low:.2f} to {row.high:.2f}"),
-        ("inside", lambda row: "" if row.real != row.real else "yes" if row.inside else "no"),
-    )
-    notes = dict.fromkeys(f"{row.trial}: {row.note}." for row in rows if row.note)
-    text = ("Other people than the cohort: nothing is paired, a figure is within the cohort's 95 % or not.", *notes)
-    return table_section(title, rows, cells, text=text if rows else ())
-
-
-def _worn(worn: "Worn") -> Section:
-    cells: Cells[WornRow] = (
-        ("trial", lambda row: row.trial),
-        ("compensation", lambda row: row.level),
-        ("rms (deg)", lambda row: f"{row.error_rms_deg:.2f}"),
-        ("max (deg)", lambda row: f"{row.error_max_deg:.2f}"),
-        ("lean, optics (deg)", lambda row: f"{row.lean_optics_deg:.1f}"),
-        ("lean, device (deg)", lambda row: f"{row.lean_device_deg:.1f}"),
-        ("length (s)", lambda row: f"{row.length_s:.1f}"),
-        ("saturated (%)", lambda row: f"{100.0 * row.saturated:.1f}"),
-    )
-    text = (
-        "Pitch of the simulated device against the optics: without compensation, static alone, static and dynamic.",
-        *(_agreement(level, held) for level, held in worn.agreement),
-    )
-    return table_section(
-        "Real recordings: the simulated device worn in the captured motions", worn.rows, cells, text=text
-    )
 
 
 # ---- Figures 1 to 3
@@ -155,26 +51,21 @@ def figure3_section(outcome: "StudyOutcome") -> Section:
         if missing is None or missing.code == "study.no_sit_to_stand":  # such a study does not speak of the figure
             return Section(title="")
         return Section(title=title, findings=(missing,))
-    twin = None if outcome.real is None else outcome.real.figure3
     rows = [
-        {"compensation": name}
-        | _columns("", found, k)
-        | (_drawn_columns(drawn[k]) if drawn else {})
-        | (_columns("twin of a real device: ", twin, k) if twin else {})
+        {"compensation": name} | _columns(found, k) | (_drawn_columns(drawn[k]) if drawn else {})
         for k, name in enumerate(COMPARED_NAMES)
     ]
-    text = (*_words(found, drawn), *((_twin_words(twin),) if twin else ()))
-    picture = figure_of("note:draw_figure3", found, COMPARED_NAMES, drawn, twin)
-    return rows_section(title, rows, text=text, pictures=(picture,))
+    picture = figure_of("note:draw_figure3", found, COMPARED_NAMES, drawn)
+    return rows_section(title, rows, text=_words(found, drawn), pictures=(picture,))
 
 
-def _columns(of: str, found: "Figure3", k: int) -> dict[str, str]:
+def _columns(found: "Figure3", k: int) -> dict[str, str]:
     """Return the cells of one compensation for one pair of devices."""
     return {
-        f"{of}simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
-        f"{of}actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
-        f"{of}largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
-        f"{of}correlation": f"{found.correlation[k]:.2f}",
+        "simulated: largest, rms (deg)": f"{found.simulated_max_deg[k]:.2f}, {found.simulated_rms_deg[k]:.2f}",
+        "actual: largest, rms (deg)": f"{found.actual_max_deg[k]:.2f}, {found.actual_rms_deg[k]:.2f}",
+        "largest difference (deg)": f"{found.simulated_actual_max_deg[k]:.2f}",
+        "correlation": f"{found.correlation[k]:.2f}",
     }
 
 
@@ -214,28 +105,3 @@ def _words(found: "Figure3", drawn: "tuple[DrawnRow, ...]") -> tuple[str, ...]:
             f"{SLOPE_OF_THE_NOTE}"
         )
     return tuple(text)
-
-
-def _twin_words(twin: "Figure3") -> str:
-    return (
-        "Twin of a real device: matrix, offset, noise and codes were found beside optics, offsets over temperature in a recording "
-        "at rest of this device or of another of its kind. Simulated is the typical unit of the kind, from its data sheet, which "
-        "does not know the sign of a unit's drift. With both tables the errors differ by at most "
-        f"{twin.simulated_actual_max_deg[2]:.2f} "
-        "deg. Not in the twin: dynamic drift, scale over temperature, hysteresis, flicker, lag of the thermometer."
-    )
-
-
-def figure3_effects(outcome: "StudyOutcome") -> Section:
-    """Return the section on what each effect of the actual device makes of the figure."""
-    rows = [
-        {"effect": plain_words(row.effect)}
-        | {f"{name} (deg)": f"{v:.2f}" for name, v in zip(COMPARED_NAMES, row.simulated_actual_max_deg, strict=True)}
-        | {"largest error, both tables (deg)": f"{row.full_max_deg:.2f}"}
-        for row in outcome.figure3_effects
-    ]
-    text = (
-        "The actual device's effects one at a time: largest difference between the two errors at each level of compensation, and "
-        "the largest error with both tables. Noise alone is another recording of the same model.",
-    )
-    return rows_section("Figure 3: simulated against actual, effect by effect", rows, text=text)

@@ -81,7 +81,8 @@ def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
                 f"File and commands have the level faces alone; errors above are with {', '.join(inclined)} too."
             )
         lines.append("undrift " + shlex.join(map(str, run_words(protocol, folder))))
-        lines.append(f"undrift calibrate {session} `output` {key}.json")
-        lines += [f"undrift drift {session} `calibration` {key}.json `output` {key}.json"] * oven
+        lines.append(f"undrift calibrate {session} `mode` paper `output` {key}.json")
+        tables = f"`spline` not-a-knot `tables` scale+dynamic `output` {key}.json"
+        lines += [f"undrift drift {session} `calibration` {key}.json {tables}"] * oven
     text = tuple(spoken(line, called=True) for line in lines)
     return Section(title="Commands for the rate table", text=text), *plans

@@ -1,11 +1,12 @@
 """What a study shows: the protocol to use, what speaks for it, Table 1 beside the note's, error surface, statistics, Figure 3.
 
-``answer_of`` is the sentence, ``sections_of`` everything under it. All but the answer, the findings, the note's tables and real
-recordings is folded. Rows are those of study/outcome.py; pictures are drawn by report/figures.py.
+``answer_of`` is the sentence, ``sections_of`` everything under it. All but the answer, the findings and the note's tables is
+folded. Rows are those of study/outcome.py; pictures are drawn by report/figures.py.
 """
 
 from dataclasses import replace
 from itertools import cycle
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from undrift.base.codec import tree_of
@@ -19,19 +20,17 @@ from undrift.base.summary import (
     table_section,
     with_interval,
 )
-from undrift.commands.study_figures import figure3_effects, figure3_section, note_flows, real_sections, task_words
+from undrift.commands.study_figures import figure3_section, note_flows, task_words
 from undrift.rig.programme import ProgrammeSettings
 from undrift.sim.motion.tasks import CATEGORIES
-from undrift.study.claims import claims_section, rival_sections
-from undrift.study.judge import needed_text
 from undrift.study.space import HEADINGS, OF_NOTE
 
 if TYPE_CHECKING:
     from undrift.study.judge import NoteValue, ParameterEffect
-    from undrift.study.outcome import EffectPower, StudyOutcome, TaskOutcome
+    from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Objective, Timing
+    from undrift.study.rivals import RivalRow, Spread, TriadRow
     from undrift.study.run import TaskSurface
-    from undrift.study.search import DesignRow, Halving, Round
     from undrift.study.statistics import Decision
 
 NOTE = (
@@ -69,6 +68,10 @@ def _answer_of(task: "TaskOutcome") -> str:
     lower, upper = tested.limits_deg
     if target.verdict == "not reached":
         return f"{_name(task)}: nothing that was tried, the best is above {lower:.2g} deg"
+    if target.verdict == "not enough" and tested.failed:
+        return f"{_name(task)}: {minutes} are not enough, {tested.failed} of {tested.subjects} devices were left uncalibrated"
+    if target.verdict == "not enough":
+        return f"{_name(task)}: {minutes} are not enough, above {lower:.2g} deg"
     words = {"enough": "are enough", "at the edge": "do, at the edge of what was tried"}
     return f"{_name(task)}: {minutes} {words.get(target.verdict, 'are not shown to do')}, below {upper:.2g} deg"
 
@@ -89,12 +92,7 @@ def sections_of(outcome: "StudyOutcome") -> tuple[Section, ...]:
         *(Section(title=f"{name}: findings", findings=tuple(found)) for name, found in apart.items()),
         _table_1(outcome),
         _note(outcome),
-        *(
-            Section(title=f"{plain_words(each.task)}: categories", findings=(each.finding,))
-            for each in outcome.categories
-        ),
         figure3_section(outcome),
-        *real_sections(outcome.real),
         *(replace(section, folded=True) for section in _details(outcome)),
         Section(title="How the study was made", text=(text, *_people(outcome)), folded=True),
     )
@@ -120,20 +118,14 @@ def _people(outcome: "StudyOutcome") -> tuple[str, ...]:
 
 def _details(outcome: "StudyOutcome") -> tuple[Section, ...]:
     return (
-        *(_rounds(outcome, task, task.halving) for task in outcome.tasks if task.halving is not None),
-        *_categories(outcome),
-        claims_section(outcome),
         _note_values(outcome),
-        _note_analysis(outcome),
         _other_cohort(outcome),
         _cohorts(outcome),
         _bench(outcome),
         *(section for task in outcome.tasks for section in _task_sections(outcome, task)),
         _tests(outcome),
         *note_flows(),
-        figure3_effects(outcome),
-        *design_sections(outcome.designs),
-        *rival_sections(outcome),
+        *_rivals(outcome),
     )
 
 
@@ -194,8 +186,8 @@ def _answer(outcome: "StudyOutcome") -> Section:
         )
         how = (
             f"The cheapest session whose mean error is below {study.target_deg:g} deg with {100.0 * study.confidence:g} % "
-            "confidence; where none is, the best. Cheapest: the shortest to the minute, then of the least price, then what "
-            "asks least of a laboratory; where an hour has a price, of the least price first."
+            "confidence, or the best if there is none. Cheapest: the shortest to the minute, then the one that asks least of a "
+            "laboratory."
         )
     recorded = any(task.motion is not None for task in study.tasks)
     who = "devices (of the people or motion that was recorded)" if recorded else "subjects and devices"
@@ -207,34 +199,6 @@ def _answer(outcome: "StudyOutcome") -> Section:
         "Below, omega_m and omega_M are the least and greatest rate of the table, d is the step between rates.",
     )
     return table_section("Answer: the protocol to use", outcome.tasks, cells, text=text)
-
-
-def _rounds(outcome: "StudyOutcome", task: "TaskOutcome", halving: "Halving") -> Section:
-    def best(each: "Round") -> str:
-        place = each.candidates[each.mean_deg.argmin()]
-        return f"{halving.every.cutoff_hz[place]:.4g} Hz, {_rates_of(halving.every, place)} deg/s{_further(halving.every, place)}"
-
-    cells: Cells[Round] = (
-        ("protocols", lambda each: str(len(each.candidates))),
-        ("subjects", lambda each: str(each.subjects)),
-        ("best so far", best),
-        ("its mean error (deg)", lambda each: f"{each.mean_deg.min():.3f}"),
-        ("largest mean error (deg)", lambda each: f"{each.mean_deg.max():.3f}"),
-    )
-    how = "Each round keeps the better half of the protocols and doubles the subjects."
-    tried, every = len(halving.points), halving.runs_of_grid // outcome.study.subjects
-    if halving.generations:
-        met = halving.rounds[0].subjects
-        how = f"The first {halving.generations} rounds are generations of CMA-ES, each on the next {met} subjects. "
-        how += "The best are halved: each round keeps the better half of the protocols and doubles the subjects."
-    elif tried < every:
-        how = f"{tried} of {every} protocols were drawn by a Latin hypercube. {how}"
-    text = (
-        f"{halving.runs} runs; the full grid has {halving.runs_of_grid}. {how} All tables below but the front compare the "
-        "protocols of the last round.",
-    )
-    title = f"{_name(task)}: {'CMA-ES, then halving' if halving.generations else 'successive halving'}"
-    return table_section(title, halving.rounds, cells, text=text)
 
 
 # ---- tables 1 and 2, the other cohort
@@ -259,32 +223,12 @@ def _table_1(outcome: "StudyOutcome") -> Section:
             rest = ("", "", "") if note.place is None else _protocol(task.surface, note.place)[4:]
             mark = " *" if note.row.erratum else ""
             rows.append((f"… the note{mark}", *four, *rest, f"{note.row.p_value:.3f}, its own"))
-    text.append("p is the least of the four parameters', after Holm, the others at the optimum.")
+    text.append("p is the smallest over all parameters that were varied, after Holm, with the others at the optimum.")
     of_note = [task.note for task in outcome.tasks if task.note]
     text += ["In the note's rows it is as printed; the note does not define its test."] * bool(of_note)
     text += sorted({f"* {note.row.erratum}" for note in of_note if note.row.erratum})
     heads = ("task", *_PROTOCOL, "p")
     return Section(title="Table 1: optimised parameters", text=tuple(text), columns=heads, rows=tuple(rows))
-
-
-def _categories(outcome: "StudyOutcome") -> tuple[Section, ...]:
-    """Return, for each task, the optimum of every category worn by the others."""
-    sections = []
-    for each in outcome.categories:
-        rows = [
-            {"subjects": cell.labels[1], "optimum of": cell.labels[0], "error (deg)": f"{cell.error_deg:.3f}"}
-            | {"with their own (deg)": f"{cell.own_deg:.3f}"}
-            | _decision_cells(cell.decision)
-            for cell in each.crossed
-            if cell.decision is not None
-        ]
-        text = (
-            "The other cohort of each category with the optimum that another category chose. Better: their own optimum is, by more "
-            f"than {each.margin_deg:g} deg. {DECISIONS}",
-        )
-        title = f"{plain_words(each.task)}: the optimum of each category, worn by the others"
-        sections.append(rows_section(title, rows, text=text))
-    return tuple(sections)
 
 
 def _note(outcome: "StudyOutcome") -> Section:
@@ -343,41 +287,11 @@ def _decision_cells(found: "Decision") -> dict[str, str]:
     return {
         "difference (deg)": f"{found.difference:.3f}",
         "95 % interval": interval(found.interval),
-        "dz": with_interval(found.cohen_dz, found.dz_interval, ".2f") if found.sd > 0.0 else "–",
+        "dz": with_interval(found.cohen_dz, found.dz_interval, ".2f") if isfinite(found.cohen_dz) else "–",
         "p of better": _p(found.p_better),
         "p of equivalent": _p(found.p_equivalent),
         "verdict": found.verdict,
-        "subjects for power 0.8": needed_text(found.subjects_needed),
     }
-
-
-def _note_analysis(outcome: "StudyOutcome") -> Section:
-    rows = []
-    for task in outcome.tasks:
-        one, repeated, note = task.one_way, task.repeated, task.note
-        if one is None or repeated is None:
-            continue
-        rows.append(
-            {
-                "task": _name(task),
-                "the note's p": f"{note.row.p_value:.3f}" if note else "",
-                "one-way F (degrees of freedom)": f"{one.f:.2f} ({one.dof[0]:.0f}, {one.dof[1]:.0f})",
-                "its p": _p(one.p_value),
-                "eta² [95 %]": with_interval(one.eta_squared, one.eta_squared_interval),
-                "repeated measures F": f"{repeated.f:.2f} (epsilon {repeated.sphericity.greenhouse_geisser:.3f})",
-                "p, corrected": _p(repeated.p_value),
-                "partial eta² [95 %]": with_interval(
-                    repeated.partial_eta_squared, repeated.partial_eta_squared_interval
-                ),
-                "least p of a parameter, after Holm": _p(task.optimum.p_value),
-            }
-        )
-    text = (
-        'The note analysed "by ANOVA", task by task, and does not describe it. One-way: all protocols of a task as if other '
-        "subjects had met each. Repeated measures: every subject met every protocol, so that differences between subjects are no "
-        "error; p with the correction for sphericity. Neither shows that protocols are equivalent: that is what the margin is for.",
-    )
-    return rows_section("The note's analysis of variance beside a stricter one", rows, text=text)
 
 
 def _other_cohort(outcome: "StudyOutcome") -> Section:
@@ -420,11 +334,9 @@ def _cohorts(outcome: "StudyOutcome") -> Section:
 
 def _bench(outcome: "StudyOutcome") -> Section:
     held = tree_of(outcome.study.bench) | {"chain_percent": 100.0 * outcome.study.chain_sd}
-    held |= tree_of(outcome.study.trial) if outcome.study.trial.on else {}
     rows = [{"key of study.toml": key, "value": f"{value:g}"} for key, value in held.items()]
     text = (
-        "Standard deviations, but for encoder_lines (lines), board_lag_s (s) and what wearing does to the sensor (tissue, impact, "
-        "vibration). Every protocol of a subject has the same draws.",
+        "Standard deviations, except encoder_lines (lines) and board_lag_s (s). Every protocol of a subject has the same draws.",
     )
     return rows_section("Errors of bench and parts", rows, text=text)
 
@@ -436,12 +348,11 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
     name, own = _name(task), outcome.study.timing
     timings = (own, *(timing for timing in TIMINGS if timing != own))
     surfaces = tuple(figure_of("figures:draw_surface", outcome, task, each, HEADINGS) for each in timings)
-    white = "not tried" if task.halving is None else "not tried, dropped in an earlier round"
     return (
         Section(
             title=f"{name}: error surface",
             text=(
-                f"Mean error over the subjects. Each cell is the best of the protocols that share it; white: {white}, or a "
+                f"Mean error over the subjects. Each cell is the best of the protocols that share it; white: not tried, or a "
                 "device could not be calibrated. Star: optimum; ring: the note's protocol. The colours span a factor of two at "
                 f"least, so that small differences look small. Above {timings[0]}, below {timings[1]}.",
             ),
@@ -457,8 +368,6 @@ def _task_sections(outcome: "StudyOutcome", task: "TaskOutcome") -> tuple[Sectio
 def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
     """Return the front of error against minutes."""
     front, surface, text = task.front, task.front.surface, "One point a protocol"
-    if task.halving is not None:
-        text += " of the last round; the front comes from all that were tried, and what seemed to be on it met every subject too"
     error = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
     heads = (*(HEADINGS[name] for name in surface.names), error, "95 % interval", "session (min)")
     rows = [
@@ -476,57 +385,34 @@ def _front(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
 
 
 def _effects(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
-    powers = {power.name: power for power in task.powers}
     text = [
         "One parameter at a time, the others at the optimum; bars are 95 % intervals within subjects, p after Holm over the "
-        "parameters. Partial eta²: share of the variance left after the subjects' own levels. Power: chance that as many subjects "
-        "detect these differences.",
+        "parameters. Partial eta²: share of the variance left after the subjects' own levels.",
         f"Better: the optimum's value is better than another by more than {outcome.study.margin_deg:g} deg. Equivalent: all values "
-        "are within it. Not decidable: neither is shown; the last column has the subjects that would do, were these means true.",
-        _stopping(outcome, task),
+        "are within it. Not decidable: neither is shown.",
     ]
     title = f"{_name(task)}: what each parameter does"
-    rows = [_effect_row(effect, powers.get(effect.name)) for effect in task.optimum.effects]
+    rows = [_effect_row(effect) for effect in task.optimum.effects]
     return rows_section(title, rows, text=tuple(text), pictures=(figure_of("figures:draw_effects", task, HEADINGS),))
 
 
-def _effect_row(effect: "ParameterEffect", power: "EffectPower | None") -> dict[str, str]:
-    judged, test, values = effect.judged, effect.test, ", ".join(f"{value:.4g}" for value in effect.values)
+def _effect_row(effect: "ParameterEffect") -> dict[str, str]:
+    judged, test, values = effect.judged, effect.anova, ", ".join(f"{value:.4g}" for value in effect.values)
     if len(effect.dropped):
-        values += f" (left out, too few calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
-    named = "ANOVA" if effect.anova is not None else f"mixed model, {effect.missing} missing"
-    needed = "none" if power is None or power.subjects is None else str(power.subjects)
+        values += f" (left out, a device was not calibrated: {', '.join(f'{value:.4g}' for value in effect.dropped)})"
     share = with_interval(test.partial_eta_squared, test.partial_eta_squared_interval, ".2f") if test else ""
     return {
         "parameter": HEADINGS[effect.name],
         "values tried": values,
         "best to worst (deg)": f"{effect.span_deg:.3f}" if test else "",
-        "test": f"none: {effect.untested.detail}" if effect.untested else named,
+        "test": f"none: {effect.untested.detail}" if effect.untested else "ANOVA",
         "F (degrees of freedom)": f"{test.f:.2f} ({test.dof[0]:.0f}, {test.dof[1]:.0f})" if test else "",
         "p after Holm": _p(effect.p_holm) if test else "",
         "partial eta² [95 %]": share,
-        "power": f"{power.power:.2f}" if power else "",
-        "subjects for power 0.8": needed if test else "",
         "verdict": judged.verdict if judged else "",
         "p of better": _p(judged.p_better) if judged else "",
         "p of equivalent": _p(judged.p_equivalent) if judged else "",
-        "subjects for a verdict": needed_text(judged.subjects_needed) if judged else "",
     }
-
-
-def _stopping(outcome: "StudyOutcome", task: "TaskOutcome") -> str:
-    level, held = outcome.study.level, task.stopping
-    if held is None:
-        return (
-            "Optional stopping: adding subjects until p falls below the level raises the rate of false findings; it is computed "
-            "with more than ten subjects. Fix their number beforehand."
-        )
-    first, last = held.p_by_subjects[0][0], held.p_by_subjects[-1][0]
-    return (
-        f"Optional stopping: adding subjects until p falls below {level:g} gives a false finding in {100.0 * held.false_alarm:.0f} "
-        f"% of studies in place of {100.0 * level:g} % (looks from {first} to {last} subjects). Here p of "
-        f"{HEADINGS[task.stopping_of]} crossed the level {held.crossings} times. Fix the number of subjects beforehand."
-    )
 
 
 def _decisions(task: "TaskOutcome") -> Section:
@@ -582,88 +468,69 @@ def _tests(outcome: "StudyOutcome") -> Section:
         {"task: parameter": f"{_name(task)}: {HEADINGS[effect.name]}"} | _test_row(effect)
         for task in outcome.tasks
         for effect in task.optimum.effects
-        if effect.test is not None
+        if effect.anova is not None
     ]
     text = (
         "One-way repeated-measures analysis of variance; p uncorrected, with the degrees of freedom of Greenhouse-Geisser (GG), "
         "and of Huynh-Feldt (HF). The p above is HF where epsilon GG exceeds 0.75, else GG. Mauchly's test needs three values or "
-        "more. A mixed model has one p and assumes spherical differences.",
+        "more.",
     )
     return rows_section("The tests in full", rows, text=text)
 
 
 def _test_row(effect: "ParameterEffect") -> dict[str, str]:
-    found, mixed = effect.anova, effect.mixed
-    form = found.sphericity if found else None
-    several = form if found and found.conditions > 2 else None
+    if (found := effect.anova) is None:
+        return {}
+    form = found.sphericity
+    several = form if found.conditions > 2 else None
     return {
-        "p": _p(found.p_uncorrected) if found else _p(mixed.p_value) if mixed else "",
-        "p GG": _p(found.p_greenhouse_geisser) if found else "",
-        "p HF": _p(found.p_huynh_feldt) if found else "",
-        "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction] if found else "mixed model",
-        "epsilon GG": f"{form.greenhouse_geisser:.2f}" if form else "",
-        "epsilon HF": f"{form.huynh_feldt:.2f}" if form else "",
+        "p": _p(found.p_uncorrected),
+        "p GG": _p(found.p_greenhouse_geisser),
+        "p HF": _p(found.p_huynh_feldt),
+        "quoted": {"huynh-feldt": "HF", "greenhouse-geisser": "GG"}[found.correction],
+        "epsilon GG": f"{form.greenhouse_geisser:.2f}",
+        "epsilon HF": f"{form.huynh_feldt:.2f}",
         "Mauchly's W": f"{several.mauchly_w:.2f}" if several else "",
         "p of Mauchly": _p(several.p_value) if several else "",
-        "generalised eta²": f"{found.generalized_eta_squared:.3f}" if found else "",
+        "generalised eta²": f"{found.generalized_eta_squared:.3f}",
         "residual sd (deg)": f"{effect.error_variance**0.5:.4f}",
     }
 
 
-# ---- rates to dwell at
-
-MANY = 8  # rates; of more the two ends are shown
-MOTION_S = 10.0  # for which a rate error is shown as an angle too
+# ---- other ways to calibrate
 
 
-def design_sections(rows: "tuple[DesignRow, ...]") -> tuple[Section, ...]:
-    """Return the section on rates to dwell at."""
-    if not rows:
-        return ()
-    highest = max(row.degree for row in rows)
-    cells: Cells[DesignRow] = (
-        ("task", lambda row: task_words(row.task)),
-        ("curve", lambda row: _curve(row.degree)),
-        ("set", lambda row: f"{row.grid} grid" if row.criterion == "uniform" else f"{row.criterion}-optimal"),
-        ("time at rates of an axis (deg/s)", _rates),
-        ("grid's D-efficiency", lambda row: "" if row.criterion == "uniform" else f"{row.d_efficiency_uniform:.2f}"),
-        ("grid's I-efficiency", lambda row: "" if row.criterion == "uniform" else f"{row.i_efficiency_uniform:.2f}"),
-        ("dwells", lambda row: f"{row.dwells}"),
-        ("each (s)", lambda row: "–" if row.dwell_s is None else f"{row.dwell_s:g}"),
-        ("rate error (deg/s)", lambda row: "–" if row.error_dps is None else f"{row.error_dps:.2g}"),
+def _rivals(outcome: "StudyOutcome") -> tuple[Section, ...]:
+    """Return the other ways to calibrate: the error that each leaves in a task, and its errors of each triad."""
+    tasks: Cells[RivalRow] = (
+        ("task", lambda row: plain_words(row.task)),
+        ("method", lambda row: plain_words(row.method)),
+        ("calibrates", lambda row: ", ".join(row.observable) or "nothing"),
+        ("min", lambda row: f"{row.minutes:.1f}"),
+        ("rms (deg)", lambda row: _over_units(row.error_rms_deg)),
+        ("max (deg)", lambda row: _over_units(row.error_max_deg)),
+        ("refused", lambda row: f"{row.refused} of {row.units}"),
     )
-    text = (
-        "All sets have the grid's dwelling time and greatest rate. D: least uncertainty of the coefficients together. I: least "
-        "error of the rate over the task, whose rates are those of the cohort about the axis of the pitch.",
-        "Efficiency: the grid's information over the set's; 0.5 needs twice the time. The error comes from the white noise of the "
-        "dwells alone; drift of the offset adds to it, whatever the rates.",
-        *(_meaning(row, rows) for row in rows if row.degree == highest and row.criterion == "I"),
+    triads: Cells[TriadRow] = (
+        ("triad", lambda row: row.triad),
+        ("method", lambda row: plain_words(row.method)),
+        ("calibrated", lambda row: f"{row.calibrated} of {row.units}"),
+        ("scale (%)", lambda row: _over_units(row.scale_percent)),
+        ("cross-axis (%)", lambda row: _over_units(row.cross_axis_percent)),
+        ("offset (m/s2 or deg/s)", lambda row: _over_units(row.offset)),
     )
-    title = "Rates to dwell at: D- and I-optimal sets against the uniform grid"
-    return (table_section(title, rows, cells, text=text),)
-
-
-def _meaning(best: "DesignRow", rows: "tuple[DesignRow, ...]") -> str:
-    own = (best.task, best.degree, "uniform")
-    even = next(row for row in rows if (row.task, row.degree, row.criterion) == own)
-    text = (
-        f"{task_words(best.task)}, {_curve(best.degree)}: the I-optimal set reaches the error of {best.grid} grid in "
-        f"{100.0 * best.i_efficiency_uniform:.0f} % of its dwelling time"
+    text = "Median over the units, with the least and the greatest. The data sheet replaces a triad that a method cannot calibrate."
+    title = "The note's Discussion as an experiment: other ways to calibrate"
+    if not outcome.rivals:
+        missing = outcome.rivals_missing
+        return (Section(title=title, findings=(missing,) if missing else ()),)
+    return (
+        table_section(title, outcome.rivals, tasks, text=(text,)),
+        table_section("Other ways to calibrate: each triad", outcome.rival_triads, triads),
     )
-    if best.error_dps is not None and even.error_dps is not None:
-        angle_deg = MOTION_S * abs(even.error_dps - best.error_dps)
-        text += f" (or {best.error_dps:.2g} in place of {even.error_dps:.2g} deg/s in the same: at most {angle_deg:.1g} deg "
-        text += f"in {MOTION_S:g} s of motion)"
-    beyond = "" if best.beyond == 0.0 else f" {100.0 * best.beyond:.2g} % of the task's rates are above the grid's."
-    return f"{text}.{beyond}"
 
 
-def _rates(row: "DesignRow") -> str:
-    if len(row.share) > MANY:
-        return f"{len(row.share)} rates from {row.turn_rate_dps[0]:.3g} to {row.turn_rate_dps[-1]:.3g}, equal shares"
-    pairs = zip(row.turn_rate_dps, row.share, strict=True)
-    return ", ".join(f"{100.0 * share:.0f} % at {rate:.3g}" for rate, share in pairs)
-
-
-def _curve(degree: int) -> str:
-    return {1: "line", 3: "cubic"}.get(degree, f"degree {degree}")
+def _over_units(spread: "Spread") -> str:
+    if spread.median != spread.median:
+        return "no unit"
+    return f"{spread.median:.3f} [{spread.least:.3f} to {spread.greatest:.3f}]"

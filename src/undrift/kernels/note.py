@@ -1,7 +1,7 @@
 """Kernels of the note's method over many sessions at once: its fit, and the pitch error that each calibration leaves in a trial.
 
 Of S sessions one after the other, N dwells: gyro (N, 3) mean readings, raw unit; rate (N,) read rate about the axis, rad/s; temp
-(N,) degC; axis (N,), 3 a skew one; soak (N,); turning (N,) false at rest; first (S + 1,) where each begins. Tables as the
+(N,) degC; axis (N,); soak (N,); turning (N,) false at rest; first (S + 1,) where each begins. Tables as the
 correction takes them: line (S, 6 cells) offset over static_c, plane (S cells of both, 12) flat from plane_first on: error over
 dynamic_c and an even grid of 2 half + 1 rates up to top, rad/s. matrix (S, 9) rad/s per raw unit, offset (S, 3) raw unit,
 good (S,).
@@ -91,7 +91,7 @@ def matrix_by_eq6(
     # C = L S^T (S S^T)^-1 of one soak; false where the readings do not span three axes
     g, h = np.zeros((3, 3)), np.zeros((3, 3))
     for j in range(start, stop):
-        if turning[j] and soak[j] == home and axis[j] < 3:
+        if turning[j] and soak[j] == home:
             for p in range(3):
                 own = gyro[j, p] - offset[p]
                 h[axis[j], p] += rate[j] * own
@@ -116,16 +116,12 @@ def matrix_by_eq6(
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def left_over_rate(
     gyro: FloatArray, rate: FloatArray, axis: IntArray, turning: BoolArray, soak: IntArray, start: int, stop: int,
-    skew_from: int, offsets: FloatArray, m: FloatArray, top: float, half: int, error: FloatArray,
+    offsets: FloatArray, m: FloatArray, top: float, half: int, error: FloatArray,
 ) -> bool:  # fmt: skip
-    # error (K, 2 half + 1, 3): at each soak a spline through what is left over the measured rate; false where two are equal.
-    # With a skew axis at that soak alone which is not -1; elsewhere each row of the matrix keeps its shape, and has the size that
-    # this axis reads there
+    # error (K, 2 half + 1, 3): at each soak a spline through what is left over the measured rate; false where two are equal
     most = stop - start + 1
     x, y, s, c = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
     for k in range(offsets.shape[0]):
-        if skew_from >= 0 and k != skew_from:
-            continue
         for i in range(3):
             n = 1
             x[0], y[0] = 0.0, 0.0
@@ -152,19 +148,6 @@ def left_over_rate(
                 while at < n - 2 and w > x[at + 1]:
                     at += 1
                 error[k, node, i] = value(x, y, s, at, w)
-    read = np.zeros((offsets.shape[0], 4))  # of the skew axis, by least squares: sums with the rate, of its square
-    for j in range(start, stop):
-        if skew_from >= 0 and turning[j] and axis[j] == 3:
-            read[soak[j], 3] += rate[j] * rate[j]
-            for i in range(3):
-                for p in range(3):
-                    read[soak[j], i] += rate[j] * m[3 * i + p] * (gyro[j, p] - offsets[soak[j], p])
-    for k in range(offsets.shape[0] if skew_from >= 0 else 0):
-        for i in range(3):
-            less = read[skew_from, i] / read[skew_from, 3] * read[k, 3] / read[k, i]
-            for node in range(2 * half + 1):
-                w = top * (node - half) / half
-                error[k, node, i] = w - less * (w - error[skew_from, node, i])
     return True
 
 
@@ -211,9 +194,8 @@ def fit_sessions(
         count = 2 * half[session] + 1
         error, table = np.empty((soaks, count, 3)), np.empty((count, 3, dynamic_c.size))
         if not left_over_rate(
-            gyro, rate, axis, turning, soak, start, stop, home if axis[start:stop].max() > 2 else -1, offsets, m, top[session],
-            half[session], error,
-        ):  # fmt: skip
+            gyro, rate, axis, turning, soak, start, stop, offsets, m, top[session], half[session], error
+        ):
             continue
         for node in range(count):
             for i in range(3):
@@ -293,28 +275,3 @@ def pitch_errors(
                 out[session, 3 * v], out[session, 3 * v + 1] = math.sqrt(square[v] / count[v]), largest[v]
             if ending[v] > 0:
                 out[session, 3 * v + 2] = abs(np.median(end[v, : ending[v]]))
-
-
-# ---- optimal designs
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def climb(f: FloatArray, wanted: FloatArray, weighed: bool, rounds: int, converged: float, share: FloatArray) -> None:
-    # share (n,) of the time at candidates f (n, p): multiplied by the root of the gain over its mean, which is f^T A f with
-    # A = M^-1, or M^-1 wanted M^-1, M = sum of share f f^T
-    gain = np.empty(share.size)
-    for _ in range(rounds):
-        inverse = np.linalg.inv((f * share.reshape(-1, 1)).T @ f)
-        if weighed:
-            inverse = inverse @ wanted @ inverse
-        mean = 0.0
-        for k in range(share.size):
-            gain[k] = 0.0
-            for i in range(f.shape[1]):
-                for j in range(f.shape[1]):
-                    gain[k] += f[k, i] * inverse[i, j] * f[k, j]
-            mean += share[k] * gain[k]
-        if gain.max() < mean * (1.0 + converged):
-            break
-        share *= np.sqrt(gain / mean)
-        share /= share.sum()

@@ -6,7 +6,7 @@ of the errors: rigs share mountings, level and clock, and a dwell has the same d
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -79,33 +79,30 @@ def gain_of(errors: BenchErrors, streams: Streams) -> float:
 class BenchDraws:
     """Numbers by which a bench errs, the same for every session on it: K soaks, U kinds of dwells."""
 
-    mount: FloatArray  # (A, 3), normal, by the axis that is up: three, and one that lies skew
+    mount: FloatArray  # (3, 3), normal, by the axis that is up
     level: FloatArray  # (2,), normal
     clock: float  # Normal
     face: FloatArray  # (6, 3), normal
-    soak: FloatArray  # (A, K), normal, by axis and soak
-    left: FloatArray  # (A, K), from 0 to 1, share of the slope at which a soak counts as reached
+    soak: FloatArray  # (3, K), normal, by axis and soak
+    left: FloatArray  # (3, K), from 0 to 1, share of the slope at which a soak counts as reached
     wobble: FloatArray  # (U, 3), normal
     servo: FloatArray  # (U,), normal
     start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
 
 
-def draw_bench(
-    rng: np.random.Generator, turns: Sequence[np.random.Generator], *, soaks: int, axes: int = 3
-) -> BenchDraws:
+def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator], *, soaks: int) -> BenchDraws:
     """Draw a bench; each size of rate has a generator of its own, so that it meets the same draws beside any others."""
-    kinds = 2 * axes * soaks
+    kinds = 6 * soaks
     drawn = [(each.standard_normal((kinds, 4)), each.uniform(size=(kinds, 2))) for each in turns]
     normals, start = (np.concatenate(part) for part in zip(*drawn, strict=True))
-    bench = BenchDraws(  # in the order of the draws
+    return BenchDraws(  # in the order of the draws
         mount=rng.standard_normal((3, 3)),
         level=rng.standard_normal(2),
         clock=float(rng.standard_normal(1)[0]),
         face=rng.standard_normal((6, 3)),
-        soak=rng.standard_normal((axes, soaks)),
-        left=rng.uniform(size=(axes, soaks)),
+        soak=rng.standard_normal((3, soaks)),
+        left=rng.uniform(size=(3, soaks)),
         wobble=normals[:, :3],
         servo=normals[:, 3],
         start=start,
     )
-    return replace(bench, mount=np.concatenate((bench.mount, rng.standard_normal((axes - 3, 3)))))

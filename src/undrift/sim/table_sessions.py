@@ -51,12 +51,8 @@ from undrift.units import STANDARD_GRAVITY
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
 FACE, REST, RATE = 0, 1, 2
-SKEW = 3  # axis of a mounting about (1, 1, 1): it alone goes through the set-points
-AXES_B = np.vstack((np.eye(3), np.full(3, 1.0 / math.sqrt(3.0))))
-ACROSS_B = np.stack((  # two directions across each
-    np.vstack((np.eye(3)[[1, 2, 0]], np.array([1.0, -1.0, 0.0]) / math.sqrt(2.0))),
-    np.vstack((np.eye(3)[[2, 0, 1]], np.array([1.0, 1.0, -2.0]) / math.sqrt(6.0))),
-))  # fmt: skip
+AXES_B = np.eye(3)
+ACROSS_B = np.stack((AXES_B[[1, 2, 0]], AXES_B[[2, 0, 1]]))  # two directions across each
 QUICKEST_HZ = 1e9  # a cut-off frequency with the shortest settling
 
 
@@ -65,7 +61,7 @@ class Sessions:
     """What sessions do, N dwells of S sessions one after the other."""
 
     kind: IntArray  # (N,), FACE, REST or RATE
-    axis: IntArray  # (N,), of the case, 0 to 2 or SKEW: that points up, and that the table turns about
+    axis: IntArray  # (N,), of the case, 0 to 2: that points up, and that the table turns about
     face: IntArray  # (N,), which of FACES points up, or is inclined
     rate: FloatArray  # (N,), commanded about +axis, rad/s
     soak: IntArray  # (N,), which set-point
@@ -106,7 +102,7 @@ def lay_out(protocol: Protocol) -> Sessions:
     kind = np.array([kinds[dwell.purpose] for dwell in dwells])
     return Sessions(
         kind=kind,
-        axis=np.array([SKEW if dwell.up == "+xyz" else "xyz".index(dwell.up[1]) for dwell in dwells]),
+        axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
         face=np.array([FACES.index(dwell.up[:2]) for dwell in dwells]),
         rate=np.array([dwell.turn_rate for dwell in dwells]),
         soak=np.where(kind == FACE, 0, np.searchsorted(np.unique(set_c[kind != FACE]), set_c)),
@@ -159,7 +155,7 @@ def turned_about(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what rests and rates impose whenever they begin: rates (N, 3), forces (N, 3), and what the encoder reads (N,)."""
     axis, length = sessions.axis, sessions.duration_s
-    seat = turned(AXES_B[: len(draws.mount)], errors.mount_tilt * draws.mount)
+    seat = turned(AXES_B, errors.mount_tilt * draws.mount)
     about = turned(seat[axis], errors.wobble * draws.wobble[row])
     rate = sessions.rate + np.where(sessions.kind == RATE, errors.servo * draws.servo[row] / length, 0.0)
     angle, phase, azimuth = rate * length, draws.start[row, 0], 2.0 * np.pi * draws.start[row, 1]
@@ -184,11 +180,10 @@ def impose(
     """Return what is truly imposed by rests and rates, by what they impose whenever they begin."""
     axis, since, lag = sessions.axis, _since(sessions), errors.board_lag_s
     visited = axis, sessions.soak
-    heated = (axis == SKEW) & (sessions.set_c != ROOM_TEMP_C) if len(draws.mount) > SKEW else np.ones(len(axis))
-    temp_c = sessions.set_c + heated * errors.soak_k * draws.soak[visited]
+    temp_c = sessions.set_c + errors.soak_k * draws.soak[visited]
     if lag > 0.0:  # rising but from the last set-point of one mounting to the first of the next
         falls = np.where((sessions.soak == 0) & (axis > 0), -1.0, 1.0)
-        temp_c = temp_c - heated * falls * draws.left[visited] * (soak_c_per_min / 60.0 * lag) * np.exp(-since / lag)
+        temp_c = temp_c - falls * draws.left[visited] * (soak_c_per_min / 60.0 * lag) * np.exp(-since / lag)
     return ImposedDwells(
         start_s=sessions.start_s,
         duration_s=sessions.duration_s,

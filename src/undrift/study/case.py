@@ -24,7 +24,6 @@ not removed, so that it takes as many random numbers as before::
     dynamic drift          what grows with the rate: non-linearity, asymmetry, rate drift
     delay                  how late the readings are: nothing of the device, the truth is taken as late (``delay_of_pitch``)
     quantisation           steps of converter, thermometer and encoder
-    soft tissue            rotation of the sensor against the bone; this, impacts and vibration: sim/motion/worn.py
 """
 
 import json
@@ -54,7 +53,6 @@ from undrift.sim.device.presets import preset, preset_grade, random_device_of
 from undrift.sim.device.simulate import filtered, simulate_device
 from undrift.sim.motion.motion import Motion, unit_vector
 from undrift.sim.motion.tasks import DEFAULT, Subject, Task, TaskName, cohort, draw_task
-from undrift.sim.motion.worn import wear_on_skin
 from undrift.sim.table_sessions import (
     FACE,
     QUICKEST_HZ,
@@ -91,11 +89,8 @@ from undrift.validation.trial import LAG_SETTINGS
 
 EffectName = Literal[
     "noise", "gyroscope offset", "accelerometer offset", "scale", "cross-axis", "dynamic drift", "delay", "quantisation",
-    "soft tissue", "impacts", "vibration",
 ]  # fmt: skip
-# Of wearing, and their sizes in ``WornErrors``; a study that has none does not split them
-_WORN: dict[EffectName, str] = {"soft tissue": "tissue", "impacts": "impact", "vibration": "vibration"}
-EFFECTS: tuple[EffectName, ...] = tuple(name for name in get_args(EffectName) if name not in _WORN)
+EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
 
 FINER_BITS = 16  # a converter of so many bits more has no steps to speak of
 _OFFSET: dict[str, tuple[str, ...]] = {
@@ -118,11 +113,6 @@ _BENCH: dict[EffectName, tuple[str, ...]] = {
     "cross-axis": ("face_tilt", "inclination", "mount_tilt", "level", "wobble"),
     "quantisation": ("encoder_lines",),
 }
-
-
-def effects_of_study(study: Study) -> tuple[EffectName, ...]:
-    """Return the effects that a study has."""
-    return (*EFFECTS, *(effect for effect, size in _WORN.items() if getattr(study.trial, size)))
 
 
 def device_without(device: DeviceModel, effect: EffectName) -> DeviceModel:
@@ -165,6 +155,7 @@ def _chain_without(chain: SensorChain, triad: str, effect: EffectName) -> Sensor
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's initial rest
+FINE_HZ = 800.0  # samples of a simulated motion that is sampled at another rate
 LAG_STEP_S = 0.05  # between the poses that the delay is found by: what ``validate`` averages over
 
 
@@ -238,18 +229,16 @@ def make_case(
     """
     device, rate_hz = unit_of(study, number, setting, without), setting.sample_rate_hz or SAMPLE_RATE_HZ
     performed, motion = perform(study, task, number, trial)
-    name, own = f"{task.name} {trial + 1}" if trial else task.name, task.motion and task.motion.of(number)[trial]
-    if study.trial.on or setting.sample_rate_hz is not None:
-        effect = without if without in _WORN else None
-        worn = _worn(study, name, task.category, own, number, effect)
+    name = f"{task.name} {trial + 1}" if trial else task.name
+    if setting.sample_rate_hz is not None:
         device = replace(device, sampling=replace(device.sampling, sample_rate_hz=rate_hz))
-        record = _record_of(study, name, number, device, worn)
-        motion = performed.at(record.time, STANDARD_GRAVITY)  # of the bone
+        record = _record_of(study, name, number, device, _fine(performed))
+        motion = performed.at(record.time, STANDARD_GRAVITY)
     elif device.sampling.on_grid:
         record = filtered(_unfiltered(study, name, motion, number, setting.gain, without), device)
     else:
         record = _record_of(study, name, number, device, motion)
-    if without == "delay" or study.trial.on:  # cross-correlation takes the delay of what rings for that of the body
+    if without == "delay":
         late_s = delay_of_pitch(device, rate_hz)
     else:
         late_s = 0.0 if without and study.timing == "real time" else delay_of(record, motion.q_nb, rate_hz)
@@ -257,14 +246,9 @@ def make_case(
     return replace(case, pitch_now=case.pitch) if without == "delay" else case
 
 
-@lru_cache(maxsize=2)  # settings of one subject follow each other
-def _worn(
-    study: Study, name: str, category: str, motion: OwnMotion | None, number: int, without: EffectName | None
-) -> Motion:
-    """Return the motion of the sensor that a subject wears."""
-    errors = study.trial if without is None else replace(study.trial, **{_WORN[without]: 0.0})
-    performed, _ = _perform(study, name, category, motion, number)
-    return wear_on_skin(performed, errors, seeded(study, "worn", name, number), STANDARD_GRAVITY)
+def _fine(performed: Task | RecordedTask) -> Motion:
+    """Return the motion of a trial at ``FINE_HZ``, for a device that samples at another rate than the motion."""
+    return performed.at(np.arange(round(performed.duration_s * FINE_HZ)) / FINE_HZ, STANDARD_GRAVITY)
 
 
 def unit_of(study: Study, number: int, setting: Setting, without: EffectName | None = None) -> DeviceModel:
@@ -415,10 +399,10 @@ def _laid(
     return row, turned(up, study.bench.face_tilt * tilt[row]), normals
 
 
-def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int], axes: int = 3) -> BenchDraws:
+def bench_of(study: Study, number: int, soaks: int, keys: Sequence[int]) -> BenchDraws:
     """Return the draws of the bench that calibrates a subject's device, for rests (key 0) and for rates of given keys."""
     turns = [seeded(study, "turns", number, key) for key in keys]
-    return draw_bench(seeded(study, "bench", number), turns, soaks=soaks, axes=axes)
+    return draw_bench(seeded(study, "bench", number), turns, soaks=soaks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -453,16 +437,16 @@ def _drawn(
     study: Study, bench: BenchErrors, number: int, width: int, laid: Sessions
 ) -> tuple[IntArray, FloatArray, BenchDraws, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the row of each dwell among its normal numbers, those, the draws of the bench, and what it turns about."""
-    soaks, axes = int(laid.soak.max()) + 1, max(int(laid.axis.max()) + 1, 3)
+    soaks = int(laid.soak.max()) + 1
     size = np.round(np.abs(laid.rate) / KEY_STEP)
     keys = np.unique(size[size > 0.0])
     second = laid.rate < 0.0
     second[1:] |= (laid.kind[1:] == REST) & (laid.kind[:-1] == RATE)  # the rest after the rates
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
-    row = 2 * axes * soaks * block + 2 * (soaks * laid.axis + laid.soak) + second
-    every, shape = (0, *keys.astype(int).tolist()), (2 * axes * soaks, 3, width + 1)  # rests have key 0
+    row = 6 * soaks * block + 2 * (soaks * laid.axis + laid.soak) + second
+    every, shape = (0, *keys.astype(int).tolist()), (6 * soaks, 3, width + 1)  # rests have key 0
     normals = np.concatenate([seeded(study, "dwells", number, key).standard_normal(shape) for key in every])
-    draws = bench_of(study, number, soaks, every, axes)
+    draws = bench_of(study, number, soaks, every)
     return row, normals, draws, turned_about(laid, bench, draws, row)
 
 
@@ -639,7 +623,7 @@ def run_unit(unit: Unit) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alike:
-    """Candidates that are simulated and fitted at once: alike in set-points, mounting and tables."""
+    """Candidates that are simulated and fitted at once: alike in set-points and tables."""
 
     places: IntArray  # (P,), of the task's
     base: Protocol  # One of them
@@ -654,15 +638,14 @@ class Alike:
 def alike(task: StudyTask, setting: Setting) -> tuple[Alike, ...]:
     """Return the candidates with a setting of the device, by what is simulated and fitted at once."""
     points, groups = task.space.points_at(setting), list[Alike]()
-    names = ("places", "set_points", "warmest_c", "soak_c_per_min", "mounting", "static_step_c", "dynamic_step_c")
+    names = ("places", "set_points", "warmest_c", "soak_c_per_min", "static_step_c", "dynamic_step_c")
     columns = [k for k, name in enumerate(task.space.names) if name in names]
     group = np.unique(points[:, columns], axis=0, return_inverse=True)[1].ravel() if columns else np.zeros(len(points))
     for each in np.unique(group):
         places = np.flatnonzero(group == each)
         protocols = [task.protocol_of(point) for point in points[places]]
         sessions = [lay_out(protocol) for protocol in protocols]
-        # faces come first in every session, but among the rates of those that have a skew mounting
-        keys: list[object] = [(each.faces, each.face_s, each.heated_axis and each) for each in protocols]
+        keys: list[object] = [(each.faces, each.face_s) for each in protocols]
         sets = zip(keys, sessions, protocols, strict=True)
         stated = dict(zip(task.space.names, map(float, points[places[0]]), strict=True))
         one = Alike(

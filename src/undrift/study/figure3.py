@@ -24,7 +24,7 @@ The study's model is a unit without the effects that a study leaves out; the act
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -99,13 +99,6 @@ THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=R
 OPTICS = OpticsSettings(gaps=0)
 
 
-class Climate(NamedTuple):
-    """Temperatures at which the devices are calibrated and worn."""
-
-    room_c: float = ROOM_TEMP_C  # Of the bench, and of the board before it is put on, degC
-    set_points_c: tuple[float, ...] = SET_POINTS_C  # Of the chamber, degC
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Figure3:
     """Pitch error over the acquisition, N instants, for each of ``COMPARED``."""
@@ -129,68 +122,20 @@ class Figure3:
         return float(self.actual_max_deg[0] - self.actual_max_deg[2])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EffectRow:
-    """What one effect that the study's model lacks does to the figure."""
-
-    effect: str  # noise alone (another recording of the same model), one of ``HIDDEN``, or all
-    # (5,), largest difference from the simulated device's error for each of ``COMPARED``, deg
-    simulated_actual_max_deg: FloatArray
-    full_max_deg: float  # Largest error with both tables, deg
-
-
 def figure3(
-    unit: DeviceModel | None = None,
-    *,
-    seed: int = 0,
-    excursion_k: float = 12.5,
-    back: bool = False,
-    actual: DeviceModel | None = None,
-    climate: Climate = Climate(),
+    unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = False
 ) -> Figure3:
-    """Make the note's Figure 3; ``actual``, as a twin of a real device, stands in place of the unit with what is hidden."""
+    """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks."""
     held = unit or preset("enc03j_3031")
-    other = on_the_clock(actual) if actual else actual_device(held)
-    return _figures(actual_device(held, ()), (other,), seed, excursion_k, back, climate)[0]
-
-
-def effect_table(
-    unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = True
-) -> tuple[EffectRow, ...]:
-    """Switch the actual device's effects on one at a time: what limits the agreement of simulated and actual."""
-    cases: tuple[tuple[Hidden, ...], ...] = ((), *((name,) for name in HIDDEN), HIDDEN)
-    held = unit or preset("enc03j_3031")
-    actual = tuple(actual_device(held, hidden) for hidden in cases)
-    names = ("noise alone", *HIDDEN, "all")
-    return tuple(
-        EffectRow(
-            effect=name,
-            simulated_actual_max_deg=figure.simulated_actual_max_deg,
-            full_max_deg=float(figure.actual_max_deg[2]),
-        )
-        for name, figure in zip(names, _figures(actual[0], actual, seed, excursion_k, back), strict=True)
-    )
-
-
-def _figures(
-    model: DeviceModel,
-    actual: tuple[DeviceModel, ...],
-    seed: int,
-    excursion_k: float,
-    back: bool,
-    climate: Climate = Climate(),
-) -> tuple[Figure3, ...]:
-    """Return a figure for each actual device; the simulated one, the person and the optics are the same in all."""
     person = np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     worn = performed, see(performed, rng=person, settings=OPTICS)
 
     def judged(device: DeviceModel, stream: int) -> tuple[Trial, ...]:
         rngs = (np.random.default_rng([seed, stream, part]) for part in range(2))
-        return _judged(device, worn, *rngs, excursion_k=excursion_k, back=back, climate=climate)
+        return _judged(device, worn, *rngs, excursion_k=excursion_k, back=back)
 
-    simulated = judged(model, 1)
-    return tuple(_figure(simulated, judged(device, 2), excursion_k) for device in actual)
+    return _figure(judged(actual_device(held, ()), 1), judged(actual_device(held), 2), excursion_k)
 
 
 def _judged(
@@ -201,11 +146,10 @@ def _judged(
     *,
     excursion_k: float,
     back: bool = False,
-    climate: Climate = Climate(),
 ) -> tuple[Trial, ...]:
     """Calibrate a device, wear it in a task that optics saw, and judge it for each of ``COMPARED``."""
-    levels = calibrated(device, rng=sessions, back=back, climate=climate)
-    record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial, room_c=climate.room_c)
+    levels = calibrated(device, rng=sessions, back=back)
+    record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial)
     return judge_compared(levels, record, worn[1])
 
 
@@ -348,12 +292,12 @@ def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> Float
 
 
 def calibrated(
-    device: DeviceModel, *, rng: np.random.Generator, back: bool = True, climate: Climate = Climate()
+    device: DeviceModel, *, rng: np.random.Generator, back: bool = True
 ) -> tuple[Calibration, Calibration, Calibration]:
     """Calibrate a device on the simulated bench and in the simulated chamber."""
-    bench: Any = {"settings": BENCH, "temp_c": climate.room_c, "power_on_s": SETTLED_S}
+    bench: Any = {"settings": BENCH, "temp_c": ROOM_TEMP_C, "power_on_s": SETTLED_S}
     none = calibrate(simulate_session("bench", device, rng=rng, **bench))
-    settings = replace(THERMAL, back=back, set_points_c=climate.set_points_c)
+    settings = replace(THERMAL, back=back, set_points_c=SET_POINTS_C)
     thermal = simulate_thermal_session("soak", device, rng=rng, settings=settings)
     return levels_of(none, fit_drift((thermal,), none).calibration)
 

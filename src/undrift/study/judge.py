@@ -5,16 +5,11 @@ A protocol is equivalent to the optimum where its mean error is shown to be less
 worse where it is shown to be more than that above, else not decidable. The first is after Bonferroni over the protocols, the second
 over all their pairs, as the optimum is chosen. The equivalent one with the shortest session is the one to use.
 
-A parameter is tested with the others at the optimum: analysis of variance and paired tests of the levels; where a run is missing
-because its protocol could not calibrate that device, the mixed model and its contrasts. p is after Holm over the parameters. It is
+A parameter is tested with the others at the optimum: analysis of variance and paired tests of the levels. A level that leaves a
+device uncalibrated is listed and not tested. p is after Holm over the parameters. It is
 worth setting where the optimum's value is shown to be better than another by more than the margin. Its values are equivalent where
 each pair is shown to be within the margin, which needs no correction for the pairs. Both are after Bonferroni over the parameters.
-A level that calibrates fewer than half of the devices is left out. The other cohort shares nothing with the first.
-
-Does the best protocol depend on the category of subjects? The optimum of every category is tried on the other cohort of every
-category: people, units and seed that no optimum was chosen with, so the choice favours none. Subject by subject, the error with
-another category's optimum less that with its own is judged against the margin, p after Bonferroni over all such pairs of a task.
-"better" means that the own optimum is, by more than the margin: the categories need protocols of their own.
+The other cohort shares nothing with the first.
 
 A value of the note is confirmed where it is better than a next value that was tried and equivalent or better on the other side too,
 indifferent where it is equivalent to both. The next value's protocol is the one nearest to the note's in all else. The row is
@@ -24,7 +19,6 @@ confirmed, or indifferent, where its values are and its protocol is equivalent t
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby, product
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,19 +31,15 @@ from undrift.sim.motion.tasks import DEFAULT, Group, TableRow, numbers_of, table
 from undrift.study import statistics
 from undrift.study.case import COLUMNS, subject_of
 from undrift.study.plan import AIM, Aim, NoteRow, Objective, Study, StudyTask, Timing
-from undrift.study.run import Executor, InProcess, TaskSurface, run_study
+from undrift.study.run import Executor, TaskSurface, run_study
 from undrift.study.space import HEADINGS, TURN_RATES, Space
 from undrift.study.statistics import (
-    MOST_SUBJECTS,
     Anova,
     Decision,
-    MixedModel,
-    OneWay,
     Pair,
     Verdict,
     adjust_holm,
     compare_pairs,
-    compare_pairs_of,
     decide,
     decide_between,
     mean_interval,
@@ -62,7 +52,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 PARAMETERS = COLUMNS[:4]
 SYMBOLS = {name: heading.split(" (")[0] for name, heading in HEADINGS.items()}
-FEWEST_SHARE = 0.5  # of the subjects whose device a level has to calibrate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,12 +64,6 @@ class ParameterVerdict:
     p_better: float  # Least of the decisions'
     p_equivalent: float  # That two values differ by the margin or more, after Bonferroni over the parameters
 
-    @property
-    def subjects_needed(self) -> int | None:
-        """For the verdict that the means point to, with a power of 0.8 were they true; None: no number is enough."""
-        far = [each.subjects_needed for each in self.decisions if each.difference > each.margin]
-        return min((n for n in far if n is not None), default=None) if far else self.widest.subjects_needed
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterEffect:
@@ -90,21 +73,14 @@ class ParameterEffect:
     values: FloatArray  # (k,), its values, Hz or deg/s
     places: IntArray  # (k,), the protocols that have them, alike in all else
     best: int  # Which of them is the optimum; the best of them where the optimum was tried with one value alone
-    means_deg: FloatArray  # (k,), mean error at each, deg; the mixed model's where runs are missing
-    missing: int  # Runs that are missing among them
-    dropped: FloatArray  # Values left out, since they calibrate fewer than half of the devices
-    anova: Anova | None  # Where no run is missing
-    mixed: MixedModel | None  # Where some are
-    untested: Finding | None  # Why neither could be
+    means_deg: FloatArray  # (k,), mean error at each, deg
+    dropped: FloatArray  # Values left out, since they leave a device uncalibrated
+    anova: Anova | None  # None where it could not be made
+    untested: Finding | None  # Why it could not
     p_holm: float  # p after Holm over the parameters; NaN without a test
     pairs: tuple[Pair, ...]  # All pairs of values, by their places; empty unless that p is below the level
-    # Against the margin; None with one value, or where subjects with gaps cannot be tested
+    # Against the margin; None with one value
     judged: ParameterVerdict | None = None
-
-    @property
-    def test(self) -> Anova | MixedModel | None:
-        """The test that was made: both have f, dof, p_value, partial_eta_squared, means and subjects."""
-        return self.mixed if self.anova is None else self.anova
 
     @property
     def span_deg(self) -> float:
@@ -114,14 +90,7 @@ class ParameterEffect:
     @property
     def error_variance(self) -> float:
         """Variance of a response about the subject's own mean and the value's, deg squared; NaN without a test."""
-        if self.anova is not None:
-            return self.anova.mean_square_error
-        return float("nan") if self.mixed is None else self.mixed.residual_sd**2
-
-    @property
-    def epsilon(self) -> float:
-        """Of the sphericity, after Greenhouse and Geisser; the mixed model takes it as 1."""
-        return 1.0 if self.anova is None else self.anova.sphericity.greenhouse_geisser
+        return float("nan") if self.anova is None else self.anova.mean_square_error
 
 
 def effects_at(
@@ -132,7 +101,7 @@ def effects_at(
     for name in surface.names:
         column, line = surface.column(name), _line_of(surface, best, name, error)
         places = line[allowed[line]]
-        enough = np.isfinite(error[:, places]).mean(axis=0) >= FEWEST_SHARE
+        enough = np.isfinite(error[:, places]).all(axis=0)
         kept = places[enough]
         own = error[:, kept]
         test = _tested(own)
@@ -141,22 +110,20 @@ def effects_at(
             name=name,
             values=column[kept],
             places=kept,
-            best=int(at[0] if len(at) else np.argmin(np.nanmean(own, axis=0))),
-            means_deg=test.means if isinstance(test, MixedModel) else np.nanmean(own, axis=0),
-            missing=int(np.isnan(own).sum()),
+            best=int(at[0] if len(at) else np.argmin(own.mean(axis=0))),
+            means_deg=own.mean(axis=0),
             dropped=column[places[~enough]],
             anova=test if isinstance(test, Anova) else None,
-            mixed=test if isinstance(test, MixedModel) else None,
             untested=test if isinstance(test, Finding) else None,
             p_holm=float("nan") if isinstance(test, Finding) else test.p_value,
             pairs=(),
         )
         effects.append((effect, own))
-    holm = iter(adjust_holm([effect.p_holm for effect, _ in effects if effect.test is not None]))
+    holm = iter(adjust_holm([effect.p_holm for effect, _ in effects if effect.anova is not None]))
     pairs = [_pairs(effect, own) for effect, own in effects]
     tests, made = sum(map(bool, pairs)), []
     for (effect, own), each in zip(effects, pairs, strict=True):
-        p = float("nan") if effect.test is None else float(next(holm))
+        p = float("nan") if effect.anova is None else float(next(holm))
         judged = judge_values(effect.best, each, len(own), aim, tests=tests) if each else None
         made.append(replace(effect, p_holm=p, pairs=each if p < aim.level else (), judged=judged))
     return tuple(made)
@@ -173,9 +140,7 @@ def _line_of(surface: TaskSurface, best: int, name: str, error: FloatArray) -> I
 
 
 def _pairs(effect: ParameterEffect, error: FloatArray) -> tuple[Pair, ...]:
-    if effect.mixed is not None:
-        return compare_pairs_of(effect.mixed)
-    return compare_pairs(error) if len(effect.values) > 1 and len(error) > 2 and np.isfinite(error).all() else ()
+    return compare_pairs(error) if len(effect.values) > 1 and len(error) > 2 else ()
 
 
 def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *, tests: int) -> ParameterVerdict:
@@ -199,19 +164,12 @@ def judge_values(best: int, pairs: tuple[Pair, ...], subjects: int, aim: Aim, *,
     )
 
 
-def _tested(error: FloatArray) -> Anova | MixedModel | Finding:
+def _tested(error: FloatArray) -> Anova | Finding:
     """Return the test that suits the errors with each value (S, k), or why there is none."""
     if error.shape[1] < 2:
         return finding("study.one_value", "info")
-    there = np.isfinite(error)
     try:
-        if there.all():
-            return statistics.compare_conditions(error)
-        # by value first, so that the model's conditions come in the order of the values
-        condition, subject = np.nonzero(there.T)
-        return statistics.compare_unbalanced(
-            error[subject, condition], [str(s) for s in subject], [str(c) for c in condition]
-        )
+        return statistics.compare_conditions(error)
     except InputError:  # nothing to test against
         return finding("study.all_alike", "info")
 
@@ -262,7 +220,7 @@ def find_optimum(surface: TaskSurface, aim: Aim = AIM) -> Optimum:
     cheapest = int(among[np.lexsort((mean[among], surface.rig_minutes[among]))[0]])
     effects = effects_at(surface, best, error=error, allowed=allowed, aim=aim)
     honest, interval = mean_interval(_honest(error, usable))
-    tested = [effect.p_holm for effect in effects if effect.test is not None]
+    tested = [effect.p_holm for effect in effects if effect.anova is not None]
     deciding = tuple(effect.name for effect in effects if effect.judged and effect.judged.verdict == "better")
     return Optimum(
         objective=aim.objective,
@@ -315,19 +273,6 @@ def _honest(error: FloatArray, usable: BoolArray) -> FloatArray:
     return np.asarray(table[every, np.argmin(table.sum(axis=0) - table, axis=1)])
 
 
-# ---- the note's analysis of variance
-
-
-def analyses_of(surface: TaskSurface, aim: Aim = AIM) -> tuple[OneWay | None, Anova | None]:
-    """Return the analysis over all protocols as if other subjects had met each, and by repeated measures; None: not possible."""
-    error = surface.aimed(aim)
-    error = error[:, np.isfinite(error).all(axis=0)]
-    try:
-        return statistics.compare_independent(error), statistics.compare_conditions(error)
-    except InputError:  # one protocol, or subjects that do not differ
-        return None, None
-
-
 # ---- the other cohort
 
 
@@ -362,7 +307,7 @@ def other_study(study: Study) -> Study:
     """Return the same study for the other cohort, with random numbers of its own."""
     group: Group = "testing" if study.group == "simulation" else "simulation"
     seed = int(np.random.SeedSequence((study.seed, 1)).generate_state(1, np.uint64)[0])
-    return replace(study, group=group, seed=seed, search="grid")
+    return replace(study, group=group, seed=seed)
 
 
 def run_testing(
@@ -409,98 +354,6 @@ def _on_others(surface: TaskSurface, aim: Aim) -> Tested:
         interval_max_deg=of_max,
         limits_deg=mean_limits(surface.aimed(aim)[done, 0], aim.confidence),
     )
-
-
-# ---- categories: each optimum worn by the others
-
-LEAST = 3  # subjects of a comparison
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Crossed:
-    """The optimum that was chosen for one category, worn by another."""
-
-    chosen: str  # Whose optimum
-    worn: str  # Who wears it
-    labels: tuple[str, str]  # Of the two, for people
-    subjects: int  # Of the other cohort, whose device both protocols calibrate
-    error_deg: float  # Mean error of the objective with it, deg
-    own_deg: float  # With the wearers' own optimum
-    decision: Decision | None  # The own optimum against it; None with too few subjects
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CategoryComparison:
-    """All categories of one task."""
-
-    task: str  # As the library names it
-    categories: tuple[str, ...]
-    crossed: tuple[Crossed, ...]  # Every category's optimum worn by every other category
-    margin_deg: float  # Smallest difference that matters
-
-    @property
-    def finding(self) -> Finding:
-        """Whether one protocol does for all."""
-        verdicts = [cell.decision.verdict if cell.decision else "not decidable" for cell in self.crossed]
-        apart = [cell for cell, verdict in zip(self.crossed, verdicts, strict=True) if verdict == "better"]
-        words = {"task": self.task.replace("_", " "), "margin_deg": self.margin_deg}
-        if apart:
-            return finding("study.categories_differ", "info", pairs=_worn(apart), **words)
-        if all(verdict == "equivalent" for verdict in verdicts):
-            return finding("study.categories_alike", "info", count=len(self.categories), **words)
-        left = [cell for cell, verdict in zip(self.crossed, verdicts, strict=True) if verdict != "equivalent"]
-        needed = [cell.decision.subjects_needed if cell.decision else None for cell in left]
-        most = needed_text(None if None in needed else max(n for n in needed if n is not None))
-        return finding("study.categories_undecided", "warn", pairs=_worn(left), needed=most, **words)
-
-
-def _worn(cells: Sequence[Crossed]) -> tuple[str, ...]:
-    return tuple(
-        f"{cell.labels[1]} with the optimum of {cell.labels[0]} "
-        f"{cell.error_deg:.3f} deg, with their own {cell.own_deg:.3f} deg"
-        for cell in cells
-    )
-
-
-def compare_categories(
-    study: Study, surfaces: Sequence[TaskSurface], optima: Sequence[Optimum], folder: Path
-) -> tuple[CategoryComparison, ...]:
-    """Wear each category's optimum in all categories of its task, on the other cohort."""
-    other, found = other_study(study), []
-    held = sorted(zip(study.tasks, surfaces, optima, strict=True), key=lambda each: study.names.index(each[0].name))
-    for name, group in groupby(held, key=lambda each: each[0].name):
-        own = tuple(group)
-        categories = tuple(task.category for task, _, _ in own)
-        if len(own) < 2:
-            continue
-        errors: dict[tuple[str, str], FloatArray] = {}
-        for task, surface, optimum in own:
-            single = only(task, surface, optimum.best)
-            tasks = tuple(replace(single, category=category) for category in categories)
-            # a few seconds' work, as of the optima on their own categories
-            ran = run_study(replace(other, tasks=tasks), InProcess(), folder / f"{name}-{task.category}")
-            for category, each in zip(categories, ran, strict=True):
-                errors[task.category, category] = each.aimed(study)[:, 0]
-        tests = len(categories) * (len(categories) - 1)
-        crossed = tuple(
-            _crossed(chosen, worn, errors[chosen, worn], errors[worn, worn], study, tests)
-            for chosen, worn in product(categories, repeat=2)
-            if chosen != worn
-        )
-        found.append(CategoryComparison(task=name, categories=categories, crossed=crossed, margin_deg=study.margin_deg))
-    return tuple(found)
-
-
-def _crossed(chosen: str, worn: str, error: FloatArray, own: FloatArray, study: Study, tests: int) -> Crossed:
-    both = np.stack((own, error), axis=1)
-    both = both[np.isfinite(both).all(axis=1)]
-    decision = None
-    if len(both) >= LEAST:
-        decision = decide_between(*both.T, margin=study.margin_deg, level=study.level, tests=tests)
-    own_deg, error_deg = both.mean(axis=0).tolist() if len(both) else (float("nan"), float("nan"))
-    first, second = (numbers_of(study.kind(category)).label for category in (chosen, worn))
-    words: Any = {"chosen": chosen, "worn": worn, "labels": (first, second), "subjects": len(both)}
-    return Crossed(error_deg=error_deg, own_deg=own_deg, decision=decision, **words)
 
 
 # ---- comparison with the note's Table 1
@@ -585,15 +438,7 @@ def _against_optimum(table: FloatArray, errors: FloatArray, place: int, optimum:
     if optimum.worse[place]:
         return _worse(table, mean, place, best)
     found = decide_between(errors[:, best], errors[:, place], margin=optimum.margin_deg, level=level, tests=others)
-    needed = needed_text(found.subjects_needed)
-    return finding(
-        "study.note_undecided", "warn", subjects=len(errors), interval_deg=found.interval, needed=needed, **numbers
-    )
-
-
-def needed_text(subjects: int | None) -> str:
-    """Return a number of subjects, or the bound that no number below is enough."""
-    return f"more than {MOST_SUBJECTS}" if subjects is None else str(subjects)
+    return finding("study.note_undecided", "warn", subjects=len(errors), interval_deg=found.interval, **numbers)
 
 
 def _note_values(
@@ -651,9 +496,7 @@ def _of_value(
         end = "only" if not beside else "least" if lower is None else "greatest"
         return "not decidable", finding("study.note_value_at_edge", "warn", end=end, **numbers)
     if "not decidable" in verdicts:
-        open_ones = [each.subjects_needed for each in beside if each.verdict == "not decidable"]
-        most = None if None in open_ones else max(n for n in open_ones if n is not None)
-        return "not decidable", finding("study.note_value_undecided", "warn", needed=needed_text(most), **numbers)
+        return "not decidable", finding("study.note_value_undecided", "warn", **numbers)
     if "better" in verdicts:
         return "confirmed", finding("study.note_value_confirmed", "info", **numbers)
     return "indifferent", finding("study.note_value_indifferent", "info", **numbers)

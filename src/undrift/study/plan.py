@@ -39,7 +39,6 @@ from undrift.sim.device.presets import PRESETS, preset
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
-from undrift.sim.motion.worn import AT_L5, FIXED, WornErrors
 from undrift.study.space import FURTHER, OF_NOTE, TURN_RATES, Grid, Space
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -77,7 +76,6 @@ POSES: tuple[tuple[str, ...], ...] = (
 Objective = Literal["rms", "maximum", "end"]  # Of the pitch error over the motion; end: median of its last half second
 # The true pitch of the same instant, as who acts on the display needs it; or that of the instant which the readings belong to
 Timing = Literal["real time", "offline"]
-Search = Literal["grid", "halving", "cma"]
 # Of the gyroscopes in a trial, that is taken off: the mean of the rest before it, what the motion shows from there on, or nothing
 OffsetRule = Literal["rest", "motion", "none"]
 
@@ -191,32 +189,10 @@ class StudyTask:
             temps_c = self.places[int(values["places"]) - 1]
         elif stated and (count, warmest_c) != (len(stated), stated[-1]):
             temps_c = tuple(np.linspace(stated[0], warmest_c, count).tolist()) if count > 1 else ()
-        if values.get("mounting") == 2.0 and temps_c:
-            given |= {"heated_axis": "xyz", "faces_at": "room"}
         return replace(self.base, **given, temperatures_c=temps_c)
 
 
-INSTRUMENTS = ("faces fixture", "inclined plane", "wedge", "rate table", "chamber")  # by what they ask of a laboratory
-
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prices:
-    """What a laboratory pays, in one currency; 0 where it is at hand or nobody asks."""
-
-    faces_fixture: Annotated[float, Ge(0.0)] = 0.0  # A squared block on a plate
-    inclined_plane: Annotated[float, Ge(0.0)] = 0.0  # With an inclinometer
-    wedge: Annotated[float, Ge(0.0)] = 0.0  # That holds the device with (1, 1, 1) along the axis of the table
-    rate_table: Annotated[float, Ge(0.0)] = 0.0  # For the session, or to buy: state all alike
-    chamber: Annotated[float, Ge(0.0)] = 0.0  # Likewise
-    hour: Annotated[float, Ge(0.0)] = (
-        0.0  # Of a person at the rig; where given, the cheapest session is that of the least price
-    )
-    currency: str = "EUR"  # Of all of them
-
-    def of(self, needs: Sequence[str], minutes: float) -> float:
-        """Return the price of a session."""
-        return float(sum(getattr(self, name.replace(" ", "_")) for name in needs) + self.hour * minutes / 60.0)
+INSTRUMENTS = ("faces fixture", "inclined plane", "rate table", "chamber")  # by what they ask of a laboratory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,7 +200,7 @@ class Aim:
     """What a study minimises, and by what it judges."""
 
     objective: Objective = "rms"  # rms, maximum or end of the pitch error
-    timing: Timing = "real time"  # or offline: once the delay is estimated and taken out
+    timing: Timing = "offline"  # The delay is estimated and removed, as in the note's comparison; or real time
     level: Annotated[float, Gt(0.0), Lt(1.0)] = 0.05  # Of the tests
     # Smallest difference of mean errors that matters, deg; where not given 0.087 for rms, 0.15 for maximum and end: the note's
     margin_deg: Positive = MARGIN_DEG["rms"]
@@ -232,7 +208,6 @@ class Aim:
     # Mean error that is good enough, deg: the cheapest session whose upper limit on other subjects is below it is looked for
     target_deg: Positive | None = None
     confidence: Annotated[float, Ge(0.5), Lt(1.0)] = 0.95  # Of that limit, one-sided
-    prices: Prices = Prices()  # Of what a session needs
 
 
 AIM = Aim()
@@ -249,10 +224,6 @@ class Frame(Aim):
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
     # Board temperature of the trials above the calibration's, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
-    # grid: every protocol on every subject; halving: the better part meets more subjects; cma: evolution of a few at a time
-    search: Search = "grid"
-    # Most protocols that halving draws from a wider space, or that cma tries, for a task; all and 600 where not given
-    candidates: Annotated[int, Ge(4)] | None = None
     seed: Annotated[int, Ge(0)] = 0  # Same seed, same bits
     # Tolerance of an amplifier's gain and null and of its converter's reference; 1 % parts are assumed
     chain_sd: Annotated[float, Ge(0.0), Key("chain_percent", unit=0.01)] = 0.01
@@ -268,7 +239,6 @@ class Study(Frame):
     tasks: tuple[StudyTask, ...]  # One or more
     worn: str = ""  # Text of a device.json, which every subject wears; none draws units of ``device``
     lab: tuple[tuple[str, Category], ...] = ()  # Categories of a lab's own, by name
-    trial: WornErrors = FIXED  # What wearing does to the sensor in a trial; the note has none of it
 
     def __post_init__(self) -> None:
         names = [task.key for task in self.tasks]
@@ -308,7 +278,7 @@ class Study(Frame):
 
     @property
     def of_note(self) -> bool:
-        """Whether the note's device is studied: only then is it compared with the note's rows and claims."""
+        """Whether the note's device is studied: only then is it compared with the note's rows."""
         return self.device == DEVICE and not self.worn
 
     @property
@@ -405,7 +375,6 @@ BESIDE: dict[str, tuple[float, ...]] = {
     "warmest_c": (75.0, 45.0),
     "soak_c_per_min": (0.1, 0.3),
     "order": (1.0, 2.0),
-    "mounting": (1.0, 2.0),
 }
 
 
@@ -444,10 +413,6 @@ def _beside(space: Space, rates: Grid) -> Space:
         for dwell_s, bracket_s in product((2.0, 0.5), (6.0, 2.0))
     ]
     rows += [row(grid, set_points=1.0, dwell_s=dwell_s) for grid in grids[:3] for dwell_s in (2.0, 0.5)]
-    rows += [
-        row(rates, set_points=2.0, warmest_c=warmest_c, dwell_s=0.5, bracket_s=2.0, mounting=2.0)
-        for warmest_c in (75.0, 45.0)
-    ]
     return replace(space, further=tuple(BESIDE.items()), only=tuple(dict.fromkeys(rows)))
 
 
@@ -536,13 +501,6 @@ class RecordedTask:
         """Length, s."""
         start, stop = self.spline.span_s
         return self.held_s + stop - start
-
-    @property
-    def contacts_s(self) -> tuple[float, ...]:
-        """Where the body is accelerated upward most, s: a recording does not say when seat or foot takes load."""
-        time = np.arange(*self.moving_s, 1.0 / SAMPLE_RATE_HZ)
-        motion = self.at(time, STANDARD_GRAVITY)
-        return (float(time[np.nanargmax(rotate(motion.q_nb, motion.force_b)[:, 2])]),)
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
         """Return the motion at given instants: time (N,)."""
@@ -644,7 +602,6 @@ class SpaceEntry:
     warmest_c: MoreValues = ()  # The last of them; the protocol's where not given
     soak_c_per_min: MoreValues = ()  # Slope at which a soak ends
     order: MoreValues = ()  # Of the rates: 1 rising, 2 random
-    mounting: MoreValues = ()  # At set-points: 1 about each axis, 2 about (1, 1, 1) alone, after all axes at room temperature
     static_step_c: MoreValues = ()  # Between nodes of the static table, K
     dynamic_step_c: MoreValues = ()  # Of the dynamic table, K
 
@@ -695,12 +652,10 @@ class StudyEntry(Frame):
 
     # Of the subjects: level_1 to level_4 (2 is the note's), young, elderly, impaired, parkinson, or one of [category.NAME]
     categories: tuple[str, ...] = (DEFAULT,)
-    # What wearing does to the sensor in a trial, as measured at the low back; the preset has none
-    trial: WornErrors = AT_L5
 
 
 def _with_all(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the tree of study.toml with all keys of bench, trial and categories, and the margin of its objective."""
+    """Return the tree of study.toml with all keys of bench and categories, and the margin of its objective."""
     study, lab = tree.get("study", {}), tree.get("category", {})
     if isinstance(lab, dict) and all(isinstance(table, dict) for table in lab.values()):
         tree = tree | {"category": {name: category_tree(name, table) for name, table in lab.items()}}
@@ -708,9 +663,8 @@ def _with_all(tree: dict[str, Any]) -> dict[str, Any]:
         return tree
     margins: dict[Any, float] = dict(MARGIN_DEG)
     study = {"margin_deg": margins.get(study.get("objective", "rms"), 0.0)} | study
-    for name, default in (("bench", NOTE_BENCH), ("trial", AT_L5)):
-        stated: Any = study.get(name, {})
-        study = study | {name: tree_of(default) | stated if isinstance(stated, dict) else stated}
+    stated: Any = study.get("bench", {})
+    study = study | {"bench": tree_of(NOTE_BENCH) | stated if isinstance(stated, dict) else stated}
     return tree | {"study": study}
 
 

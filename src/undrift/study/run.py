@@ -176,41 +176,31 @@ def choose_executor(scheduler: str | None = None, workers: int | None = None) ->
 
 # ---- store: finished units in a folder
 
-FORMAT = 2  # errors in real time and offline; 1 had them offline alone
+FORMAT = 1
 PIECES = "runs"
 HEAD = "study.json"
 SURFACE = "surface.parquet"
-HALVING = "halving"  # folder of its rounds
 
 
 class RunStore:
     """Finished units of a study in a folder."""
 
-    def __init__(self, folder: Path, study: Study, *, only: tuple[StudyTask, ...] = ()) -> None:
+    def __init__(self, folder: Path, study: Study) -> None:
         self._folder, self._pieces = folder, folder / PIECES
         try:
             self._pieces.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise no_folder(folder, error) from error
-        held = asdict(study) | {"tasks": [asdict(task) for task in only or study.tasks]}
+        held = asdict(study) | {"tasks": [asdict(task) for task in study.tasks]}
         held["bench"] = {name: held["bench"][name] for name in OF_TABLE}
-        if study.search == "grid":  # all errors are kept, whatever is minimised
-            del held["objective"], held["timing"]
-        for name in ("margin_deg", "target_deg", "confidence", "prices"):  # verdicts alone depend on them
+        for name in ("objective", "timing", "margin_deg", "target_deg", "confidence"):  # only verdicts depend on them
             del held[name]
-        if not study.trial.on:
-            del held["trial"]
         text, head = json.dumps(held, sort_keys=True), folder / HEAD
         if not head.exists():
             content = {"kind": "undrift.study-runs", "format": FORMAT, "study": json.loads(text)}
             write_whole(head, json.dumps(content, indent=1))
             return
         version, found = _study_in(head)
-        if version in range(1, FORMAT):
-            raise InputError(
-                f"{folder}: wanted runs of format {FORMAT}, with errors in real time and offline, got those of an earlier version "
-                f"(format {version}); name a new folder"
-            )
         if (version, found) != (FORMAT, text):
             mark = hashlib.sha256(text.encode()).hexdigest()[:8]
             raise InputError(
@@ -314,7 +304,7 @@ class TaskSurface:
     left_out: tuple[int, ...] = ()  # subjects not among the S: no protocol could calibrate their device
     further: Mapping[str, FloatArray] = field(default_factory=dict)  # (P,) each, by names of ``space.FURTHER``
 
-    def error(self, objective: Objective = "rms", timing: Timing = "real time") -> FloatArray:
+    def error(self, objective: Objective = "rms", timing: Timing = "offline") -> FloatArray:
         """Return the errors (S, P) that are to be small, deg."""
         found: FloatArray = getattr(self, column_of(objective, timing))
         return found
@@ -366,6 +356,11 @@ def run_study(
     return read_surfaces(store.join(units), study)
 
 
+def count_runs(study: Study) -> int:
+    """Return the runs of all tasks."""
+    return sum(study.subjects * task.space.count for task in study.tasks)
+
+
 def read_surfaces(path: Path, study: Study) -> tuple[TaskSurface, ...]:
     """Read the surfaces of a finished grid search."""
     import pyarrow.parquet as pq
@@ -396,15 +391,3 @@ def without_lost(surface: TaskSurface) -> TaskSurface:
         **{name: getattr(surface, name)[there] for name in ERRORS},
         left_out=tuple(int(subject) for subject in np.flatnonzero(~there)),
     )
-
-
-def runs_held(folder: Path) -> int:
-    """Return how many runs of a halving are on the disk."""
-    import pyarrow.parquet as pq
-
-    return sum(pq.read_metadata(piece).num_rows for piece in pieces_of(folder))
-
-
-def pieces_of(folder: Path) -> list[Path]:
-    """Return the finished pieces of a search, whatever its rounds."""
-    return sorted((folder / HALVING).glob(f"**/{PIECES}/*.parquet"))

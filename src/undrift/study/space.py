@@ -45,7 +45,6 @@ FURTHER: dict[str, Kind] = {
     "warmest_c": Kind("warmest set-point (degC)", -40.0, 150.0),  # the plan's last where not given
     "soak_c_per_min": Kind("slope at the end of a soak (K/min)", 0.005, 1.0),
     "order": Kind("order of the rates (1 rising, 2 random)", 1, 2, whole=True),
-    "mounting": Kind("mounting at set-points (1 each axis, 2 skew)", 1, 2, whole=True),
     "static_step_c": Kind("static table step (K)", 0.01),
     "dynamic_step_c": Kind("dynamic table step (K)", 0.01),
 }

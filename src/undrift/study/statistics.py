@@ -1,4 +1,4 @@
-"""Repeated measures: does the error depend on a parameter of the protocol, which of its values differ, with what power?
+"""Repeated measures: does the error depend on a parameter of the protocol, which of its values differ?
 
 A difference d of two mean errors is judged against a margin M by the three-sided test (Goeman, Solari and Stijnen, 2010): better
 where d <= M is rejected, worse where d >= -M is, equivalent where d <= -M and d >= M both are (two one-sided tests, TOST), else not
@@ -6,22 +6,16 @@ decidable. One of the three is true, so that any wrong verdict has at most the l
 
 Subjects meet every condition, one value of the parameter each: F = MS_condition / MS_error, degrees of freedom times an epsilon of
 sphericity, Huynh-Feldt where Greenhouse-Geisser's exceeds 0.75, else Greenhouse-Geisser (Girden, 1992).
-
-Where values are missing: y_r = m_c(r) + u_s(r) + e_r with u ~ N(0, s_u^2), e ~ N(0, s_e^2), by restricted maximum likelihood over
-g = s_u^2 / s_e^2. With n_i values of subject i and a_i = 1 / sqrt(1 + n_i g), the means m are the least squares of y - (1 - a_i)
-mean_i(y): exact where subjects differ a million times more than they respond. A Wald test with n - 1 degrees of freedom in the
-denominator, which is conservative, compares the conditions; values are assumed missing at random.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.arrays import FloatArray, IntArray, frozen
+from undrift.arrays import FloatArray, frozen
 from undrift.errors import InputError
 
 # ---- sphericity
@@ -83,124 +77,6 @@ def _mauchly(a: FloatArray, n: int) -> tuple[float, float, int, float]:
     return float(np.exp(log_w)), statistic, dof, min(max(p_value, 0.0), 1.0)
 
 
-# ---- mixed model of unbalanced data
-
-LOG_RATIO = np.linspace(-14.0, 34.0, 97)  # of s_u^2 / s_e^2; a ratio of 0 is tried besides
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MixedModel:
-    """Outcome of a mixed model."""
-
-    conditions: tuple[str, ...]  # In order of first appearance
-    subjects: int
-    values: int  # Of all subjects
-    means: FloatArray  # (k,), of the conditions
-    covariance: FloatArray  # (k, k), of the means, that unit squared
-    f: float  # Wald F of all differences together
-    dof: tuple[float, float]  # k - 1 and n - 1
-    p_value: float  # Of that F
-    # Share of the conditions in what is left without the subjects' own levels, from F and the residual's degrees of
-    # freedom; that of the analysis of variance where nothing is missing
-    partial_eta_squared: float
-    partial_eta_squared_interval: tuple[float, float]  # Its 95 % interval
-    subject_sd: float  # s_u, unit of the data
-    residual_sd: float  # s_e, unit of the data
-
-
-def compare_unbalanced(y: ArrayLike, subject: Sequence[str], condition: Sequence[str]) -> MixedModel:
-    """Compare conditions that not every subject met, or met as often: y (r,)."""
-    from scipy.stats import f as f_distribution
-
-    values = frozen(y, (None,), "mixed model")
-    names, subjects = tuple(dict.fromkeys(condition)), tuple(dict.fromkeys(subject))
-    r, k, n = len(values), len(names), len(subjects)
-    if not r == len(subject) == len(condition) or k < 2 or n < 3:
-        raise InputError(
-            f"mixed model: wanted as many subjects and conditions as values, three subjects or more in two conditions or more, got "
-            f"{r} values of {n} subjects in {k} conditions"
-        )
-    whose, which = (
-        np.array([known.index(each) for each in rows]) for known, rows in ((subjects, subject), (names, condition))
-    )
-    design = np.eye(k)[which]
-    residual_dof = r - n - (k - 1)
-    if residual_dof < 1 or _within(values, design, whose) <= 1e-24 * float(values.var()) * r:
-        raise InputError(
-            "mixed model: wanted subjects that differ in how they respond, met more than once each, got none that do; add subjects"
-        )
-    ratio = _ratio(values, design, whose)
-    means, root, error = _means(values, design, whose, ratio)
-    scale = error / (r - k)
-    covariance = scale * root @ root.T
-    contrast = np.hstack((np.ones((k - 1, 1)), -np.eye(k - 1)))
-    apart = contrast @ means
-    f = float(apart @ np.linalg.solve(contrast @ covariance @ contrast.T, apart)) / (k - 1)
-    return MixedModel(
-        conditions=names,
-        subjects=n,
-        values=r,
-        means=means,
-        covariance=covariance,
-        f=f,
-        dof=(float(k - 1), float(n - 1)),
-        p_value=float(f_distribution.sf(f, k - 1, n - 1)),
-        partial_eta_squared=f * (k - 1) / (f * (k - 1) + residual_dof),
-        partial_eta_squared_interval=eta_squared_interval(f, (k - 1.0, float(residual_dof))),
-        subject_sd=float(np.sqrt(ratio * scale)),
-        residual_sd=float(np.sqrt(scale)),
-    )
-
-
-def _shrunk(values: FloatArray, whose: IntArray, ratio: float) -> FloatArray:
-    """Return ``v - (1 - a_i) mean_i(v)`` of each column."""
-    count = np.bincount(whose)
-    mean = np.stack([np.bincount(whose, column) / count for column in values.T], axis=1)[whose]
-    shrunk: FloatArray = (values - mean) + (1.0 / np.sqrt(1.0 + count * ratio))[whose, None] * mean
-    return shrunk
-
-
-def _means(
-    values: FloatArray, design: FloatArray, whose: IntArray, ratio: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return the means for a ratio, the root of their covariance in units of s_e, and the sum of squares that is left."""
-    centre = float(values.mean())  # the level all share is no one's error
-    q, root = np.linalg.qr(_shrunk(design, whose, ratio))
-    y = _shrunk((values - centre)[:, None], whose, ratio)[:, 0]
-    inverse = np.linalg.inv(root)
-    means = inverse @ (q.T @ y)
-    left = y - q @ (q.T @ y)
-    return means + centre, inverse, float(left @ left)
-
-
-def _within(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
-    """Return the sum of squares that is left once each subject has a level of its own."""
-    y, x = _shrunk(values[:, None], whose, np.inf)[:, 0], _shrunk(design, whose, np.inf)
-    left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
-    return float(left @ left)
-
-
-def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
-    """Return s_u^2 / s_e^2 of the greatest restricted likelihood."""
-    from scipy.optimize import minimize_scalar
-
-    count = np.bincount(whose)
-    dof = len(values) - design.shape[1]
-
-    def unlikely(ratio: float) -> float:
-        _, inverse, error = _means(values, design, whose, ratio)
-        spread = float(np.log(np.abs(np.diag(inverse))).sum())  # of the inverse root: minus half a log determinant
-        return float(dof * np.log(error) + np.log1p(count * ratio).sum() - 2.0 * spread)
-
-    least = int(np.argmin([unlikely(float(np.exp(x))) for x in LOG_RATIO]))
-    low, high = LOG_RATIO[max(least - 1, 0)], LOG_RATIO[min(least + 1, len(LOG_RATIO) - 1)]
-    found = minimize_scalar(
-        lambda x: unlikely(float(np.exp(x))), bounds=(low, high), method="bounded", options={"xatol": 1e-9}
-    )
-    ratio = float(np.exp(found.x))
-    return 0.0 if unlikely(0.0) <= unlikely(ratio) else ratio
-
-
 # ---- pairs of conditions
 
 
@@ -208,7 +84,7 @@ def _ratio(values: FloatArray, design: FloatArray, whose: IntArray) -> float:
 class Pair:
     """Two conditions compared."""
 
-    first: int  # Column, or place of a mixed model's condition
+    first: int  # Column
     second: int
     difference: float  # Mean of first minus second, unit of the data
     uncertainty: float  # Its standard uncertainty
@@ -216,7 +92,7 @@ class Pair:
     t: float  # Paired t, n - 1 degrees of freedom
     p_value: float  # Two-sided
     p_holm: float  # After Holm
-    cohen_dz: float  # Difference over the standard deviation of the differences; in a mixed model that is sqrt(2) s_e
+    cohen_dz: float  # Difference over the standard deviation of the differences
     dz_interval: tuple[float, float]  # Its 95 % interval, from that of the noncentrality of t
 
 
@@ -230,16 +106,6 @@ def compare_pairs(y: ArrayLike) -> tuple[Pair, ...]:
     apart = np.array([table[:, i] - table[:, j] for i, j in pairs])
     sd = apart.std(axis=1, ddof=1)
     return _judged(pairs, apart.mean(axis=1), sd / np.sqrt(n), sd, n - 1)
-
-
-def compare_pairs_of(model: MixedModel) -> tuple[Pair, ...]:
-    """Compare every pair of conditions of a mixed model, by its contrasts."""
-    pairs = list(combinations(range(len(model.conditions)), 2))
-    first, second = np.array(pairs).T
-    v = model.covariance
-    uncertainty = np.sqrt(v[first, first] + v[second, second] - 2.0 * v[first, second])
-    sd = np.full(len(pairs), np.sqrt(2.0) * model.residual_sd)
-    return _judged(pairs, model.means[first] - model.means[second], uncertainty, sd, model.subjects - 1)
 
 
 def _judged(
@@ -303,7 +169,6 @@ def mean_limits(values: FloatArray, confidence: float) -> tuple[float, float]:
 # ---- verdicts against a margin
 
 Verdict = Literal["better", "equivalent", "worse", "not decidable"]
-POWER = 0.8  # of the number of subjects that is stated
 MOST_T = 1e3  # from here on the noncentrality is proportional to t
 
 
@@ -322,13 +187,6 @@ class Decision:
     p_equivalent: float  # Of one of the margin at least, either way
     p_worse: float  # Of one of minus the margin at least
     verdict: Verdict  # What is shown
-    sd: float  # Of one subject's difference, unit of the data
-    level: float  # Of the verdicts of all tests together
-
-    @property
-    def subjects_needed(self) -> int | None:
-        """With which the verdict that the difference points to has a power of 0.8, were it true; None: no number will do."""
-        return subjects_to_decide(self.difference, self.sd, margin=self.margin, level=self.level / self.tests)
 
 
 def three_sided(
@@ -364,8 +222,6 @@ def decide(pair: Pair, subjects: int, *, of: int, margin: float, level: float = 
         p_equivalent=equivalent,
         p_worse=worse,
         verdict=next((name for name, p in shown.items() if p <= level), "not decidable"),
-        sd=pair.uncertainty * float(np.sqrt(subjects)),
-        level=level,
     )
 
 
@@ -375,40 +231,6 @@ def decide_between(
     """Judge the errors of one against those of another that the same subjects met: (n,) each."""
     (pair,) = compare_pairs(np.stack((one, other), axis=1))
     return decide(pair, len(one), of=0, margin=margin, level=level, tests=tests)
-
-
-def power_to_decide(difference: float, sd: float, subjects: int, *, margin: float, level: float = 0.05) -> float:
-    """Return the chance of the verdict that a true difference points to: equivalent below the margin, else better or worse."""
-    from scipy.stats import nct
-    from scipy.stats import t as t_distribution
-
-    size, dof = abs(difference), subjects - 1
-    if not sd > 0.0:
-        return float(size != margin)
-    scale = float(np.sqrt(subjects)) / sd
-    if size > margin:
-        return float(nct.sf(t_distribution.isf(level / 2.0, dof), dof, (size - margin) * scale))
-    critical = t_distribution.isf(level, dof)  # of each one-sided test; they can fail apart: the sum is a lower bound
-    both = nct.cdf(-critical, dof, (size - margin) * scale) - nct.cdf(critical, dof, (size + margin) * scale)
-    return max(float(both), 0.0)
-
-
-def subjects_to_decide(difference: float, sd: float, *, margin: float, level: float = 0.05) -> int | None:
-    """Return the fewest subjects that decide a true difference with a power of 0.8; None where no number is enough."""
-    return _fewest(lambda n: power_to_decide(difference, sd, n, margin=margin, level=level))
-
-
-def _fewest(power: Callable[[int], float]) -> int | None:
-    """Return the fewest subjects with a power of ``POWER``; None where no number is enough."""
-    low, high = 2, 3
-    while power(high) < POWER:
-        low, high = high, 2 * high
-        if high > MOST_SUBJECTS:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if power(middle) >= POWER else (middle, high)
-    return max(high, 3)
 
 
 # ---- analysis of variance
@@ -449,8 +271,7 @@ def compare_conditions(y: ArrayLike) -> Anova:
         )
     if gaps := int(np.isnan(table).any(axis=1).sum()):
         raise InputError(
-            f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out, or use "
-            "compare_unbalanced"
+            f"anova: wanted every subject in every condition, got {gaps} of {n} subjects with gaps; leave them out"
         )
     total = float(((table - table.mean()) ** 2).sum())
     between, error = map(float, _sums_of_squares(table))
@@ -485,43 +306,6 @@ def compare_conditions(y: ArrayLike) -> Anova:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OneWay:
-    """Outcome of a one-way analysis of variance that takes every value for one of another subject."""
-
-    conditions: int  # k
-    values: int  # Of all conditions
-    f: float  # F of the conditions
-    dof: tuple[float, float]  # k - 1, values - k
-    p_value: float
-    eta_squared: float  # Share of the conditions, less its bias (epsilon squared; Kelley, 1935)
-    eta_squared_interval: tuple[float, float]  # Its 95 % interval
-
-
-def compare_independent(y: ArrayLike) -> OneWay:
-    """Compare conditions as if other subjects had met each: y (n, k)."""
-    from scipy.stats import f_oneway
-
-    table = frozen(y, (None, None), "one-way anova")
-    n, k = table.shape
-    left = float(((table - table.mean(axis=0)) ** 2).sum())
-    if k < 2 or n < 2 or not left > 1e-24 * max(float((table**2).sum()), 1e-300):
-        raise InputError(
-            f"one-way anova: wanted two subjects or more that differ in two conditions or more, got {n} in {k}; add some"
-        )
-    found = f_oneway(*table.T)
-    f, dof = float(found.statistic), (k - 1.0, float(k * (n - 1)))
-    return OneWay(
-        conditions=k,
-        values=n * k,
-        f=f,
-        dof=dof,
-        p_value=float(found.pvalue),
-        eta_squared=max(f - 1.0, 0.0) * dof[0] / (f * dof[0] + dof[1]),
-        eta_squared_interval=eta_squared_interval(f, dof),
-    )
-
-
 def eta_squared_interval(f: float, dof: tuple[float, float], *, epsilon: float = 1.0) -> tuple[float, float]:
     """Return the 95 % interval of partial eta squared, from that of the noncentrality of F (Steiger 2004)."""
     from scipy.optimize import brentq
@@ -546,64 +330,3 @@ def _sums_of_squares(y: FloatArray) -> tuple[FloatArray, FloatArray]:
     by_condition, by_subject, grand = (y.mean(axis=axis, keepdims=True) for axis in (-2, -1, (-2, -1)))
     error = ((y - by_condition - by_subject + grand) ** 2).sum(axis=(-2, -1))
     return y.shape[-2] * ((by_condition - grand) ** 2).sum(axis=(-2, -1)), error
-
-
-# ---- power and optional stopping
-
-MOST_SUBJECTS = 100_000
-
-
-def power_of_anova(
-    means: ArrayLike, error_variance: float, subjects: int, *, epsilon: float = 1.0, level: float = 0.05
-) -> float:
-    """Return the chance that the analysis finds a difference that is there: means (k,)."""
-    from scipy.stats import f, ncf
-
-    m = frozen(means, (None,), "power means")
-    k = len(m)
-    if k < 2 or subjects < 2 or not error_variance > 0.0 or not 1.0 / max(k - 1, 1) - 1e-9 <= epsilon <= 1.0:
-        raise InputError(
-            f"power: wanted two conditions or more, two subjects or more, a variance above 0 and an epsilon from 1/(k-1) to 1, got "
-            f"{k}, {subjects}, {error_variance:g} and {epsilon:g}"
-        )
-    d1, d2 = epsilon * (k - 1), epsilon * (k - 1) * (subjects - 1)
-    noncentrality = epsilon * subjects * float(((m - m.mean()) ** 2).sum()) / error_variance
-    return float(ncf.sf(f.ppf(1.0 - level, d1, d2), d1, d2, noncentrality))
-
-
-def subjects_needed(
-    means: ArrayLike, error_variance: float, *, epsilon: float = 1.0, level: float = 0.05
-) -> int | None:
-    """Return the fewest subjects with which the analysis has a power of 0.8, None where no number is enough: means (k,)."""
-    return _fewest(lambda n: power_of_anova(means, error_variance, n, epsilon=epsilon, level=level))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OptionalStopping:
-    """What happens when subjects are added until p falls below the level."""
-
-    p_by_subjects: tuple[tuple[int, float], ...]  # Number of subjects and p at each look
-    crossings: int  # How often p went from above the level to below it or back
-    false_alarm: float  # Chance that such looking finds a difference where there is none
-    looks: int  # Looks that this chance was computed for
-
-
-def stopping_of(
-    y: ArrayLike, *, first: int = 10, level: float = 0.05, simulations: int = 1000, rng: np.random.Generator
-) -> OptionalStopping:
-    """Return what a study would have found had it looked after each subject, and what such looking does to the level.
-    y (n, k)."""
-    from scipy.special import fdtrc
-
-    table = frozen(y, (None, None), "optional stopping")
-    n, k = table.shape
-    looks = range(min(first, n), n + 1)
-    p = tuple((m, compare_conditions(table[:m]).p_value) for m in looks)
-    below = [value < level for _, value in p]
-    null = rng.normal(size=(simulations, n, k))
-    found = np.zeros(simulations, dtype=bool)
-    for m in looks:
-        between, error = _sums_of_squares(null[:, :m])
-        found |= fdtrc(k - 1, (m - 1) * (k - 1), (m - 1) * between / error) < level
-    crossings = sum(a != b for a, b in pairwise(below))
-    return OptionalStopping(p_by_subjects=p, crossings=crossings, false_alarm=float(found.mean()), looks=len(looks))

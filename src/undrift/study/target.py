@@ -6,13 +6,14 @@ the quantile of Student's distribution at the confidence c, one-sided::
     upper limit      U = m + t s / sqrt(S)
     reach            R = m + 2 t s / sqrt(S)     what the upper limit on as many other subjects is expected to keep below
 
-Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one of the
-least stated price, then what asks least of a laboratory (``plan.INSTRUMENTS``, by the dearest that is needed), then that with the
-least error. Where an hour at the rig has a price too, the price comes before the minutes. It alone is then tried on the other
-cohort, whose people, devices and benches had no part in the choice: the session is enough where *their* upper limit is below the
-target, and every device was calibrated. Errors of people are skewed, and Student's upper limit is low for these: of 30 lognormal
-ones (0.4) below the true mean in 8 % at a confidence of 95 %. The reach makes up for it: a session that is not enough is hardly
-ever tried. People who were recorded have no other cohort: each is then judged with the session that all the others choose.
+Of the protocols whose reach is below the target the one with the shortest session is chosen, to the minute; of those the one that
+asks least of a laboratory (``plan.INSTRUMENTS``, by the dearest that is needed), then that with the least error. It alone is then
+tried on the other cohort, whose people, devices and benches had no part in the choice. The session is enough if *their* upper
+limit is below the target and every device was calibrated. It is not enough if their lower limit is above the target, or if it
+left a device uncalibrated; otherwise this is not decidable with so many subjects. Errors of people are skewed, and Student's
+upper limit is low for these: of 30 lognormal ones (0.4) below the true mean in 8 % at a confidence of 95 %. The reach makes up
+for it: a session that is not enough is hardly ever tried. People who were recorded have no other cohort: each is then judged with
+the session that all the others choose.
 
 The chosen one may have the first or the last value that was tried of a parameter that decides the error, with more beyond it. Then
 the best session may lie outside what was tried, and the verdict is not "enough". Where nothing reaches the target, the error of the
@@ -26,12 +27,12 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.findings import Finding, finding
-from undrift.study.judge import SYMBOLS, Optimum, Tested, needed_text
+from undrift.study.judge import SYMBOLS, Optimum, Tested
 from undrift.study.plan import INSTRUMENTS, Aim, StudyTask
 from undrift.study.run import TaskSurface
-from undrift.study.statistics import MOST_SUBJECTS, mean_limits
+from undrift.study.statistics import mean_limits
 
-TargetVerdict = Literal["enough", "at the edge", "not reached", "not decidable"]
+TargetVerdict = Literal["enough", "at the edge", "not enough", "not reached", "not decidable"]
 
 # What makes each effect of study/case.py smaller
 REMEDIES: dict[str, str] = {
@@ -43,9 +44,6 @@ REMEDIES: dict[str, str] = {
     "dynamic drift": "turn at more rates, up to those of the motion",
     "delay": "raise the cut-off, or judge offline",
     "quantisation": "take a converter of more bits, or more gain",
-    "soft tissue": "press the sensor to the bone, make it lighter, or judge offline with a cut-off below its resonance",
-    "impacts": "fix the sensor where it rings less, or judge offline with a cut-off below its resonance",
-    "vibration": "take a cut-off below half the sampling rate, or sample faster",
 }
 
 
@@ -59,18 +57,15 @@ class CheapestSession:
     chosen: bool  # Whether one does reach on the subjects that choose
     minutes: float  # On the rig
     needs: tuple[str, ...]  # Of ``plan.INSTRUMENTS``
-    price: float  # Of these and the time, in the currency of the plan; 0 where none is stated
-    currency: str
     edges: tuple[str, ...]  # Deciding parameters of which it has the first or last value that was tried
     tested: Tested  # On the other cohort
-    subjects_needed: int | None  # For a reach below the target, were the other cohort's figures true
     obstacle: tuple[str, float] | None  # Effect that stands in the way, and its share of the mean square
     verdict: TargetVerdict
 
     @property
     def needs_text(self) -> str:
-        """What is needed, with its price where one is stated."""
-        return ", ".join(self.needs) + (f", {self.price:.0f} {self.currency}" if self.price else "")
+        """What is needed, separated by commas."""
+        return ", ".join(self.needs)
 
     @property
     def finding(self) -> Finding:
@@ -85,8 +80,11 @@ class CheapestSession:
                 "study.enough_at_edge", "warn", parameters=tuple(SYMBOLS[name] for name in self.edges), **words
             )
         if self.verdict == "not decidable":
-            needed = needed_text(self.subjects_needed)
-            return finding("study.target_undecided", "warn", lower_deg=lower, needed=needed, **words)
+            return finding("study.target_undecided", "warn", lower_deg=lower, **words)
+        if self.verdict == "not enough" and self.tested.failed:
+            return finding("study.target_uncalibrated", "warn", failed=self.tested.failed, **words)
+        if self.verdict == "not enough":
+            return finding("study.target_missed", "warn", lower_deg=lower, **words)
         effect, share = self.obstacle or ("no single effect", float("nan"))
         todo = REMEDIES.get(effect, "try a wider space")
         return finding(
@@ -107,7 +105,6 @@ def needs_of(task: StudyTask, surface: TaskSurface, place: int) -> tuple[str, ..
     chamber = bool(listed) and further.get("set_points", 2) > 1
     inclined = any(" " in pose for pose in (task.poses[further["poses"] - 1] if "poses" in further else ()))
     needed = {"faces fixture": True, "inclined plane": inclined, "rate table": True, "chamber": chamber}
-    needed["wedge"] = chamber and further.get("mounting") == 2
     return tuple(name for name in INSTRUMENTS if needed.get(name))
 
 
@@ -126,10 +123,8 @@ def _cheapest(task: StudyTask, surface: TaskSurface, error: FloatArray, usable: 
     if not len(places):
         return None
     needs, minutes = [needs_of(task, surface, int(place)) for place in places], surface.rig_minutes[places]
-    price = np.array([aim.prices.of(*each) for each in zip(needs, minutes, strict=True)])
     asked = np.array([sum(2 ** INSTRUMENTS.index(name) for name in each) for each in needs])
-    first, then = (price, minutes.round()) if aim.prices.hour else (minutes.round(), price)
-    return int(places[np.lexsort((mean[places], asked, then, first))[0]])
+    return int(places[np.lexsort((mean[places], asked, minutes.round()))[0]])
 
 
 def leave_one_out(task: StudyTask, surface: TaskSurface, optimum: Optimum, aim: Aim, tested: Tested) -> Tested:
@@ -163,32 +158,21 @@ def judge_target(
     edges = tuple(name for name in optimum.edges if surface.at_end(surface.column(name)[place], name))
     lower, upper = tested.limits_deg
     verdict: TargetVerdict = "not decidable"
-    if chosen is not None and upper <= aim.target_deg and not tested.failed:
+    if chosen is None:
+        verdict = "not reached" if lower > aim.target_deg else "not decidable"
+    elif tested.failed or lower > aim.target_deg:
+        verdict = "not enough"
+    elif upper <= aim.target_deg:
         verdict = "at the edge" if edges else "enough"
-    elif lower > aim.target_deg and chosen is None:
-        verdict = "not reached"
     return CheapestSession(
         target_deg=aim.target_deg,
         confidence=aim.confidence,
         place=place,
         chosen=chosen is not None,
         minutes=float(surface.rig_minutes[place]),
-        needs=(needs := needs_of(task, surface, place)),
-        price=aim.prices.of(needs, float(surface.rig_minutes[place])),
-        currency=aim.prices.currency,
+        needs=needs_of(task, surface, place),
         edges=edges,
         tested=tested,
-        subjects_needed=_needed(tested, aim.target_deg),
         obstacle=obstacle,
         verdict=verdict,
     )
-
-
-def _needed(tested: Tested, target_deg: float) -> int | None:
-    """Return how many subjects bring the reach below the target; None where the mean is above it, or too many."""
-    lower, upper = tested.limits_deg
-    mean, half = 0.5 * (upper + lower), 0.5 * (upper - lower)
-    if not mean < target_deg:
-        return None
-    count = int(np.ceil((tested.subjects - tested.failed) * (2.0 * half / (target_deg - mean)) ** 2))
-    return max(count, tested.subjects + 1) if count <= MOST_SUBJECTS else None

@@ -13,22 +13,14 @@ so that integrating the rate gives the pose back. A pose sequence on straight li
 be brought back to those frames first. The low-pass is a Butterworth of order n, forward and back; two passes would be 6 dB down
 at the cut-off f_c, so each is designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_.
 
-The cut-off, how much is motion and how much is camera noise, can be chosen two ways::
-
-    rest       the lowest f from where on the spectrum of the motion stays below twice that of a rest
-    residual   R(f) = rms(x - lowpass(x, f)); the straight line of the noise, through the upper half of f, meets f = 0 at the
-               noise's own rms; the cut-off is where R(f) falls to it [2]_
-
 References
 ----------
 .. [1] D. A. Winter, "Biomechanics and Motor Control of Human Movement", 4th ed., 2009, section 3.4.4.2.
-.. [2] the same, section 3.4.4.3.
 """
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,7 +31,6 @@ from undrift.record import Reference
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
 from undrift.sim.motion.tasks import Task
-from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -224,94 +215,6 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
     even, values = evenly(time, values, step)
     rate = float((len(even) - 1) / (even[-1] - even[0]))
     return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=rate, order=order))
-
-
-# ---- Choice of the cut-off
-
-Method = Literal["rest", "residual"]
-Signal = Literal["orientation", "position"]
-_SMOOTH_HZ = 2.0  # a spectrum of few segments scatters by half: neighbours are averaged
-_LOWEST_HZ, _TOP, _TRIES = 1.0, 0.35, 160  # the cut-offs that are tried: from here to a share of the sample rate
-_NOISE_FACTOR = 2.0  # power of the motion over that of the rest at which it counts as noise
-_SEGMENT_S = 2.0  # length of a spectrum's segments, s; the resolution is its inverse
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cutoff:
-    """A cut-off and why."""
-
-    cutoff_hz: float  # 3 dB down after both passes, Hz
-    method: Method
-    reason: str  # One sentence with the figures it rests on
-
-
-def choose_cutoff(reference: Reference, *, signal: Signal = "orientation") -> Cutoff:
-    """Choose the cut-off of the low-pass for poses: by the rest where it shows one, else by the residual."""
-    found = None
-    with suppress(InputError):  # no stretch of rest is long enough
-        found = cutoff_by_rest(reference, signal)
-    return found or cutoff_by_residual(reference, signal)
-
-
-def cutoff_by_residual(reference: Reference, signal: Signal) -> Cutoff:
-    """Return where the residual of a low-pass equals the noise, as its course at high cut-offs shows it."""
-    time, values = _series(reference, signal, np.ones(len(reference), dtype=np.bool_))
-    rate = float((len(time) - 1) / (time[-1] - time[0]))
-    tried = np.linspace(_LOWEST_HZ, _TOP * rate, _TRIES)
-    misfit = (values - zero_phase(values, f, sample_rate_hz=rate) for f in tried)
-    left = np.sqrt([(x**2).sum(axis=1).mean() / 3.0 for x in misfit])
-    upper = tried > 0.5 * tried[-1]
-    _, noise = np.polyfit(tried[upper], left[upper], 1)
-    below = np.flatnonzero(left <= noise)
-    chosen = float(tried[below[0]]) if below.size else float(tried[-1])
-    unit, scale = ("deg", 1.0 / RADIAN_PER_DEGREE) if signal == "orientation" else ("mm", 1e3)
-    return Cutoff(
-        cutoff_hz=chosen,
-        method="residual",
-        reason=f"the residual of a low-pass at {chosen:.1f} Hz equals the noise of {scale * noise:.3g} {unit} rms, extrapolated "
-        f"from {tried[upper][0]:.0f} to {tried[-1]:.0f} Hz",
-    )
-
-
-def cutoff_by_rest(reference: Reference, signal: Signal) -> Cutoff | None:
-    """Return where the power of the motion falls to that of the rest; None without a rest, or one too short for a spectrum."""
-    from scipy.signal import welch
-
-    if reference.moving is None or reference.moving.all():
-        return None
-    rest, spectra = reference.moving == 0.0, []
-    for part in (rest, ~rest):
-        time, values = _series(reference, signal, part)
-        rate = float((len(time) - 1) / (time[-1] - time[0]))
-        length = round(_SEGMENT_S * rate)
-        if len(time) < length:
-            return None
-        power = welch(values, rate, nperseg=length, axis=0, detrend="linear")[1].sum(axis=1)  # type: ignore[call-overload]  # its stub spells linear "literal"
-        width = round(_SMOOTH_HZ * _SEGMENT_S) + 1
-        spectra.append(np.convolve(power, np.full(width, 1.0 / width), mode="same"))
-    frequency = np.fft.rfftfreq(length, 1.0 / rate)
-    use = (frequency >= _LOWEST_HZ) & (frequency <= _TOP * rate)
-    above = np.flatnonzero(use & (spectra[1] > _NOISE_FACTOR * spectra[0]))
-    last = float(frequency[use][-1])
-    chosen = float(frequency[above[-1] + 1]) if above.size else _LOWEST_HZ
-    if chosen > last:  # cameras are noisier in motion than at rest
-        return None
-    reason = f"from {chosen:.1f} Hz on the motion has less than {_NOISE_FACTOR:g} times the power of the rest"
-    return Cutoff(cutoff_hz=chosen, method="rest", reason=reason)
-
-
-def _series(reference: Reference, signal: Signal, part: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return the longest stretch of a part of the poses: even time, and quaternions doubled (rad) or coordinates (m)."""
-    seen = reference.valid & part
-    if signal == "position":
-        if reference.position is None:
-            raise InputError("cut-off: wanted positions, got poses without; choose the orientation")
-        seen &= np.isfinite(reference.position).all(axis=1)
-    stretches = find_stretches(reference.time, seen, trim_s=0.0, end_trim_s=0.0)
-    rows = max((stretch[0] for stretch in stretches), key=len)
-    poses = reference.position[rows] if reference.position is not None and signal == "position" else None
-    values = 2.0 * signed(reference.q_nb[rows]) if poses is None else poses
-    return evenly(reference.time[rows], values, 1.0 / reference.sample_rate_hz)
 
 
 # ---- Simulated optics
