@@ -5,12 +5,10 @@ before a command runs: ``--help`` answers at once.
 """
 
 import json
-import re
 import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -546,48 +544,6 @@ def ends_of(option: str, text: str, unit: str = "degC") -> tuple[float, float]:
     if not ends[0] < ends[1] or (unit == "degC" and not -273.15 < ends[0] < ends[1] < 1000.0):
         raise InputError(f"{option}: wanted LOW below HIGH in {unit}, got '{text}'; for example 15:35")
     return ends
-
-
-# ---- Dates of recordings
-
-_DATE = re.compile(r"((?:19|20)\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)(?:[T_ -]*(\d\d)[-:.]?(\d\d)(?:[-:.]?(\d\d))?(?!\d))?")
-
-
-def dates_of(recordings: tuple[Path, ...], given: tuple[str, ...]) -> tuple[list[datetime], int]:
-    """Return the date of each recording, and how many are those of the file's last change."""
-    if given and len(given) != len(recordings):
-        raise InputError(
-            f"date: wanted one for each recording, got {len(given)} for {len(recordings)}; say `date` once for each, in order"
-        )
-    found, changed = list[datetime](), 0
-    for k, path in enumerate(recordings):
-        held = _DATE.search(path.name)
-        if given:
-            found.append(stated_date(given[k]))
-        elif held is not None and (dated := _of_name(held)) is not None:
-            found.append(dated)
-        else:
-            found.append(datetime.fromtimestamp(path.stat().st_mtime, UTC))
-            changed += 1
-    return found, changed
-
-
-def stated_date(text: str) -> datetime:
-    """Return a date as a person states it, in UTC."""
-    try:
-        when = datetime.fromisoformat(text)
-    except ValueError:
-        raise InputError(f"date: wanted one as 2026-03-01 or 2026-03-01T08:30, got '{text}'; correct it") from None
-    return when if when.tzinfo else when.replace(tzinfo=UTC)
-
-
-def _of_name(held: re.Match[str]) -> datetime | None:
-    """Return the date in a name; None where its digits are none."""
-    year, _, month, day, hour, minute, second = (int(part) if (part or "").isdigit() else 0 for part in held.groups())
-    try:
-        return datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
-        return None
 
 
 # ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
