@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -11,16 +10,9 @@ import pytest
 from testkit.command_line import beyond_the_table, contents
 from testkit.data import DATA, data_path
 from testkit.host import stamp_on_host
-from undrift.arrays import window_sums
 from undrift.base.summary import plain
-from undrift.calibration.calibrate import calibrate
-from undrift.correction.correct import correct
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
 from undrift.io.formats import read_record, write_record
 from undrift.record import Record
-from undrift.sim.device.presets import random_device
-from undrift.sim.motion.motion import unit_vector
-from undrift.sim.sessions import simulate_session
 
 pytestmark = pytest.mark.usefixtures("described_once")
 KEYS = {
@@ -244,44 +236,3 @@ def test_python_gets_what_the_command_line_shows(undrift, bench):
     (bench / "again.parquet").unlink()
     assert (corrected.files[0].output, "\n" in repr(corrected)) == (bench / "again.parquet", False)
     assert "Recordings" in corrected._repr_html_()
-
-
-TILT, SCALED = "the drawing shows tilt alone, and is rough", "gravity gives the drawing their scale, so it is rough"
-
-
-@pytest.mark.parametrize(("change", "span", "words"), [
-    ("none", None, SCALED), ("left out", None, f"{SCALED}. Nothing is drawn in a gap; its heading begins anew after one"),
-    ("no force reads 20000", None, SCALED), ("gyroscope x reversed", None, TILT), ("one rest", (0.0, 5.0), TILT),
-    ("one rest, no force reads 20000", (0.0, 5.0), ""),
-])  # fmt: skip
-def test_counts_show_how_the_device_lay_by_gravity(undrift, tmp_path, change, span, words):
-    rng = np.random.default_rng(7)
-    device = random_device(rng)
-    made = calibrate(simulate_session("bench", device, rng=rng))
-    (raw,) = simulate_session("ferraris", device, rng=rng, labelled=False).records
-    raw = raw if span is None else raw.between(*span)
-    record = replace(
-        raw,
-        accel=raw.accel + (20_000.0 if "20000" in change else 0.0),
-        gyro=raw.gyro * ((-1.0, 1.0, 1.0) if "reversed" in change else 1.0),
-    )
-    write_record(record, tmp_path / "counts.parquet")
-    out = ("--leave-out", "30:50") if change == "left out" else ()
-    asked = "info", tmp_path / "counts.parquet", *out, "--trace", tmp_path / "trace.npy", "--json"
-    shown, trace = undrift.good(*asked).json()["trace"], np.load(tmp_path / "trace.npy")
-    known = ~np.isnan(trace["q_nb"]).any(axis=1)
-    assert shown["lying"] == (f"The readings have no physical unit: {words}." if words else "")
-    assert known.mean() == pytest.approx(0.8 if out else 1.0 if words else 0.0, abs=0.01)
-    assert sum(kind == "turn" for kind, *_ in shown["stretches"]) == (0 if span else 8 if out else 11)  # a gap is none
-    q = trace["q_nb"].astype(float)
-    for kind, label, why, start, stop in shown["stretches"]:
-        if kind == "still" and words and not why:
-            up = rotate(q[int(50.0 * (start + stop))], unit_vector(label or "+x"))
-            assert up == pytest.approx(
-                [0.0, 0.0, 1.0], abs=0.03 if span is None else 0.1
-            )  # an offset that one rest does not show
-    if SCALED in words:  # and it turns as far as the device did: over half a second, by the rates
-        far = np.linalg.norm(rotation_vector(quaternion_product(quaternion_conjugate(q[:-50]), q[50:])), axis=1)
-        truth = np.linalg.norm(window_sums(np.asarray(correct(raw, made).gyro), 50)[:-1], axis=1) / 100.0
-        both = ~np.isnan(far)
-        assert (far[both] @ truth[both]) / (truth[both] @ truth[both]) == pytest.approx(1.0, abs=0.05)

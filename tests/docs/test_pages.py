@@ -17,7 +17,6 @@ WITHOUT_BLOCKS = {
     "accuracy.md",
     "accuracy-motion.md",
     "bench-check.md",
-    "bench-safety.md",
     "cite.md",
     "glossary.md",
     "live.md",

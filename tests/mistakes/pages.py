@@ -63,6 +63,7 @@ async def _calibrated(case: Case, folder: Path, visit: Visit) -> None:
     latitude_deg, turn_deg = (None if word is None else float(str(word)) for word in (*case.words, None)[:2])
     visit.bench.set_place(Site(latitude_deg=latitude_deg))
     held = await _dropped(case, folder, visit)
+    held.serial = held.serial or "A1"
     if not held.error:
         await visit.recordings.calibrate(held, turn_deg=turn_deg)
 

@@ -214,8 +214,6 @@ async def _page(case: Case, folder: Path) -> Told:
     assert case.page is not None
 
     async def in_process(words: Any, place: Path, heard: Callable[[str], None], **_: object) -> CommandOutcome:
-        if "--figure" in words:  # the picture of a file tells nothing that is judged here
-            return outcome_of(2, "", [])
         with contextlib.chdir(place):
             code, out, err = _called([*words, "--json"])
         return outcome_of(code, out, err.splitlines())
@@ -223,8 +221,7 @@ async def _page(case: Case, folder: Path) -> Told:
     before, bench_module.run_command = bench_module.run_command, in_process
     bench = Bench(ServerSettings(folder=folder / "bench"))
     try:
-        visit = bench.visit("tab")
-        visit.begun().serial = "A1"
+        visit = bench.visit
         await case.page(case, folder, visit)
     finally:
         bench_module.run_command = before

@@ -1,7 +1,7 @@
 """A bench in a process of its own, on loopback.
 
 It and its commands are forks of a process that has imported all they need, which takes seconds; tests/cli/test_bench.py and
-tests/web/test_commands.py have both as they are called. A run on a rate table keeps its own processes.
+tests/web/test_commands.py have both as they are called.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 FORKS = get_context("forkserver")
-COMMANDS = ("calibrate", "certificate", "correct", "drift", "info", "orient", "validate")
+COMMANDS = ("calibrate", "certificate", "correct", "info", "orient", "validate")
 IMPORTED = ("undrift.web.app", "undrift.cli.bench", "undrift.report.page", "undrift.report.figures", "scipy.stats")
 FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
 
@@ -38,17 +38,11 @@ class BenchServer:
         return int(self.address.split(":")[2].partition("/")[0])
 
 
-def environment_of(_folder: Path) -> dict[str, str]:
-    """Return the environment of a bench's commands."""
-    return dict(os.environ)
-
-
-def _serve(words: list[str], environment: dict[str, str], log: Path, out: Connection) -> None:
+def _serve(words: list[str], log: Path, out: Connection) -> None:
     """Be ``undrift bench``."""
     from undrift.web import commands
 
     commands.asyncio = SimpleNamespace(**vars(asyncio) | {"create_subprocess_exec": _ForkedCommand.start})
-    os.environ.update(environment)
     with log.open("w") as err:
         _called(["bench", *words], out, err)
 
@@ -99,13 +93,11 @@ class _ForkedCommand:
 @contextmanager
 def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
     """Run ``undrift bench`` on a free loopback port until the end of the block; its log stands beside the folder."""
-    token = (
-        [] if {"--token", "--network"} & {*words} else ["--token", "none"]
-    )  # pages and requests of tests name plain addresses
+    token = [] if "--token" in words else ["--token", "none"]  # pages and requests of tests name plain addresses
     called = ["--port", "0", "--no-browser", "--json", "--folder", str(folder), *token, *words]
     log = folder.parent / f"{folder.name}.log"
     near, far = FORKS.Pipe(duplex=False)
-    process = FORKS.Process(target=_serve, args=(called, environment_of(folder), log, far))
+    process = FORKS.Process(target=_serve, args=(called, log, far))
     process.start()
     far.close()
     try:

@@ -300,5 +300,5 @@ def test_a_trace_is_for_whoever_has_the_token_and_no_other_file_is_one(tmp_path:
         code, body = answered("trace.npy", cookie)
         assert (code, body[:4]) == (200, b"UDF1")
         wrong = b"trace: wanted readings of a file, got others; choose a recording\n"
-        for name in ("objects.npy", "map.toml", "none.npy", "..%2F..%2F..%2Fregistry.sqlite"):
+        for name in ("objects.npy", "map.toml", "none.npy", "..%2F..%2F..%2Fother.npy"):
             assert answered(name, cookie) == (404, wrong)

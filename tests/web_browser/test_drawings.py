@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from undrift.commands.bench.capture import State
 from undrift.record import FACES
 from undrift.sim.motion.motion import unit_vector
-from undrift.web.feed import STATIC
+from undrift.web.panel import STATIC
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -111,17 +111,3 @@ def test_the_ring_closes_and_shows_whole_seconds(draw):
     assert gone == pytest.approx([0.0, 125.7, 251.3], abs=0.1)
     assert parsed(draw("ring", 2.1, 6.0)).find(f"{SVG}text").text == "3"
     assert parsed(draw("ring", None, 6.0)).find(f"{SVG}text") is None
-
-
-@pytest.mark.slow
-def test_lines_are_drawn_with_gaps_and_their_newest_values_are_in_words(draw):
-    assert draw("lines", "Temperature", "°C", "min", [["device", "none", [[0.0, 20.0]]]]) == ""
-    air, device = [[0.0, None], [1.0, None]], [[0.0, 20.0], [1.0, None], [2.0, 24.5]]
-    drawn = draw("lines", "Temperature", "°C", "min", [["device", "none", device], ["air", "6 5", air]])
-    svg = parsed(drawn.partition("<p class")[0])
-    assert svg.get("aria-label") == "Temperature from 20.0 to 24.5 °C; now device (solid) 24.50 °C"
-    (line, empty) = svg.iter(f"{SVG}polyline")
-    (x0, y0), (x1, y1) = (point.split(",") for point in line.get("points").split())
-    assert float(x0) < float(x1)
-    assert float(y0) > float(y1)
-    assert empty.get("points") == ""

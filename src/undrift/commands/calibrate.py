@@ -19,11 +19,10 @@ from cyclopts import Parameter
 from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
-from undrift.commands import Progress, Screen, reading, silent
+from undrift.commands import Progress, reading, silent
 from undrift.commands.certificate import answer_sentence, departures_words, rms_of, uncertainty_section
 from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
-from undrift.commands.live_motion import LiveMotion, collect, motion_fit
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
@@ -57,7 +56,6 @@ class Calibrated(Result):
     seen: "Observed | None"  # None of motion alone
     settings: "CalibrateSettings"
     in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
-    live: dict[str, Any]  # What was collected of a device
     output: Path | None
     figure: Path | None
 
@@ -99,7 +97,6 @@ class Calibrated(Result):
             added = _motion_section(figures), _field_section(figures), by_element
             shown = replace(shown, sections=(*shown.sections, *added))
             more |= {"motion": figures, "elements": [asdict(one) for one in elements]}
-            more |= {"live": self.live} if self.live else {}
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
@@ -119,7 +116,6 @@ PRIOR_OF = "undrift.sim.device.presets:sensitivity_of"  # of a part, over temper
 @verb
 def calibrate(
     *files: Path,
-    live: LiveMotion = LiveMotion(),
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
@@ -139,7 +135,6 @@ def calibrate(
     rests: Rests = Rests(),
     figure: Picture = None,
     progress: Progress = silent,
-    screen: Screen = Screen(),
 ) -> Calibrated:
     """Fit what a session, or bare recordings, allow, with verdict and findings.
 
@@ -172,13 +167,15 @@ def calibrate(
     figure : Path or None
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
+    from undrift.base.codec import read
     from undrift.calibration.calibrate import calibrated as fit
+    from undrift.calibration.calibrate import from_motion
+    from undrift.calibration.element_prior import PUBLISHED, ElementPrior
     from undrift.calibration.observe import CalibrateSettings
 
-    live.check(files, output)
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
     check_figure(figure, reads=files)
-    if calibrate_from == "motion" or live.live is not None:
+    if calibrate_from == "motion":
         idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
     elif prior is not None or magnetometer:
@@ -186,21 +183,20 @@ def calibrate(
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
         identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
-    by_motion = motion_fit(prior, identify_adc=adc == "auto", magnetometer=magnetometer)
-    if collected := collect(live, output, place, by_motion, screen):
-        files, opening = (Path(collected["recording"]),), replace(opening, gaps="keep")
     with reading(progress, 0.5, *files):
         session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)
-    if calibrate_from == "motion" or collected:
-        (made, in_motion), seen = by_motion(session), None
+    if calibrate_from == "motion":
+        part_prior = PUBLISHED if prior is None else read(ElementPrior, prior)
+        made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer, prior=part_prior)
+        seen = None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
     part = () if kind is None else ((PART, kind),)
     made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure, live=collected)  # fmt: skip
+        figure=figure)  # fmt: skip
     if output is not None:
         at("undrift.io.store:write_calibration")(made, output)
     _draw(calibrated, figure)

@@ -12,7 +12,7 @@ from undrift.commands.batch import of_folder
 from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
 from undrift.commands.mount import sides_of
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
@@ -67,16 +67,11 @@ class Proposal:
             )
 
 
-_SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
-    ("gyro", "rate", "deg/s", RADIAN_PER_DEGREE),
-    ("accel", "accel", "g", STANDARD_GRAVITY),
-)
-LEAST_DRAWN = 0.1  # of a recording: shorter pieces between gaps show no orientation
 POSES = 9  # still phases of a recording that may calibrate a device
 
 
 @verb
-@of_folder(None, alone=("figure", "write_map", "trace"))
+@of_folder(None, alone=("figure", "write_map"))
 def info(
     file: Path,
     /,
@@ -86,7 +81,6 @@ def info(
     proposal: Proposal = Proposal(),
     rests: Rests = Rests(),
     figure: Picture = None,
-    trace: Picture = None,
     output: OptionalOutput = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -100,8 +94,6 @@ def info(
         The map to write for a table with foreign columns.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
-    trace : Path or None
-        Of a recording alone: readings and orientation for a page that draws them, .npy; stills, faces and turns are in --json.
     output : Path or None
         Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """
@@ -109,7 +101,6 @@ def info(
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     check_figure(figure, reads=(file, opening.column_map))
-    check_output(trace, endings=(".npy",), reads=(file, opening.column_map))
     if output is not None:
         raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
     proposal.check(figure, reads=(file, opening.column_map))
@@ -140,7 +131,6 @@ def info(
     more: dict[str, object] = {"units": dict(found.units), "stills": stills, "map": found.example, "effects": parts}
     more |= {"reference_map": found.beside} if found.beside else {}
     more |= {"findings": findings_json(found.findings), "no_still_because": reason}
-    more |= {"trace": _write_trace(trace, seen)} if trace and seen and found.kind == "recording" else {}
     return Summary(
         title=f"What {name_of(file)} holds",
         answer=f"{found.path}: {found.kind} ({found.format})",
@@ -289,70 +279,6 @@ def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
 
     pieces, _ = pieces_of(session, seen=seen)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
-
-
-def _write_trace(path: Path, seen: "Observed") -> dict[str, object]:
-    """Write time, readings and, where they show it, orientation of a recording; return its stretches, and what it reads at rest."""
-    import numpy as np
-
-    from undrift.calibration.pieces import pieces_of
-    from undrift.files import write_together
-
-    record, pieces = seen.session.records[0], pieces_of(seen.session, seen=seen)[0]
-    kinds = [("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]
-    table = np.full(len(record), np.nan, dtype=kinds)
-    table["time"], units, at_rest = record.time, dict[str, str](), dict[str, float]()
-    for name, quantity, unit, size in _SHOWN:
-        if (values := getattr(record, name)) is None:
-            continue
-        units[name] = own = getattr(record, f"{name}_unit")
-        if is_physical(own):
-            values, units[name] = values * (si_factor(own, quantity) / size), unit
-        table[name] = values
-        means = [float(np.linalg.norm(values[still.start : still.stop].mean(axis=0))) for still in seen.stills]
-        at_rest |= {name: float(np.median(means))} if means else {}
-    table["q_nb"], words = _lying(record, seen.stills)
-
-    def write(part: Path) -> None:
-        with part.open("wb") as file:
-            np.save(file, table)
-
-    write_together({path: write}, table.nbytes)
-    spans = [(one.kind, one.label, one.why, *_span(record, one)) for one in pieces]
-    span = float(record.time[0]), float(record.time[-1])
-    return {"span_s": span, "stretches": spans, "units": units, "at_rest": at_rest, "lying": words}
-
-
-def _lying(record: "Record", rests: "Sequence[Still]") -> "tuple[FloatArray, str]":
-    """Return how the device lay, (N, 4), NaN where nothing shows it, and what a person should know of it."""
-    import numpy as np
-
-    from undrift.arrays import runs
-    from undrift.orientation import LONGEST_HOLE_S, filtered, scale_by_gravity
-
-    q_nb = np.full((len(record), 4), np.nan)
-    counts = not (is_physical(record.gyro_unit) and is_physical(record.accel_unit))
-    record = record if counts else record.in_si()
-    if record.gyro is None or record.accel is None:
-        return q_nb, ""
-    still = [record.gyro[one.start : one.stop].mean(axis=0) for one in rests]
-    gyro, words, follows_s = record.gyro - (np.median(still, axis=0) if rests else 0.0), "", 3.0
-    if counts:  # the filter takes its tilt from the accelerometers: a rough scale is enough
-        if not rests or (scaled := scale_by_gravity(record, gyro, rests)) is None:
-            return q_nb, ""
-        scale, accel = scaled
-        drawn = "gravity gives the drawing their scale, so it is rough"
-        if not scale:
-            drawn, follows_s = "the drawing shows tilt alone, and is rough", 0.3
-        words, gyro = f"The readings have no physical unit: {drawn}.", scale * gyro
-        record = replace(record, accel=STANDARD_GRAVITY * accel, accel_unit="m/s2")
-    whole = np.isfinite(np.hstack((gyro, np.asarray(record.accel)))).all(axis=1)
-    whole[1:] &= np.diff(record.time) <= max(LONGEST_HOLE_S, 5.0 / record.sample_rate_hz)
-    for start, stop in (pieces := runs(whole)):
-        if stop - start >= LEAST_DRAWN * len(record):
-            piece = record.part(start, stop), gyro[start:stop], RADIAN_PER_DEGREE
-            q_nb[start:stop], _ = filtered(*piece, magnetometer=False, acc_s=follows_s)
-    return q_nb, words + " Nothing is drawn in a gap; its heading begins anew after one." * (len(pieces) > 1)
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:

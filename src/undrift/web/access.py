@@ -12,16 +12,15 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers
-from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
-HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame; a stop goes to another port of the same HOST
+HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
     "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
-    "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN http://HOST:*; frame-ancestors 'self'; form-action 'self'",
+    "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN; frame-ancestors 'self'; form-action 'self'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -78,11 +77,6 @@ def refused(scope: Scope, token: str | None) -> str:
     return ""
 
 
-def allowed(connection: HTTPConnection, token: str | None) -> bool:
-    """Return whether a connection may use the bench."""
-    return not refused(connection.scope, token)
-
-
 def _name(host: str) -> str:
     try:
         return urlsplit(f"//{host}").hostname or ""
@@ -92,7 +86,7 @@ def _name(host: str) -> str:
 
 def _for_host(policy: str, scope: Scope) -> str:
     found = re.fullmatch(r"(([\w.-]+|\[[\w:.]+\])(:\d{1,5})?)", Headers(scope=scope).get("host", ""))
-    return policy.replace("OWN", found[1] if found else "127.0.0.1").replace("HOST", found[2] if found else "127.0.0.1")
+    return policy.replace("OWN", found[1] if found else "127.0.0.1")
 
 
 def _cookie_of(headers: Mapping[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""The server of the bench: pages, files, uploads, the emergency stop; on this computer alone unless asked otherwise."""
+"""The server of the bench: pages, files and uploads, for this computer only."""
 
 import asyncio
 import contextlib
@@ -13,25 +13,24 @@ from fastapi import FastAPI
 from nicegui import app as pages_app
 from nicegui import ui
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from undrift.commands.bench.library import lock_folder
 from undrift.errors import InputError, UndriftError
-from undrift.web import device, devices, guided, live, parts, rate_table, recordings, temperature
-from undrift.web.access import Access, allowed
+from undrift.web import device, guided, parts, recordings
+from undrift.web.access import Access
 from undrift.web.bench import Bench, ServerSettings, Visit
-from undrift.web.feed import STATIC, Feed, trace_frame
+from undrift.web.panel import STATIC, trace_frame
 from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
+HOST = "127.0.0.1"  # pages are served to this computer only
 CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
 BUILT: dict[str, Callable[[Visit], None]] = {
-    "/": device.home, "/readings": device.page, "/six-faces": partial(guided.page, "Six faces"),
-    "/turns": partial(guided.page, "Turns by hand"), "/rate-table": rate_table.page, "/temperature": temperature.page,
-    "/live": live.page, "/check": recordings.check_page, "/calibrate": recordings.calibrate_page,
-    "/use": recordings.use_page, "/registry": devices.page,
+    "/": device.page, "/six-faces": partial(guided.page, "Six faces"), "/turns": partial(guided.page, "Turns by hand"),
+    "/check": recordings.check_page, "/calibrate": recordings.calibrate_page, "/use": recordings.use_page,
 }  # fmt: skip
 
 
@@ -43,12 +42,11 @@ def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
 
 def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]) -> None:
     os.environ.setdefault("UNDRIFT_PROGRESS_S", "1")  # of the commands that it runs: how far they are
-    bench, listener = Bench(settings), listen(settings.host, settings.port)
-    port = listener.getsockname()[1]
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    lock.write(f"http://{host}:{port}/\n")
+    bench, listener = Bench(settings), listen(HOST, settings.port)
+    address = f"http://{HOST}:{listener.getsockname()[1]}/"
+    lock.write(f"{address}\n")
     lock.flush()
-    address = f"http://{host}:{port}/" + (f"?token={settings.token}" if settings.token else "")
+    address += f"?token={settings.token}" if settings.token else ""
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token),
         log_level="warning", access_log=False, timeout_graceful_shutdown=2, http=Prompt, server_header=False,
@@ -77,7 +75,7 @@ class Prompt(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
 
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens."""
-    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind((host, port))
@@ -124,20 +122,11 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     @made.post("/upload")
     async def upload(request: Request) -> Response:
         try:
-            coming = request.headers.get("content-length", "0")
-            await asyncio.to_thread(bench.library.check_room, int(coming) if coming.isdigit() else 0)
             path = await receive_upload(request, bench.folder / "uploads", bench.settings.upload_mb)
         except UndriftError as error:
             return JSONResponse({"error": str(error)}, 400)
         return JSONResponse({"file": path.relative_to(bench.folder).as_posix()})
 
-    @made.post("/stop")
-    async def stop() -> Response:
-        if bench.rig_run is not None:
-            await asyncio.to_thread(bench.rig_run.emergency_stop)
-        return RedirectResponse("/rate-table", 303)
-
-    Feed(lambda: bench.source, lambda socket: allowed(socket, bench.settings.token)).add_to(made)
     pages_app.add_static_files("/static", STATIC)
     for path, name in texts()["pages"].items():
         _add_page(bench, path, name)
@@ -147,7 +136,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
 
 
 def _add_page(bench: Bench, path: str, name: str) -> None:
-    async def build(job: str = "", key: str = "") -> None:
+    async def build() -> None:
         scripts = (f'<script src="/static/{name}.js" defer></script>' for name in ("bench", "drawings"))
         ui.add_head_html('<link rel="stylesheet" href="/static/bench.css">' + "".join(scripts))
         client = ui.context.client
@@ -157,17 +146,9 @@ def _add_page(bench: Bench, path: str, name: str) -> None:
         except TimeoutError:  # it looked at the page without a socket
             return
         bench.library.find_jobs()
-        visit = bench.visit(client.tab_id or "")
-        opened, home = bench.job_in(bench.folder / "jobs" / job), path in ("/", "/registry")
-        key = key or (opened.device if opened else visit.key)
-        every = bench.library.devices
-        first = every[0] if every else None
-        visit.enter(None if home else next((one for one in every if one.folder.name == key), first))
-        visit.shown, visit.at_home = opened or visit.shown, home
-        if not home:
-            with rail:
-                device.rail(visit, path)
+        with rail:
+            device.rail(bench.visit, path)
         with main:
-            BUILT[path](visit)
+            BUILT[path](bench.visit)
 
     ui.page(path, title=f"{name} - undrift bench")(build)

@@ -1,4 +1,7 @@
-"""The bench: what is connected, recorded and made, on the server; pages show it. commands/bench/library.py has its folder."""
+"""The bench: what is connected, recorded and made, on the server, and what was chosen and typed; pages show it.
+
+commands/bench/library.py describes its folder.
+"""
 
 import asyncio
 import json
@@ -6,32 +9,23 @@ import re
 import time
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
-from undrift.base.options import stated
-from undrift.commands.bench.library import Entry, Job, KnownDevice, Library, read_object
-from undrift.commands.bench.rig_run import PracticeDevice, RigRun
+from undrift.commands.bench.library import Job, Library, read_object
+from undrift.commands.bench.source import LiveDevice, PracticeDevice, listened
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.web.commands import CommandOutcome, run_command
-from undrift.web.devices import Devices
-from undrift.web.live import MotionCalibration, MotionForm
 from undrift.web.parts import PRACTICE
 from undrift.web.place import Site
-from undrift.web.rate_table import ProtocolForm, RateTablePage
 from undrift.web.recordings import Recordings
-from undrift.web.temperature import WarmUpRecording
 from undrift.web.uploads import safe_name
 
-if TYPE_CHECKING:
-    from undrift.commands.bench.source import LiveDevice
-
 PLACE = "place.json"
-MOST_VISITS = 200  # tabs that are remembered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +33,9 @@ class ServerSettings:
     """Where the bench listens and writes."""
 
     folder: Path  # of everything that it writes
-    host: str = "127.0.0.1"
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # wanted of every request; None: of nobody on this computer
-    registry: str | None = None  # None: the user's own
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
-    quota_gb: float = 20.0  # Largest folder, 1e9 bytes
     practice_seed: int | None = None  # of the practice device; None draws one
     practice_speed: float = 1.0  # of its clock, times real time
 
@@ -82,32 +73,16 @@ class Bench:
         self.source: LiveDevice | None = None
         self.source_error = ""
         self.connecting = ""  # the address that is being connected
-        self.rig_run: RigRun | None = None
-        self.job: Job | None = None  # of the device or the table that is at work
-        self.device = ""  # whose readings come: name of its folder
+        self.job: Job | None = None  # of the device that is at work
         self.working: list[Working] = []
-        self._practice, self.library = PracticeDevice(), Library(self.folder, settings.quota_gb)
-        self.table = RateTablePage(self)
-        if (run := self.table.take_up()) is not None:  # that an earlier bench left
-            self.rig_run, self.job = run, self.job_in(run.folder.parent)
-        self.warm_up, self.motion = WarmUpRecording(self), MotionCalibration(self)
+        self._practice, self.library = PracticeDevice(), Library(self.folder)
         self.place = Site(**read_object(self.folder / PLACE))
-        self._visits: dict[str, Visit] = {}
-
-    def visit(self, tab: str) -> "Visit":
-        """Return what a tab of a browser has chosen and typed."""
-        visit = self._visits.pop(tab, None) or Visit(self)
-        self._visits[tab] = visit  # the last one
-        while len(self._visits) > MOST_VISITS:
-            del self._visits[next(iter(self._visits))]
-        return visit
+        self.visit = Visit(self)
 
     # ---- The device
 
     async def connect(self, address: str) -> None:
         """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
-        from undrift.commands.bench.source import LiveDevice, listened
-
         await self.disconnect()
         self.source_error, self.connecting = "", address
 
@@ -129,9 +104,8 @@ class Bench:
 
     def _let_go(self) -> None:
         source, self.source = self.source, None
-        file = None if source is None else source.stop()
-        if file is not None and file.parents[1] == self.folder / "uploads":  # what was being recorded
-            self.library.file_at(file, self.device)
+        if source is not None:
+            source.stop()
 
     @property
     def practice(self) -> Any:
@@ -153,33 +127,17 @@ class Bench:
         self.place = place
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
-    def new_job(self, serial: str = "", device: str = "") -> Job:
+    def new_job(self, serial: str = "") -> Job:
         """Begin with another device: a new folder."""
         stamp, named = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
         folder, k = self.folder / "jobs" / f"{stamp}-{named}", 1
         while folder.exists():
             folder, k = self.folder / "jobs" / f"{stamp}-{named}-{k}", k + 1
-        self.library.check_room()
         folder.mkdir(parents=True)
-        self.job = Job(folder=folder, serial=serial, device=device or self.device)
+        self.job = Job(folder=folder, serial=serial)
         self.job.save()
         self.library.jobs.insert(0, self.job)
         return self.job
-
-    def job_in(self, folder: Path) -> Job | None:
-        """Return the job of a folder; None where there is none."""
-        return next((job for job in self.library.jobs if job.folder == folder), None)
-
-    def delete(self, entry: Entry) -> None:
-        """Delete a file or a job that nothing uses now, and let go of it in every tab."""
-        file = None if self.source is None else self.source.status().file
-        busy = self.rig_run is not None and self.rig_run.may_move and entry.folder in self.rig_run.folder.parents
-        if self.working or busy or (file is not None and entry.folder in file.parents):
-            raise InputError(f"{entry.name}: wanted to delete it at rest, got work that goes on; wait for its end")
-        self.library.delete(entry)
-        self.job = None if self.job is entry else self.job
-        for visit in self._visits.values():
-            visit.forget(entry)
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options."""
@@ -191,25 +149,17 @@ class Bench:
         self._take(job, outcome)
         return outcome
 
-    async def fit_drift(self, job: Job, known: Path | None, *words: object) -> CommandOutcome:
-        """Run ``undrift drift`` for a job, on top of a known calibration."""
-        made, report = job.folder / "calibration.json", job.folder / "report.html"
-        job.words = ()  # it is made by other words
-        outcome = await self.command("drift", *words, *stated(calibration=known), "-o", made, "--report", report)
-        self._take(job, outcome)
-        return outcome
-
     def _take(self, job: Job, outcome: CommandOutcome) -> None:
         job.error = outcome.error
         if outcome.done:
-            (job.folder / "certificate.pdf").unlink(missing_ok=True)  # it was another calibration's
-            job.answer, job.later, job.registered = outcome.answer, [], ""
+            (job.folder / "certificate.html").unlink(missing_ok=True)  # it was another calibration's
+            job.answer, job.later = outcome.answer, []
             job.look()
         job.save()
 
     async def command(self, *words: object, folder: Path | None = None) -> CommandOutcome:
         """Run a command of undrift; pages show what it does while it runs."""
-        now = Working(" ".join(map(str, words[:2] if str(words[0]) in ("registry", "session", "rig") else words[:1])))
+        now = Working(str(words[0]))
         self.working.append(now)
 
         def heard(line: str) -> None:
@@ -245,93 +195,40 @@ class Bench:
 
     def close(self) -> None:
         """Let go of everything; the server ends."""
-        self.table.close()
         self._let_go()
         self._practice.close()
 
 
 class Visit:
-    """What one tab of a browser has chosen and typed; files, jobs, the device and the table are those of the bench."""
+    """What a person has chosen and typed; all tabs of a browser show the same."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench, self.library = bench, bench.library
-        self.key, self.at_home = "", True  # of the device's folder; whether it shows the page of all devices
         self.address, self.ways = "", dict[str, Any]()  # typed; what was found that can be connected
-        self.calibration: Path | None = None  # that files are corrected with
-        self.corrected: tuple[object, object] = (None, None)  # device, and what this tab last corrected it with
         self.shown: Job | None = None  # whose result was opened
-        self.recordings, self.devices, self.motion = Recordings(self), Devices(self), MotionForm()
-        self.addresses, self.filled = replace(bench.table.addresses), 0  # the latter: how often by other than typing
-        self.rates, self.soaks = ProtocolForm(), ProtocolForm(name="temperature", axes=(), temperatures_c="20, 35, 50")
-        self.speed = "1"  # of the emulated table
+        self.recordings = Recordings(self)
         self.statement = dict[str, str]()  # of the laboratory, for certificates
-
-    @property
-    def device(self) -> KnownDevice | None:
-        """Return the device whose pages this tab shows."""
-        return next((one for one in self.library.devices if one.folder.name == self.key), None)
-
-    def enter(self, device: KnownDevice | None) -> KnownDevice | None:
-        """Go to the pages of a device: its files, and the calibration that was made last."""
-        key = "" if device is None else device.folder.name
-        if key != self.key:
-            self.key, self.shown, self.recordings.chosen = key, None, None
-            self.calibration = next((job.calibration for job in self.jobs if device and job.calibration), None)
-        return device
-
-    def begun(self) -> KnownDevice:
-        """Return the device whose pages this tab shows, a new one where there is none."""
-        if (device := self.device) is None:
-            device = self.library.new_device()
-            self.key = device.folder.name
-        return device
+        # that files are corrected with; at first the one that was made last
+        self.calibration: Path | None = next((job.calibration for job in self.library.jobs if job.calibration), None)
 
     async def search(self) -> None:
         """Look for devices and ports that can be connected."""
-        self.ways, self.filled = (await self.bench.command("record")).answer, self.filled + 1
-
-    async def connect(self, address: str) -> str | None:
-        """Connect the device by an address; its serial number is what it states."""
-        device = self.begun()
-        self.bench.device = self.key
-        await self.bench.connect(address)
-        if (source := self.bench.source) is None:
-            return None
-        if (stated := source.recorder.source.description.device) and not device.serial:
-            device.serial = stated
-            device.save()
-        return "/readings" if self.at_home else None
-
-    @property
-    def jobs(self) -> list[Job]:
-        """Return the jobs of the device, the newest first, and those of no device."""
-        return [job for job in self.library.jobs if job.device in (self.key, "")]
+        self.ways = (await self.bench.command("record")).answer
 
     @property
     def job(self) -> Job | None:
-        """Return the job whose result is shown: the one that was opened, or the newest of the device."""
-        jobs = (self.shown, *self.jobs)
+        """Return the job whose result is shown: the one that was opened, or the newest."""
+        jobs = (self.shown, *self.library.jobs)
         return next((job.read() for job in jobs if job is not None and job.calibration is not None), None)
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
-        """Calibrate for a job, and take the result."""
-        return self.take(job, await self.bench.calibrate(job, *words))
-
-    def take(self, job: Job, outcome: CommandOutcome) -> CommandOutcome:
-        """Show the result of a job, and correct with it from now on; a person decides about one without accelerometers."""
+        """Calibrate for a job, and correct with the result from now on, if it has accelerometers; otherwise a person decides."""
+        outcome = await self.bench.calibrate(job, *words)
         if outcome.done:
             self.shown = job
             if "accelerometers" not in job.lacks:
                 self.calibration = job.calibration
         return outcome
-
-    def forget(self, entry: Entry) -> None:
-        """Let go of what was deleted."""
-        if self.calibration is not None and entry.folder in self.calibration.parents:
-            self.calibration = None
-        self.shown = None if self.shown is entry else self.shown
-        if self.recordings.chosen is entry:
-            self.recordings.chosen = None
 
 
 def _states_gravity(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Pages of a device: which one it is, ways to get its readings, and the rail Get readings > Check > Calibrate > Use."""
+"""The page Get readings: ways to get the readings of a device; and the rail Get readings > Check > Calibrate > Use."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -9,12 +9,11 @@ from undrift.web import entries, parts
 from undrift.web.place import place_form
 
 if TYPE_CHECKING:
-    from undrift.commands.bench.library import KnownDevice
     from undrift.web.bench import Visit
 
 LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
 STEPS = {  # what a step is called, and its pages, the first one before all
-    "Get readings": ("/readings", "/six-faces", "/turns", "/rate-table", "/temperature", "/live"),
+    "Get readings": ("/", "/six-faces", "/turns"),
     "Check": ("/check",),
     "Calibrate": ("/calibrate",),
     "Use": ("/use",),
@@ -22,11 +21,10 @@ STEPS = {  # what a step is called, and its pages, the first one before all
 
 
 def rail(visit: "Visit", path: str) -> None:
-    """Add the device and its steps, each with its state."""
-    parts.text("strong", lambda: "New device" if visit.device is None else visit.device.name, "rail-device")
+    """Add the steps, each with its state."""
     with ui.element("ol"):
         for number, (step, pages) in enumerate(STEPS.items(), 1):
-            with ui.element("li"), ui.link("", f"{pages[0]}?key={visit.key}") as link:
+            with ui.element("li"), ui.link("", pages[0]) as link:
                 parts.text("span", f"{number} {step}")
                 parts.text("span", partial(_state, visit, step), "rail-state")
             if path in pages:
@@ -36,9 +34,14 @@ def rail(visit: "Visit", path: str) -> None:
 def _state(visit: "Visit", step: str) -> str:
     bench, one, job = visit.bench, visit.recordings.chosen, visit.job
     if step == "Get readings":
-        count = sum(file.device == visit.key and file.kind == "recording" for file in visit.library.files)
-        live = bench.source is not None and bench.device == visit.key
-        return "receiving" if live else f"{count} recording{'' if count == 1 else 's'}" if count else "none yet"
+        count = sum(file.kind == "recording" for file in visit.library.files)
+        return (
+            "receiving"
+            if bench.source is not None
+            else f"{count} recording{'' if count == 1 else 's'}"
+            if count
+            else "none yet"
+        )
     if step == "Check":
         if one is None:
             return "no file chosen"
@@ -48,18 +51,11 @@ def _state(visit: "Visit", step: str) -> str:
     return "no calibration" if visit.calibration is None else "calibration chosen"
 
 
-# ---- The pages
+# ---- The page
 
 
-def home(visit: "Visit") -> None:
-    """Build the page of all devices; a new one begins with its first readings."""
-
-    def enter(device: "KnownDevice") -> str:
-        visit.enter(device)
-        return f"/readings?key={device.folder.name}"
-
-    entries.listing(visit, "Your devices", lambda: visit.library.devices, lambda: None, enter)
-    parts.text("h2", "A new device")
+def page(visit: "Visit") -> None:
+    """Build the page of the first step: readings of the device, and the place."""
     _cards(visit)
     with parts.section("Place"):
         parts.text("h2", "Place")
@@ -70,29 +66,8 @@ def home(visit: "Visit") -> None:
         parts.status_line(lambda: saved(place.place) if place.place.words() else "Not stated")
 
 
-def page(visit: "Visit") -> None:
-    """Build the page of the first step: which device it is, and its readings."""
-    identity(visit)
-    _cards(visit)
-
-
-def identity(visit: "Visit") -> None:
-    """Ask for name and serial number of the device; they are kept as they are typed."""
-    device = visit.device
-
-    def keep(name: str, value: str) -> None:
-        device = visit.begun()
-        setattr(device, name, value.strip())
-        device.save()
-
-    with parts.row("form"):
-        hints = {"serial": ("Serial number", "required to calibrate"), "title": ("Name", "such as: phone of room 2")}
-        for name, (label, hint) in hints.items():
-            parts.Field(label, getattr(device, name, ""), hint=hint, keep=partial(keep, name))
-
-
 def _cards(visit: "Visit") -> None:
-    """Add the three ways to readings: files, a device that sends, the practice device; and those that the bench records."""
+    """Add the three ways to readings: files, a device that sends, the practice device; and the recording that the bench guides."""
     with ui.element("div").classes("cards"):
         with parts.section("Drop files", "card"):
             parts.text("h3", "Drop files")
@@ -104,7 +79,7 @@ def _cards(visit: "Visit") -> None:
         with parts.section("Practice device", "card"):
             parts.text("h3", "Practice device")
             parts.text("p", "A simulated sensor that you turn with buttons.")
-            parts.button("Use the practice device", partial(visit.connect, parts.PRACTICE))
+            parts.button("Use the practice device", partial(visit.bench.connect, parts.PRACTICE))
     parts.text("h2", "Record with the bench")
     with ui.element("div").classes("cards"):
         for way in parts.texts()["ways"]:  # what is at hand, the recording that it takes, and where it is made
@@ -132,9 +107,9 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
         parts.Field("Kind of device", options=("", *parts.texts()["presets"]), keep=preset)
         address = parts.Field("Address of the device", visit.address, keep=partial(setattr, visit, "address"))
         with parts.row():
-            parts.button("Connect", lambda: visit.connect(visit.address))
+            parts.button("Connect", lambda: bench.connect(visit.address))
             if practice:
-                parts.button("Use the practice device", partial(visit.connect, parts.PRACTICE))
+                parts.button("Use the practice device", partial(visit.bench.connect, parts.PRACTICE))
             parts.shown_if(parts.button("Disconnect", bench.disconnect), lambda: bench.source is not None)
         parts.error_line(lambda: bench.source_error)
 
@@ -145,7 +120,7 @@ def _found(visit: "Visit") -> None:
     pairs = [(kind, one) for way, kind in ways.items() for one in visit.ways.get(way, ())]
     senders = [(kind + next(iter(one.values())), one["device"]) for kind, one in pairs]
     for address, about in senders:
-        parts.button(f"{address.partition(':')[2].lstrip('/')}: {about}", partial(visit.connect, address))
+        parts.button(f"{address.partition(':')[2].lstrip('/')}: {about}", partial(visit.bench.connect, address))
     if visit.ways and not senders:
         parts.text("p", "Nothing was found: connect the device, switch it on, and look again.", "soft")
     for note in visit.ways.get("notes", ()):

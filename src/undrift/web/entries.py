@@ -1,4 +1,4 @@
-"""Lists of files and jobs, the newest first, each chosen, renamed or deleted by a click; and the place where files are dropped."""
+"""Lists of files and jobs, the newest first, each chosen by a click; and the place where files are dropped."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def listing(
-    visit: "Visit",
     title: str,
     every: Callable[[], Sequence[Any]],
     chosen: Callable[[], Any],
@@ -24,22 +23,16 @@ def listing(
     made, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
 
     def show() -> None:
-        now = [(e.folder.name, e.title, e.error, e is chosen() and e.summary) for e in every()]
+        now = [(e.folder.name, e.name, e.error, e is chosen() and e.summary) for e in every()]
         if state != [now]:
             state[:] = [now]
             rows = [(e.folder.name, e.name, f"{e.summary} ({came_words(e)})", e is chosen()) for e in every()]
             parts.set_prop(made, "what", json.dumps(rows))
 
-    def on(kind: str, act: Callable[[Any, str], Any]) -> None:
-        def handle(event: Any) -> Any:
-            key, name = event.args["detail"]["key"], event.args["detail"]["name"]
-            return next((act(e, name) for e in every() if e.folder.name == key), None)
+    def handle(event: Any) -> Any:
+        return next((choose(e) for e in every() if e.folder.name == event.args["detail"]), None)
 
-        made.on(kind, parts.acted(handle), ["detail"])
-
-    on("choose", lambda entry, _: choose(entry))
-    on("rename", visit.library.rename)
-    on("remove", lambda entry, _: visit.bench.delete(entry))
+    made.on("choose", parts.acted(handle), ["detail"])
     parts.bound(show)
 
 

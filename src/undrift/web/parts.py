@@ -109,12 +109,6 @@ def drawing(kind: str, what: Callable[[], Sequence[object]], classes: str = "") 
     return made
 
 
-def picture(path: Path | None) -> None:
-    """Add a figure that a command wrote."""
-    if path is not None and path.exists():
-        ui.html(path.read_text(encoding="utf-8").partition("?>")[2], sanitize=False).classes("picture")
-
-
 def shown_if(element: Any, true: Callable[[], bool]) -> Any:
     """Show an element while something is true."""
     bound(lambda: element.set_visibility(true()))
@@ -147,12 +141,6 @@ def section(label: str, classes: str = "") -> Any:
 def row(classes: str = "") -> Any:
     """Add a row, which breaks where the screen is narrow."""
     return ui.element("div").classes(f"row {classes}")
-
-
-def table(caption: str, heads: Sequence[str], rows: Callable[[], object], press: Callable[[str], Any] = bool) -> None:
-    """Add a table that follows the state; a cell is words, or [words, class, buttons], each [label, key, name, pressed]."""
-    made = ui.element("undrift-table").on("press", acted(lambda event: press(event.args["detail"])), ["detail"])
-    bound(lambda: set_prop(made, "what", json.dumps([caption, heads, rows()])))
 
 
 # ---- Controls
@@ -359,20 +347,14 @@ def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str],
     button(texts()["controls"]["--gyro none"], again)
 
 
-# ---- What every page has: heading, navigation, what is connected, the emergency stop
+# ---- What every page has: heading, what is connected, the work that goes on
 
 
 def frame(bench: "Bench", title: str) -> tuple[Any, Any]:
     """Build a page with the one timer of what is bound; return the places of its rail and of its parts."""
     with ui.element("header").classes("bench-head"):
         ui.link("undrift bench", "/").classes("bench-name")
-        with ui.element("nav").props('aria-label="Pages"'):
-            for path in ("/", "/registry"):
-                link = ui.link(name := texts()["pages"][path], path)
-                if name == title:
-                    link.props('aria-current="page"')
         status_line(lambda: device_line(bench), "bench-device")
-        _stop_button(bench)
     rail = ui.element("nav").classes("rail").props('aria-label="Stages"')
     with ui.element("div").classes("bench-main"):
         text("h1", title)
@@ -395,13 +377,3 @@ def device_line(bench: "Bench") -> str:
     if bench.source is None:
         return (bench.source_error and f"No device: {bench.source_error}") or "No device connected"
     return f"Device: {bench.source.name}" + (f" ({bench.source.error})" if bench.source.error else "")
-
-
-def _stop_button(bench: "Bench") -> None:
-    """Add the emergency stop: a form of its own, so that it works beside a page that is busy; shown while a table may move."""
-    stop = ui.element("form").props('method="post" action="/stop" id="bench-stop"').classes("bench-stop")
-    with stop:
-        label = text("button", "Emergency stop (Esc)", "stop").props('type="submit" aria-keyshortcuts="Escape"')
-        label.props('title="Stop the table at once and switch its motor off"')
-    bound(lambda: set_prop(stop, "data-place", "" if bench.rig_run is None else bench.rig_run.stop_url))
-    shown_if(stop, lambda: bench.rig_run is not None and bench.rig_run.may_move)

@@ -16,14 +16,15 @@ from nicegui import background_tasks, ui
 from undrift.base.codec import toml_text
 from undrift.base.options import asked, stated
 from undrift.commands.bench.library import StoredFile
+from undrift.commands.bench.trace import write_trace
+from undrift.commands.files import Opening
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
-from undrift.errors import InputError
+from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.record import FACES
-from undrift.web import device, entries, parts, result
+from undrift.web import entries, parts, result
 from undrift.web.commands import CommandOutcome, remarks_of
-from undrift.web.feed import Panel
-from undrift.web.live import motion_controls
+from undrift.web.panel import Panel
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -56,10 +57,11 @@ class RecordingForm:
     reference_up: str = asked("--reference-up", options=("", "y", "z"))
     rate_hz: str = asked("Samples per second, Hz", kind="number")
     turn_deg: str = asked("Angle of its turns, deg (empty: none)", kind="number")
+    magnetometer: tuple[str, ...] = ()  # whether calibration from motion calibrates it too
 
 
 class Recordings:
-    """What a tab does with the files of the bench: which one it has chosen, and the commands that it runs on them."""
+    """The file that is chosen, and the commands that are run on files."""
 
     def __init__(self, visit: "Visit") -> None:
         self.visit, self.bench, self.form = visit, visit.bench, RecordingForm()
@@ -70,12 +72,8 @@ class Recordings:
 
     async def add(self, path: Path) -> StoredFile:
         """Take up a file that has been stored, and ask what it holds."""
-        device = self.visit.begun()
-        stored = self.bench.library.file_at(path, self.visit.key)
+        stored = self.bench.library.file_at(path)
         await self.choose(stored)
-        if (stated := str(stored.about.get("device") or "")) and stored.kind == "recording" and not device.serial:
-            device.serial = stated
-            device.save()
         return stored
 
     async def choose(self, stored: StoredFile) -> None:
@@ -103,12 +101,23 @@ class Recordings:
 
     async def look(self, stored: StoredFile) -> None:
         """Ask what a file holds, and for its trace where it is a recording."""
-        words = (*stored.options(), "--trace", stored.folder / "trace.npy")
-        outcome = await self.bench.command("info", stored.path, *words)
+        outcome = await self.bench.command("info", stored.path, *stored.options())
         stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
+        opening = Opening(column_map=stored.map, sample_rate_hz=stored.sample_rate_hz, leave_out=stored.leave_out)
+        stored.about |= await self._trace(stored, stored.about, opening)
+        stored.serial = stored.serial or str(stored.about.get("device") or "")
         noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
         stored.remarks = {"info": noticed}
         stored.save()
+
+    async def _trace(self, stored: StoredFile, about: Mapping[str, Any], opening: Opening) -> dict[str, Any]:
+        """Write the trace of a recording that the page draws; return what belongs to it."""
+        if about.get("kind") != "recording":
+            return {}
+        try:
+            return {"trace": await asyncio.to_thread(write_trace, stored.path, opening, stored.folder / "trace.npy")}
+        except UndriftError:  # too short to look for rests
+            return {}
 
     async def state_rate(self, stored: StoredFile, sample_rate_hz: float | None) -> None:
         """State the sample rate of a file without time."""
@@ -133,14 +142,15 @@ class Recordings:
     async def try_map(self, stored: StoredFile) -> None:
         """Read a table by the columns and units that are chosen so far; one that is not is taken as it stands in the file."""
         self.tried += 1
-        mine, path, trace = self.tried, stored.folder / "draft.toml", stored.folder / "trace.npy"
+        mine, path = self.tried, stored.folder / "draft.toml"
         async with self.trying:  # one after the other, and only the last that was chosen
             units = {k: "count" if u == "?" and k != "time" else u for k, u in self.draft.get("units", {}).items()}
             if mine != self.tried or "?" in (self.draft.get("sample_rate_hz"), units.get("time")):
                 return
             write_whole(path, toml_text(self.draft | ({"units": units} if units else {})))
-            outcome = await self.bench.command("info", stored.path, "--map", path, "--trace", trace)
-            self.shown = outcome.answer | {"refused": outcome.error}
+            outcome = await self.bench.command("info", stored.path, "--map", path)
+            trace = await self._trace(stored, outcome.answer, Opening(column_map=path))
+            self.shown = outcome.answer | trace | {"refused": outcome.error}
 
     async def use_map(self, stored: StoredFile) -> None:
         """Read a table by the columns and units that a person confirmed."""
@@ -165,10 +175,11 @@ class Recordings:
 
     async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, motion: bool = False) -> bool:
         """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
-        if not (serial := self.visit.begun().serial):
+        if not (serial := stored.serial.strip()):
             raise InputError("serial number: wanted the one on the device, got none; type it, or a name of your own")
-        job = self.bench.new_job(serial, self.visit.key)
-        words = self.visit.motion.words() if motion else stated(turn_deg=turn_deg)
+        job = self.bench.new_job(serial)
+        by_motion = ("--from", "motion", *(("--magnetometer",) if self.form.magnetometer else ()))
+        words = by_motion if motion else stated(turn_deg=turn_deg)
         outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *words, *stated(serial=serial))
         stored.error = outcome.error
         return outcome.done
@@ -219,7 +230,7 @@ class Recordings:
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile) -> bool:
         """Calibrate from a recording and its optics; the result is the bench's job."""
-        job = self.bench.new_job(stored.path.stem, self.visit.key)
+        job = self.bench.new_job(stored.path.stem)
         words = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
         stored.error = outcome.error
@@ -270,28 +281,23 @@ def calibrate_page(visit: "Visit") -> None:
 
 def use_page(visit: "Visit") -> None:
     """Build the page that corrects and orients recordings."""
-    with ui.element("p"):
-        parts.text("span", "What the device sends now is corrected on the page ")
-        ui.link("Live", "/live")
     _listed(visit)
     parts.redrawn(lambda: _state(visit), lambda: _used(visit, visit.recordings.chosen))
 
 
 def _listed(visit: "Visit") -> None:
-    """List the files of the device, and those of others below a fold."""
+    """List the files of the bench."""
     recordings = visit.recordings
-    for title, of_it in (("Files", True), ("Files of other devices", False)):
-        every = partial(lambda of_it: [one for one in visit.library.files if (one.device == visit.key) == of_it], of_it)
-        entries.listing(visit, title, every, lambda: recordings.chosen, recordings.choose)
+    entries.listing("Files", lambda: visit.library.files, lambda: recordings.chosen, recordings.choose)
 
 
 def _state(visit: "Visit") -> object:
-    """Return what the part about a file is drawn anew for: nothing that another tab has chosen or typed."""
+    """Return what the part about a file is drawn again for."""
     one, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
     if one is None:
         return None
     known = one.path, one.kind, one.map, one.error, len(one.made), str(one.remarks), one.mounting, id(one.about)
-    return known, one.title, references, visit.calibration, id(visit.recordings.offsets.get(one.path))
+    return known, references, visit.calibration, id(visit.recordings.offsets.get(one.path))
 
 
 def _headed(visit: "Visit", one: StoredFile) -> None:
@@ -424,10 +430,10 @@ def _trace(recordings: Recordings, one: StoredFile, about: Mapping[str, Any]) ->
     parts.text("p", proof_words(trace), "proof")
     url = f"/trace/{quote((one.folder / 'trace.npy').relative_to(recordings.bench.folder).as_posix())}"
     shown = {"url": url, "units": trace["units"], "length": last - first, "chosen": one.kind == "recording"}
-    shown["lying"] = trace.get("lying", "")  # an earlier bench did not ask
+    shown["lying"] = trace["lying"]
     shown["words"] = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     shown["stretches"] = [(*words, start - first, stop - first) for *words, start, stop in stretches]
-    Panel(trace=shown).on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
+    Panel(shown).on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
     if one.out_s:
         words = ", ".join(f"{start - first:.2f} to {stop - first:.2f} s" for start, stop in one.out_s)
         parts.text("p", f"Left out: {words}.")
@@ -462,7 +468,8 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
         parts.text("h2", f"Calibrate from {one.name}")
         parts.refused(visit, visit.bench.job, one.error, partial(setattr, one, "error"))
         parts.says("faces")
-        device.identity(visit)
+        hint = "required to calibrate, or a name of your own"
+        parts.Field("Serial number", one.serial, hint=hint, keep=partial(setattr, one, "serial"))
         typed = parts.form(recordings.form, "turn_deg")
 
         async def calibrate(*, motion: bool = False) -> str | None:
@@ -471,7 +478,7 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
 
         parts.button("Calibrate", calibrate, "next" if visit.job is None else "")
         parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
-        motion_controls(visit)
+        parts.choices("Magnetometer", ("calibrate it too",), recordings.form, "magnetometer")
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 

@@ -1,11 +1,10 @@
-"""What the folder of a bench holds: devices, files that were sent, and jobs; newest first, by the names that people give them.
+"""What the folder of a bench holds: files that were sent, and jobs; newest first.
 
-Each stands in a folder of its own with a file ABOUT that describes it, written whole: a bench that is killed loses none of them.
-What has no such file is listed by its own name. A folder has one bench at a time, which locks LOCK and writes its address there.
+Each is stored in a folder of its own with a file ABOUT that describes it, written whole: a bench that is killed loses none of them.
+A folder has one bench at a time, which locks LOCK and writes its address there.
 """
 
 import json
-import os
 import shutil
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -18,7 +17,7 @@ from undrift.errors import InputError
 from undrift.files import take_lock, write_whole
 
 ABOUT, LOCK = ".bench.json", ".lock"  # no upload is called so
-FILES = {"calibration": "calibration.json", "report": "report.html", "certificate": "certificate.pdf"}  # of a job
+FILES = {"calibration": "calibration.json", "report": "report.html", "certificate": "certificate.html"}  # of a job
 SENSORS = {"accel": "accelerometers", "gyro": "gyroscopes"}
 
 
@@ -32,25 +31,18 @@ class Remark:
 
 
 @dataclass(slots=True, kw_only=True)
-class KnownDevice:
-    """One device: what files and jobs belong to; it has a serial number, and a name that people give it."""
+class Entry:
+    """A file or a job, with the folder that holds it."""
 
-    SAVED: ClassVar[tuple[str, ...]] = ("device", "title", "serial")
+    SAVED: ClassVar[tuple[str, ...]] = ("serial",)
     folder: Path
-    device: str = ""  # whose it is: name of the folder of a device; "" where nobody stated it
-    title: str = ""  # given by a person
-    serial: str = ""  # "" until somebody states it, or the device does
+    serial: str = ""  # of the device; "" until somebody states it, or the file does
     error: str = ""  # of the last command
 
     @property
     def name(self) -> str:
         """Return what it is called."""
-        return self.title or self.serial or "New device"
-
-    @property
-    def summary(self) -> str:
-        """Return in one line what it is."""
-        return f"serial number {self.serial}" if self.serial else "no serial number yet"
+        return self.folder.name
 
     def save(self) -> None:
         """Write what is known of it into its folder, unless that was deleted."""
@@ -63,11 +55,11 @@ class KnownDevice:
 
 
 @dataclass(slots=True, kw_only=True)
-class StoredFile(KnownDevice):
+class StoredFile(Entry):
     """One file that was sent to the bench, or a folder of them that is one recording."""
 
     SAVED = (
-        *("device", "title", "error", "path", "about", "map", "sample_rate_hz"),
+        *("serial", "error", "path", "about", "map", "sample_rate_hz"),
         *("out_s", "made", "remarks", "mounting"),
     )
     folder: Path = Path()  # that of the file, with what was made of it
@@ -86,7 +78,7 @@ class StoredFile(KnownDevice):
     @property
     def name(self) -> str:
         """Return what it is called."""
-        return self.title or self.path.name
+        return self.path.name
 
     @property
     def kind(self) -> str:
@@ -125,10 +117,10 @@ class StoredFile(KnownDevice):
 
 
 @dataclass(slots=True, kw_only=True)
-class Job(KnownDevice):
+class Job(Entry):
     """One device being calibrated: its folder, and what has been captured for it."""
 
-    SAVED = ("device", "title", "serial", "words", "later", "registered")
+    SAVED = ("serial", "words", "later")
     capture: Any = None  # web.guided, while its faces and turns are captured
     calibration: Path | None = None
     report: Path | None = None
@@ -136,12 +128,6 @@ class Job(KnownDevice):
     words: tuple[str, ...] = ()  # of the call of calibrate, for another try
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
     later: list[dict[str, Any]] = field(default_factory=list)  # what the commands after it answered
-    registered: str = ""  # what the registry answered
-
-    @property
-    def name(self) -> str:
-        """Return what it is called."""
-        return self.title or self.folder.name
 
     @property
     def summary(self) -> str:
@@ -178,15 +164,11 @@ class Job(KnownDevice):
         return self
 
 
-Entry = KnownDevice  # or a file, or a job
-
-
 class Library:
-    """The devices, files and jobs of one folder, and how much room there is; made once, at the start of a bench."""
+    """The files and jobs of one folder; made once, at the start of a bench."""
 
-    def __init__(self, folder: Path, quota_gb: float) -> None:
-        self.folder, self.quota_gb = folder, quota_gb
-        self.devices = [KnownDevice(folder=place, **_words_in(place)) for place in _newest(folder / "devices")]
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self.files = [stored for place in _newest(folder / "uploads") if (stored := _file_in(place)) is not None]
         self.jobs: list[Job] = []
         self.find_jobs()
@@ -196,21 +178,11 @@ class Library:
         known = {job.folder: job for job in self.jobs}
         self.jobs = [known.get(place) or _job_in(place) for place in _newest(self.folder / "jobs")]
 
-    def new_device(self) -> KnownDevice:
-        """Begin with another device."""
-        device = KnownDevice(folder=self.folder / "devices" / f"{datetime.now():%Y-%m-%d-%H%M%S-%f}")
-        device.folder.mkdir()
-        device.save()
-        self.devices.insert(0, device)
-        return device
-
-    def file_at(self, path: Path, device: str = "") -> StoredFile:
-        """Return what stands at a path: new, before all others, or known, by the name that it had while it was recorded, too."""
-        stored = next((one for one in self.files if one.folder == path.parent), None)
+    def file_at(self, path: Path) -> StoredFile:
+        """Return the file at a path: a known one, or a new one before all others."""
+        stored = next((one for one in self.files if one.path == path), None)
         if stored is None:
-            self.files.insert(0, stored := StoredFile(path=path, device=device))
-        elif stored.path != path:
-            stored.path, stored.about = path, {}
+            self.files.insert(0, stored := StoredFile(path=path))
         stored.save()
         return stored
 
@@ -218,36 +190,6 @@ class Library:
         """Return what a calibration is called: by its job, or by the file that was sent."""
         name = next((one.name for one in (*self.jobs, *self.files) if one.folder == path.parent), "")
         return name if name and path.name == "calibration.json" else f"{name}: {path.name}".removeprefix(": ")
-
-    def rename(self, entry: Entry, title: str) -> None:
-        """Call something otherwise; "" gives its own name back."""
-        entry.title = " ".join(title.split())[:80]
-        entry.save()
-
-    def delete(self, entry: Entry) -> None:
-        """Delete a file or a job with what was made of it, or a device without its files."""
-        shutil.rmtree(entry.folder)
-        every: list[list[Any]] = [self.devices, self.files, self.jobs]
-        for entries in every:
-            entries[:] = [one for one in entries if one is not entry]
-
-    def check_room(self, more: float = 0.0) -> None:
-        """Refuse what is larger than the room that is left, bytes."""
-        if (used := size_of(self.folder) + more) > 1e9 * self.quota_gb:
-            raise InputError(
-                f"folder of the bench: wanted at most {self.quota_gb:g} GB in it, got {used / 1e9:.3g} GB; "
-                "delete files or jobs that are no longer needed"
-            )
-
-
-def size_of(folder: Path) -> int:
-    """Return the size of all files below a folder, bytes."""
-    total = 0
-    for place, _, names in os.walk(folder):
-        for name in names:
-            with suppress(OSError):  # deleted meanwhile
-                total += (Path(place) / name).stat().st_size
-    return total
 
 
 def read_object(path: Path) -> dict[str, Any]:
@@ -259,11 +201,9 @@ def read_object(path: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def came_words(entry: Entry) -> str:
-    """Say when something came, and how large it is with what was made of it."""
-    if not entry.folder.is_dir():
-        return ""
-    return f"{datetime.fromtimestamp(_came(entry.folder)):%Y-%m-%d %H:%M}, {size_of(entry.folder) / 1e6:.3g} MB"
+def came_words(entry: StoredFile | Job) -> str:
+    """Return when something came."""
+    return f"{datetime.fromtimestamp(_came(entry.folder)):%Y-%m-%d %H:%M}" if entry.folder.is_dir() else ""
 
 
 def _newest(folder: Path) -> list[Path]:
@@ -273,12 +213,6 @@ def _newest(folder: Path) -> list[Path]:
         part.unlink()
     places = [place for place in folder.iterdir() if place.is_dir()]
     return sorted(places, key=lambda place: (_came(place), place.name), reverse=True)
-
-
-def _words_in(place: Path) -> dict[str, str]:
-    """Return what the folder of a device says of it: of another version, or touched by hand, what is understood."""
-    known = read_object(place / ABOUT)
-    return {name: value for name, value in known.items() if name in KnownDevice.SAVED and isinstance(value, str)}
 
 
 def _came(place: Path) -> float:
@@ -303,8 +237,7 @@ def _file_in(place: Path) -> StoredFile | None:
 
 def _job_in(folder: Path) -> Job:
     about = {key: value for key, value in read_object(folder / ABOUT).items() if key in Job.SAVED}
-    words = about.get("words") or read_object(folder / "calibrate.json").get("words") or ()  # older benches wrote that
-    return Job(folder=folder, **{**about, "words": tuple(words)}).look()
+    return Job(folder=folder, **{**about, "words": tuple(about.get("words", ()))}).look()
 
 
 def lock_folder(folder: Path) -> IO[str]:

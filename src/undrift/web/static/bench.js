@@ -1,20 +1,3 @@
-// The emergency stop goes straight to the process that stands by at the table, and to the bench as well: whichever is first. It waits for
-// no socket of the page. Escape does the same wherever the focus is.
-document.addEventListener("submit", (event) => {
-  if (event.target.id !== "bench-stop") return;
-  event.preventDefault();
-  const form = event.target, button = form.querySelector("button"), label = button.textContent;
-  const post = (place, mode) => fetch(place, { method: "POST", mode, redirect: mode === "no-cors" ? "follow" : "manual", keepalive: true });
-  const direct = form.dataset.place ? [post(`${location.protocol}//${location.hostname}${form.dataset.place}`, "no-cors")] : [];
-  const sent = [...direct, post("/stop", "same-origin")];
-  button.textContent = "Stopping";
-  Promise.any(sent).then(() => setTimeout(() => { button.textContent = label; }, 3000), () => form.submit());
-});
-document.addEventListener("keydown", (event) => {
-  const form = document.getElementById("bench-stop");
-  if (event.key === "Escape" && form && form.checkVisibility()) form.requestSubmit();
-}, true);
-
 // The files of a folder that was dropped, without those of its folders.
 async function filesIn(folder) {
   const reader = folder.createReader(), files = [];

@@ -109,26 +109,6 @@ function ring(left, whole) {
     stroke-dasharray="${(around * share).toFixed(1)} ${around.toFixed(1)}"/><text x="50" y="63">${Math.ceil(left)}</text></svg>`;
 }
 
-// Lines over time, each [name, dashes, [[time, value or null], ...]]: frame, least and greatest, what is newest in words.
-function lines(title, unit, timeUnit, all) {
-  const [width, height, left, bottom] = [640, 240, 64, 34], points = all.flatMap(([, , line]) => line).filter(([, value]) => value !== null);
-  if (points.length < 2) return "";
-  const values = points.map(([, value]) => value), times = points.map(([time]) => time);
-  const low = Math.min(...values), high = Math.max(...values), edge = 0.05 * (high - low) || 0.5, start = Math.min(...times), span = Math.max(Math.max(...times) - start, 1e-3);
-  const x = (time) => left + (time - start) / span * (width - 10 - left), y = (value) => height - bottom - (value - low + edge) / (high - low + 2 * edge) * (height - bottom - 10);
-  const drawn = all.map(([, dashes, line]) => line.filter(([, value]) => value !== null)
-    .map(([time, value]) => `${x(time).toFixed(1)},${y(value).toFixed(1)}`).join(" ")).map((each, k) =>
-    `<polyline points="${each}" fill="none" stroke="currentColor" stroke-width="2" stroke-dasharray="${all[k][1]}"/>`);
-  const tick = (at, down, words, anchor) => `<text x="${at.toFixed(1)}" y="${down.toFixed(1)}" text-anchor="${anchor}">${words}</text>`;
-  const digits = high - low < 20 ? 1 : 0, ticks = [low, high].map((value) => tick(left - 8, y(value) + 5, value.toFixed(digits), "end"));
-  ticks.push(tick(left, height - 12, `${start.toFixed(1)} ${timeUnit}`, "start"), tick(width - 10, height - 12, `${(start + span).toFixed(1)} ${timeUnit}`, "end"));
-  const newest = all.map(([name, dashes, line]) => [name, dashes, line.findLast(([, value]) => value !== null)]).filter(([, , last]) => last);
-  const now = newest.map(([name, dashes, [, value]]) => `${name} (${dashes === "none" ? "solid" : "dashed"}) ${value.toFixed(2)}`).join(", ");
-  return `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="${title} from ${low.toFixed(1)} to ${high.toFixed(1)} ${unit}; now ${now} ${unit}"
-    font-size="14" fill="currentColor"><path d="M${left} 10 V${height - bottom} H${width - 10}" fill="none" stroke="currentColor" opacity=".4"/>${drawn.join("")}
-    ${ticks.join("")}</svg><p class="soft">${title}, ${unit}: ${now}.</p>`;
-}
-
 const plain = (words) => String(words).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
 const table = (caption, head, rows) => `<div class="scroll" tabindex="0" role="region" aria-label="${caption}"><table><caption>${caption}</caption>${head}<tbody>${
   rows.map(([name, cells]) => `<tr><th scope="row">${plain(name)}</th>${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`).join("")}</tbody></table></div>`;
@@ -137,11 +117,7 @@ const table = (caption, head, rows) => `<div class="scroll" tabindex="0" role="r
 const readings = (...rows) => table("Readings now", "", rows.map(([name, values, unit]) =>
   [name, [..."xyz"].map((axis, k) => `${axis} ${values ? Number(values[k].toPrecision(4)) : "-"}`).concat(plain(unit))]));
 
-// How well elements are known, each [what is wanted, [[axis, known to, share of the bar, name], ...]].
-const bars = (...rows) => rows.length ? table("Known to, 95 %; a full bar is enough", "", rows.map(([wanted, three]) => [wanted, three.map(([axis, known, share, name]) =>
-  `<span class="nowrap${share < 1 ? "" : " good"}">${axis} ${known}</span><progress class="bar" max="1" value="${share}" aria-label="${plain(name)} ${axis}"></progress>`)])) : "";
-
-const DRAWINGS = { box, body, worn, lamp, ring, lines, readings, bars };
+const DRAWINGS = { box, body, worn, lamp, ring, readings };
 customElements.define("undrift-drawing", class extends HTMLElement {
   static observedAttributes = ["kind", "what"];
   connectedCallback() { this.attributeChangedCallback(); }
@@ -151,47 +127,17 @@ customElements.define("undrift-drawing", class extends HTMLElement {
   }
 });
 
-const pressed = (words, act, name, down) => {
+const pressed = (words, act, down) => {
   const button = document.createElement("button");
-  Object.assign(button, { type: "button", textContent: words });
-  if (name) button.setAttribute("aria-label", name);
-  if (down !== undefined) button.ariaPressed = String(down);
+  Object.assign(button, { type: "button", textContent: words, ariaPressed: String(down) });
   button.addEventListener("click", (event) => { if (event.detail < 2) act(); });  // the second click of a double click would undo the first
   return button;
 };
 
-// A table [caption, heads, rows], each cell words, or [words, class, buttons]; a button, [label, key, name, pressed], sends "press" with its key.
-customElements.define("undrift-table", class extends HTMLElement {
-  static observedAttributes = ["what"];
-  attributeChangedCallback() {
-    const [caption, heads, rows] = JSON.parse(this.getAttribute("what")), part = (tag, words = "", more = {}) => Object.assign(document.createElement(tag), { textContent: words, ...more });
-    const region = part("div", "", { className: "scroll", tabIndex: 0, role: "region", ariaLabel: caption }), table = part("table", "", { className: "records" }), focus = document.activeElement?.ariaLabel;
-    table.append(part("caption", caption));
-    const head = table.createTHead().insertRow(), body = table.createTBody();
-    for (const words of heads) head.append(part("th", words, { scope: "col" }));
-    for (const cells of rows) {
-      const row = body.insertRow();
-      for (const [k, [words, className = "", buttons = []]] of cells.map((cell) => [cell].flat(1)).entries()) {
-        const cell = k ? part("td", words, { className }) : part("th", words, { className, scope: "row" });
-        cell.dataset.head = heads[k];  // of a card, which a row is on a narrow screen
-        for (const [label, key, name, down] of buttons) {
-          cell.append(pressed(label, () => this.dispatchEvent(new CustomEvent("press", { detail: key })), name, down));
-        }
-        row.append(cell);
-      }
-    }
-    region.append(table);
-    this.replaceChildren(region);
-    if (focus) [...this.querySelectorAll("button")].find((one) => one.ariaLabel === focus)?.focus();
-  }
-});
-
-// A list of files, jobs or devices, each [key, name, about, chosen]: it sends "choose", "rename" and "remove" with the key and a name. A
-// name that is being typed stays when the list changes; it is drawn anew behind it.
+// A list of files or jobs, each [key, name, about, chosen]: it sends "choose" with the key.
 customElements.define("undrift-list", class extends HTMLElement {
   static observedAttributes = ["what"];
-  attributeChangedCallback() { if (!this.querySelector("input")) this.draw(); }
-  draw() {
+  attributeChangedCallback() {
     const rows = JSON.parse(this.getAttribute("what") || "[]"), shown = 20;
     this.replaceChildren();
     if (!rows.length) return;
@@ -207,23 +153,11 @@ customElements.define("undrift-list", class extends HTMLElement {
     for (const [key, name, about, chosen] of rows) {
       const item = document.createElement("li"), words = document.createElement("span");
       Object.assign(words, { className: "soft", textContent: about });
-      const choose = pressed(name, () => this.send("choose", key), "", chosen);
+      const choose = pressed(name, () => this.dispatchEvent(new CustomEvent("choose", { detail: key })), chosen);
       choose.className = "choose";
-      const remove = () => { if (confirm(`Delete ${name} and what was made of it? This cannot be undone.`)) this.send("remove", key); };
-      item.append(choose, words, pressed("Rename", () => this.ask(item, key, name), `Rename ${name}`), pressed("Delete", remove, `Delete ${name}`));
+      item.append(choose, words);
       list.append(item);
     }
     return list;
   }
-  ask(item, key, name) {
-    const label = document.createElement("label"), input = document.createElement("input");
-    input.value = name;
-    label.className = "bench-field";
-    label.append("Name", input);
-    const end = (save) => { const typed = input.value; this.draw(); if (save) this.send("rename", key, typed); };
-    input.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === "Escape") event.stopPropagation(), end(event.key === "Enter"); });
-    item.replaceChildren(label, pressed("Save the name", () => end(true)), pressed("Cancel", () => end(false)));
-    input.select();
-  }
-  send(kind, key, name = "") { this.dispatchEvent(new CustomEvent(kind, { detail: { key, name } })); }
 });
