@@ -11,8 +11,8 @@ WITH = {name: text for name in undrift.__all__ if ">>>" in (text := inspect.getd
 # They want a reference, a twin's many trials or a file of another program: more than a few lines can show.
 WITHOUT = {
     "read_reference", "write_session", "read_calibration", "calibrate_to_references", "NoiseFit", "DriftSettings", "DriftFit",
-    "Corrected", "Orientation", "validate_leave_one_out", "fit_twin", "Twin", "export_px4", "export_ardupilot",
-    "export_fusion", "export_imucal", "validate", "Validated", "Validation", "Trial", "OrientationError", "OrientSettings",
+    "Corrected", "Orientation", "validate_leave_one_out", "fit_twin", "Twin",
+    "validate", "Validated", "Validation", "Trial", "OrientationError", "OrientSettings",
     "StillSearch", "TurnSearch", "DeviceModel", "Simulated", "SimulatedTrial", "Exported", "ExportedC",
 }  # fmt: skip
 

@@ -59,12 +59,6 @@ from undrift.sim.sessions import (
 from undrift.sim.thermal import simulate_thermal_session as simulate_thermal_session
 from undrift.export.c import export_c as export_c, ExportedC as ExportedC
 from undrift.export.losses import Exported as Exported
-from undrift.export.autopilots import export_px4 as export_px4, export_ardupilot as export_ardupilot
-from undrift.export.programs import (
-    export_fusion as export_fusion,
-    export_imucal as export_imucal,
-    export_ros as export_ros,
-)
 from undrift.errors import (
     UndriftError as UndriftError,
     InputError as InputError,

@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-import yaml
 
 from testkit.command_line import at_rest, contents
 from testkit.data import data_path, show
@@ -64,11 +63,11 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
         return line
 
-    assert "wanted a device at rest" in refused(bench / "trial.parquet", "-o", tmp_path / "old.svg")
-    assert "wanted a name ending in .svg, .png, .pdf, .yaml or .yml" in refused(
-        tmp_path / "rest.csv", "-o", tmp_path / "rest.csv"
+    assert "wanted a device at rest" in refused(bench / "trial.parquet", "--figure", tmp_path / "old.svg")
+    assert "wanted a name ending in .svg, .png or .pdf" in refused(
+        tmp_path / "rest.csv", "--figure", tmp_path / "rest.csv"
     )
-    assert "make it first" in refused(tmp_path / "rest.csv", "-o", tmp_path / "none" / "a.svg")
+    assert "make it first" in refused(tmp_path / "rest.csv", "--figure", tmp_path / "none" / "a.svg")
     beyond = refused(tmp_path / "rest.csv", "--start-s", "500")
     assert "wanted a stretch of the recording, which goes from 0 to " in beyond
     assert "got 500 to inf s; name times on its own clock" in beyond
@@ -83,7 +82,9 @@ def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regula
     write_record(made.record, tmp_path / "host.csv")
     refused = undrift.refused("noise", tmp_path / "host.csv")
     assert "where a host stamped the samples use --clock regular" in refused
-    answer = undrift.good("noise", tmp_path / "host.csv", "--clock", "regular", "--details", "-o", tmp_path / "a.svg")
+    answer = undrift.good(
+        "noise", tmp_path / "host.csv", "--clock", "regular", "--details", "--figure", tmp_path / "a.svg"
+    )
     assert "gaps left out" in answer.out
     told = undrift.good("noise", tmp_path / "host.csv", "--clock", "regular", "--json").json()
     gaps = next(item for item in told["verdict"]["findings"] if item["code"] == "noise.gaps")
@@ -91,47 +92,6 @@ def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regula
     assert told["taus_s"][-1] < 60.0  # a quarter of the 240 s without gaps
     for axis in told["gyro"]:
         assert axis["angle_random_walk"]["value"] == pytest.approx(0.001, rel=0.05)  # 0.01 rad/s at 100 Hz
-
-
-def test_kalibr_gets_its_file_with_the_worst_axis_in_its_units(undrift, tmp_path):
-    """Names and units: "IMU Noise Model" and "YAML formats", wiki of ethz-asl/kalibr, read 2026-11."""
-    at_rest(tmp_path, "rest.csv")
-    told = undrift.good(
-        "noise", tmp_path / "rest.csv", "-o", tmp_path / "imu.yaml", "--rostopic", "/imu1", "--json"
-    ).json()
-    held = yaml.safe_load((tmp_path / "imu.yaml").read_text())
-    assert list(held) == [
-        "accelerometer_noise_density",
-        "accelerometer_random_walk",
-        "gyroscope_noise_density",
-        "gyroscope_random_walk",
-        "rostopic",
-        "update_rate",
-    ]
-    assert held["rostopic"] == "/imu1"
-    assert held["update_rate"] == pytest.approx(100.0)
-    for sensor, key in (("gyro", "gyroscope"), ("accel", "accelerometer")):
-        walks = [axis["angle_random_walk"]["value"] for axis in told[sensor]]
-        assert held[f"{key}_noise_density"] == max(walks)
-        rises = [axis["rate_random_walk"] for axis in told[sensor]]
-        assert held[f"{key}_random_walk"] == max(
-            rise["interval"][1] if rise["value"] is None else rise["value"] for rise in rises
-        )
-    # white noise alone, sd 1e-3 rad/s and 1e-2 m/s2 at 100 Hz; 2 minutes show it within 5 %
-    assert held["gyroscope_noise_density"] == pytest.approx(1e-4, rel=0.05)
-    assert held["accelerometer_noise_density"] == pytest.approx(1e-3, rel=0.05)
-    codes = [item["values"]["key"] for item in told["verdict"]["findings"] if item["code"] == "export.kalibr_limit"]
-    assert codes == [
-        "accelerometer_random_walk",
-        "gyroscope_random_walk",
-    ]  # two minutes do not show a walk that is not there
-    assert "upper limit" in (tmp_path / "imu.yaml").read_text()
-
-
-def test_a_recording_without_both_sensors_in_si_gives_no_file_for_kalibr(undrift, bench, tmp_path):
-    line = undrift.refused("noise", bench / "trial.parquet", "--stop-s", "5", "-o", tmp_path / "imu.yaml")
-    assert "imu.yaml: wanted gyro readings in rad/s, got count; Kalibr needs both sensors" in line
-    assert contents(tmp_path) == {}
 
 
 # ---- what it means, and the part's data sheet

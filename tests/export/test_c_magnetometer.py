@@ -9,8 +9,8 @@ import pytest
 from testkit.c_build import STRICT, TYPES, write
 from testkit.full_calibration import device, record, with_magnetometer
 from undrift.correction.correct import correct
-from undrift.export.autopilots import CARRIED as CARRIED_AUTOPILOTS
 from undrift.export.c import export_c
+from undrift.export.constants import CARRIED as CARRIED_CONSTANTS
 from undrift.export.losses import losses
 
 N = 500
@@ -35,19 +35,18 @@ def readings():
     return replace(r, mag_ut=rng.uniform(-60.0, 60.0, (N, 3)))
 
 
-@pytest.mark.parametrize(("arithmetic", "limit"), [("double", 1e-12), ("float", 3e-5), ("fixed", 1e-4)])
+@pytest.mark.parametrize(("arithmetic", "limit"), [("double", 1e-12), ("float", 3e-5)])
 def test_fields_are_those_of_the_corrector(arithmetic, limit, tmp_path):
     calibration, r = with_magnetometer(device(drift=None)), readings()
     write(export_c(calibration), tmp_path)
     (tmp_path / "main.c").write_text(MAIN)
     words = ["gcc", *STRICT, "-fsanitize=undefined", "-O1", f"-DUNDRIFT_{arithmetic.upper()}"]
     subprocess.run([*words, tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
-    done, kind, scale = correct(r, calibration), TYPES[arithmetic], 65536.0 if arithmetic == "fixed" else 1.0
-    parts = np.column_stack((r.mag_ut, done.gyro)) * scale
-    inputs = (np.round(parts) if arithmetic == "fixed" else parts).astype(kind)
+    done, kind = correct(r, calibration), TYPES[arithmetic]
+    inputs = np.column_stack((r.mag_ut, done.gyro)).astype(kind)
     ran = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
     assert ran.stderr == b""
-    got = np.frombuffer(ran.stdout, kind).reshape(-1, 3) / scale
+    got = np.frombuffer(ran.stdout, kind).reshape(-1, 3)
     assert np.abs(done.mag_ut - r.mag_ut).max() > 5.0
     np.testing.assert_allclose(got, done.mag_ut, rtol=0.0, atol=limit)
 
@@ -58,5 +57,5 @@ def test_the_header_has_the_function_and_other_exports_name_what_they_leave_out(
     assert any("undrift_magnetometer" in note for note in made.notes)
     assert not any("magnetometer" in text for text in made.not_carried)
     assert "magnetometer" not in export_c(device(drift=None)).source
-    named = [one.text for one in losses(with_magnetometer(device(drift=None)), CARRIED_AUTOPILOTS)]
+    named = [one.text for one in losses(with_magnetometer(device(drift=None)), CARRIED_CONSTANTS)]
     assert any("hard and soft iron" in text for text in named)

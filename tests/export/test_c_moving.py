@@ -1,4 +1,4 @@
-"""The exported change of the offset from motion to rest against correction/correct.py, and the stated bytes of its source."""
+"""The exported change of the offset from motion to rest against correction/correct.py."""
 
 import re
 import subprocess
@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.c_build import STRICT, TYPES, bits_of, write
+from testkit.c_build import STRICT, TYPES, write
 from testkit.full_calibration import device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.export.c import export_c
 from undrift.segments import find_turning
 
-N, STEP_S = 3000, 0.0078125  # a step that 20 bits hold
+N, STEP_S = 3000, 0.0078125
 MOVING = np.array([0.0011, -0.0007, 0.0009])
 MAIN = """
 #include <stdio.h>
@@ -46,7 +46,7 @@ def turns_and_rests(calibration):
     return record(N, gyro=gyro, time=time, temp_c=np.full(N, 18.0))
 
 
-@pytest.mark.parametrize("arithmetic", ["double", "float", "fixed"])
+@pytest.mark.parametrize("arithmetic", ["double", "float"])
 @pytest.mark.parametrize("drift", [None, tables(dynamic=None)], ids=["constant", "tables"])
 def test_rates_at_rest_are_those_of_the_corrector(arithmetic, drift, tmp_path):
     calibration = moving(drift)
@@ -55,18 +55,16 @@ def test_rates_at_rest_are_those_of_the_corrector(arithmetic, drift, tmp_path):
     (tmp_path / "main.c").write_text(MAIN)
     words = ["gcc", *STRICT, "-fsanitize=undefined", "-O1", f"-DUNDRIFT_{arithmetic.upper()}"]
     subprocess.run([*words, tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
-    kind, fixed = TYPES[arithmetic], arithmetic == "fixed"
-    scale = 2.0 ** np.array([*np.repeat(bits_of(exported), 3), 16, 20]) if fixed else np.ones(8)
-    parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))) * scale
-    inputs = (np.round(parts) if fixed else parts).astype(kind)
+    kind = TYPES[arithmetic]
+    inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))).astype(kind)
     done = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
     assert done.stderr == b""
-    got = np.frombuffer(done.stdout, kind).reshape(-1, 6)[:, :3] / (65536.0 if fixed else 1.0)
+    got = np.frombuffer(done.stdout, kind).reshape(-1, 6)[:, :3]
     wanted = correct_checked(r, calibration).record.gyro
     turning, _ = find_turning(wanted, r.time)
     assert 0.1 < turning.mean() < 0.6
     near = np.abs(np.diff(turning, prepend=0.0)) > 0.0  # the sample at which a turn begins or ends may be another
-    limit = exported.gyro_bound + 2.0**-16 if fixed else (2e-6 if arithmetic == "float" else 1e-12)
+    limit = 2e-6 if arithmetic == "float" else 1e-12
     assert (np.abs(got - wanted) <= limit)[~near].all()
     assert near.sum() == 6  # three turns
 
@@ -94,17 +92,5 @@ def test_header_and_notes_say_what_to_call():
     exported = export_c(moving(None))
     assert "undrift_at_rest adds to the rates what they are smaller at rest" in " ".join(exported.notes)
     assert "6 by undrift_at_rest" in re.sub(r"[\s*]+", " ", exported.header)
-    assert "UNDRIFT_STEP_BITS 20" in exported.header
     assert not any("change of the offset" in text for text in exported.not_carried)
     assert "at_rest" not in export_c(device(drift=None)).header
-
-
-def test_its_constants_are_counted(tmp_path):
-    exported = export_c(moving(None))
-    write(exported, tmp_path)
-    for arithmetic in ("float", "double", "fixed"):
-        words = ["gcc", *STRICT, "-O0", "-c", f"-DUNDRIFT_{arithmetic.upper()}", tmp_path / "undrift.c"]
-        subprocess.run([*words, "-o", tmp_path / "u.o"], check=True)
-        symbols = subprocess.run(["nm", "-S", tmp_path / "u.o"], capture_output=True, text=True, check=True).stdout
-        stated = next(c for c in exported.costs if c.arithmetic == arithmetic)
-        assert sum(int(size, 16) for size in re.findall(r"^\S+ (\S+) r ", symbols, re.M)) == stated.table_bytes

@@ -83,16 +83,12 @@ CALLS = {
     "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
     "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
-    "export px4": Call(
-        "export {b}/calibration.json --target px4 --gyro-dps-per-unit 0.061 --accel-g-per-unit 1 -o {o}/x.params"
-    ),
-    "export imucal": Call("export {b}/calibration.json --target imucal -o {o}/x.json"),
-    "export ros": Call("export {b}/calibration.json --target ros -o {o}/x.yaml"),
+    "export constants": Call("export {b}/calibration.json --target constants -o {o}/x.json"),
     "orient --pdf": Call(ORIENT + "x.csv --report {o}/r.html --pdf {o}/trial.pdf", slow=True),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
     "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
-    "noise": Call("noise {b}/rest.parquet -o {o}/imu.yaml --figure {o}/allan.svg --report {o}/r.html", slow=True),
+    "noise": Call("noise {b}/rest.parquet --figure {o}/allan.svg --report {o}/r.html", slow=True),
     "simulate task": Call(
         "simulate sit_to_stand --device mpu6050 -o {o}/x.parquet --truth {o}/t.csv --save-device {o}/d.json --report {o}/r.html"
     ),

@@ -43,7 +43,6 @@ FLOW = {
     "simulate_session",
     "simulate_trial",
     "export_c",
-    "export_px4",
     "UndriftError",
 }
 

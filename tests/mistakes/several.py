@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from mistakes import causes, habits, sound, worn
 from mistakes.planting import Case, Change, Told, Wrong, later_error, mistake, planted, with_recordings
 from mistakes.sound import ACCEL, GYRO, Recording, recording_of, trial
+from testkit.ferraris import ferraris_text
 from testkit.walking import misplaced, walk
-from undrift.export.autopilots import export_px4
-from undrift.export.programs import export_imucal
 from undrift.frames import rotation
 
 # ---- sound input, and how far from the truth
@@ -63,15 +62,9 @@ def folder() -> Case:
 
 
 @cache
-def board() -> Case:
-    """Return a recording, and the parameters of an autopilot that has its calibration."""
-    return _with_file(worn.correct(), "board.params", export_px4(sound.calibrated()).text)
-
-
-@cache
 def imucal() -> Case:
     """Return a recording, and its calibration by imucal."""
-    return _with_file(worn.correct(), "imucal.json", export_imucal(sound.calibrated()).text)
+    return _with_file(worn.correct(), "imucal.json", ferraris_text(sound.calibrated()))
 
 
 def _with_file(case: Case, name: str, text: str) -> Case:
@@ -109,8 +102,7 @@ def _rows(start_s: float, stop_s: float) -> Callable[[Recording], Recording]:
 
 def _of_another_device(case: Case) -> Case:
     name = str(case.words[-1]).removeprefix("{folder}/")
-    export = export_px4 if name.endswith(".params") else export_imucal
-    return _with_file(case, name, export(sound.calibrated(99)).text)
+    return _with_file(case, name, ferraris_text(sound.calibrated(99)))
 
 
 MOUNT = [
@@ -138,9 +130,8 @@ FOLDER = [
     mistake(folder, "takes the calibration of another device", worn.another_device, causes.OTHER_DEVICE),
 ]
 FOREIGN = [
-    mistake(board, "takes the parameters of another board", _of_another_device, causes.OTHER_DEVICE),
     mistake(imucal, "takes the imucal calibration of another device", _of_another_device, causes.OTHER_DEVICE),
-    *planted(board, habits.NEGATED, habits.DPS_FOR_RAD),
+    *planted(imucal, habits.NEGATED, habits.DPS_FOR_RAD),
 ]
 MOTION = planted(
     from_motion, habits.GYRO_YZ, habits.GYRO_Y_REVERSED, habits.ACCEL_XY, habits.SENSORS_SWAPPED, habits.HALF_RATE

@@ -1,4 +1,4 @@
-"""The exported C source compiled and run: float, double and fixed point, on the inputs that Python gets too."""
+"""The exported C source compiled and run: float and double, on the inputs that Python gets too."""
 
 import subprocess
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ import numpy as np
 from undrift.export.c import ExportedC
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
-TYPES = {"float": np.dtype("f4"), "double": np.dtype("f8"), "fixed": np.dtype("i4")}
+TYPES = {"float": np.dtype("f4"), "double": np.dtype("f8")}
 MAIN = """
 #include <stdio.h>
 #include "undrift.h"
@@ -48,21 +48,14 @@ class Build:
 
     program: Path
     arithmetic: str
-    bits: tuple[int, int]
 
     def inputs(self, gyro, accel, temp_c):
         """Return the nearest inputs that the arithmetic holds, as the program takes them."""
-        kind = TYPES[self.arithmetic]
-        parts = np.column_stack((gyro, accel, temp_c))
-        if self.arithmetic != "fixed":
-            return parts.astype(kind)
-        return np.round(parts * 2.0 ** np.repeat([*self.bits, 16], [3, 3, 1])).astype(kind)
+        return np.column_stack((gyro, accel, temp_c)).astype(TYPES[self.arithmetic])
 
     def real(self, inputs):
         """Return the same inputs as double: gyro, accel, temp_c."""
         parts = inputs.astype(float)
-        if self.arithmetic == "fixed":
-            parts = parts / 2.0 ** np.repeat([*self.bits, 16], [3, 3, 1])
         return parts[:, :3], parts[:, 3:6], parts[:, 6]
 
     def __call__(self, inputs):
@@ -72,17 +65,8 @@ class Build:
         row = np.dtype([("out", TYPES[self.arithmetic], 6), ("status", "i4")])
         rows = np.frombuffer(done.stdout, row)
         assert len(rows) == len(inputs)
-        out = rows["out"].astype(float) / (65536.0 if self.arithmetic == "fixed" else 1.0)
+        out = rows["out"].astype(float)
         return out[:, :3], out[:, 3:], rows["status"]
-
-
-def bits_of(exported: ExportedC) -> tuple[int, int]:
-    """Return the bits behind the point that the header states for gyroscope and accelerometer readings."""
-    found = []
-    for name in ("GYRO", "ACCEL"):
-        lines = [line for line in exported.header.splitlines() if f"_{name}_RAW_BITS" in line]
-        found.append(int(lines[0].split()[2]) if lines else 16)
-    return found[0], found[1]
 
 
 def write(exported: ExportedC, folder: Path) -> None:
@@ -100,7 +84,7 @@ def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> 
     words = ["gcc", *STRICT, *(options or ("-O1",)), f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", program]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    return Build(program, arithmetic, bits_of(exported))
+    return Build(program, arithmetic)
 
 
 def run_with_lag(exported: ExportedC, folder: Path, arithmetic: str, r):
@@ -111,13 +95,12 @@ def run_with_lag(exported: ExportedC, folder: Path, arithmetic: str, r):
     words = ["gcc", *STRICT, "-O2", f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", folder / "lead"]
     subprocess.run(words, check=True)
     parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.diff(r.time, prepend=r.time[0])))
-    scale = 2.0 ** np.array([*np.repeat(bits_of(exported), 3), 16, 20]) if arithmetic == "fixed" else np.ones(8)
-    inputs = (np.round(parts * scale) if arithmetic == "fixed" else parts).astype(TYPES[arithmetic])
+    inputs = parts.astype(TYPES[arithmetic])
     done = subprocess.run([folder / "lead"], input=inputs.tobytes(), capture_output=True, check=True)
     assert done.stderr == b""
     out = np.frombuffer(done.stdout, TYPES[arithmetic]).astype(float).reshape(-1, 7)
-    given = inputs.astype(float) / scale
+    given = inputs.astype(float)
     same = replace(
         r, gyro=given[:, :3], accel=given[:, 3:6], temp_c=given[:, 6], time=r.time[0] + np.cumsum(given[:, 7])
     )
-    return out / (65536.0 if arithmetic == "fixed" else 1.0), same
+    return out, same

@@ -1,21 +1,14 @@
 """``undrift export``: what firmware and other programs read."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from undrift.base.options import Output, verb
-from undrift.base.summary import Section, Summary, figure_of, rows_section
+from undrift.base.summary import Section, Summary, figure_of
 from undrift.commands.files import check_output
-from undrift.errors import InputError
 from undrift.export import ExportOptions, find_target
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    pass
-
-BUILD = {"table_bytes": "tables (bytes)", "flash_bytes": "flash (bytes, estimated)", "cycles": "cycles (estimated)"}
 
 
 @verb
@@ -34,18 +27,15 @@ def export(
     calibration : Path
         calibration.json of the device, or a calibration of imucal.
     target : str
-        c, px4, ardupilot, fusion, imucal, ros, undrift (a calibration of imucal as calibration.json), or a target of
-        another package.
+        c, constants, or a target of another package.
     output : Path
-        The file; for c the header, whose source is written beside it.
+        The file: for c the header, with the source next to it; for constants .json, or a C header .h.
     options : ExportOptions
         Options that some targets take.
     """
     from undrift.files import write_together
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
-    if options.fixed and options.double:
-        raise InputError("export: wanted `fixed` or `double`, got both; the source holds both, name the default")
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
@@ -67,27 +57,9 @@ def export(
             "verdict": verdict_json(model.verdict),
         },
         pictures=(figure_of("certificate:draw_calibration", model),),
-        sections=(
-            *_builds(exported.figures),
-            Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),
-        ),
+        sections=(Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),),
         verdict=model.verdict,
         notes=exported.notes,
         written=files,
         failed=model.verdict.status == "bad",
     )
-
-
-def _builds(figures: Any) -> tuple[Section, ...]:
-    """Return memory, time and the error bound of C builds; nothing of other targets."""
-    builds, bound = figures.get("builds"), figures.get("fixed_point_bound")
-    if not builds or not bound:
-        return ()
-    keys = BUILD | ({"lead_cycles": "and of the lag (estimated)"} if any(one["lead_cycles"] for one in builds) else {})
-    rows = [{"arithmetic": one["arithmetic"]} | {head: str(one[key]) for key, head in keys.items()} for one in builds]
-    gyro, accel = bound["gyro_rad_s"] / RADIAN_PER_DEGREE, bound["accel_m_s2"] / STANDARD_GRAVITY * 1e3
-    text = (
-        f"fixed point, gyroscopes: within {gyro:.2g} deg/s of exact arithmetic",
-        f"fixed point, accelerometers: within {accel:.2g} mg of exact arithmetic",
-    )
-    return (rows_section("builds", rows, text=text),)

@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.base.options import OptionalOutput, Picture, verb
-from undrift.base.summary import PICTURES, Drawing, Result, Summary, figure_of, table_section
+from undrift.base.options import Picture, verb
+from undrift.base.summary import Drawing, Result, Summary, figure_of, table_section
 from undrift.commands import Progress, reading, silent
 from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.certificate import ANSWERED_S, COVERAGE
 from undrift.commands.data_sheet import PART, sheet_of, sheet_words
-from undrift.commands.files import Opening, calibrated_part, check_figure, check_output, named_columns
+from undrift.commands.files import Opening, calibrated_part, check_figure, named_columns
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from undrift.model import Calibration, Verdict
     from undrift.record import Record
 
-YAML = (".yaml", ".yml")
 _DEG_PER_H, _UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
 # As data sheets have them, by term and SI unit: key in JSON, unit, factor; 60 sqrt(s) make a sqrt(h)
 _WALK, _FLOOR, _RISE = "angle_random_walk", "bias_instability", "rate_random_walk"
@@ -61,8 +60,7 @@ class Noise(Result):
         fit, seen, sections, kind = self.fit, [], [], self.kind
         physical = all(is_physical(getattr(fit, f"{one}_unit")) for one in TERMS if getattr(fit, one))
         after = {"angle_after_60_s_deg": [{"axis": axis.axis} | angle_after(axis) for axis in fit.gyro]}
-        follows = ("-o", "imu.yaml") if physical else ("--calibration", "calibration.json")
-        idle = physical and (any(self.written) or not (fit.gyro and fit.accel))
+        follows = ("--calibration", "calibration.json")
         for name, triad, axes in (("gyroscopes", "gyro", fit.gyro), ("accelerometers", "accel", fit.accel)):
             if not axes:
                 continue
@@ -96,7 +94,7 @@ class Noise(Result):
             verdict=self.verdict,
             notes=(*self.notes, *([f"{sheet_words(kind)}: typical figures"] if kind else ())),
             written=self.written,
-            next=() if idle else ("noise", self.record, *self.stretch, *follows),
+            next=() if physical else ("noise", self.record, *self.stretch, *follows),
         )
 
 
@@ -110,8 +108,6 @@ def noise(
     stop_s: float | None = None,
     power_on_s: float | None = None,
     figure: Picture = None,
-    output: OptionalOutput = None,
-    rostopic: str = "/imu0",
     kind: str | None = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
@@ -132,10 +128,6 @@ def noise(
         Time since power-on at the first sample, s; without it no warm-up is subtracted.
     figure : Path or None
         Allan plot to write: .svg, .png or .pdf.
-    output : Path or None
-        imu.yaml for Kalibr (.yaml, .yml), or the Allan plot (.svg, .png, .pdf).
-    rostopic : str
-        Topic of the sensor, for Kalibr.
     kind : str or None
         Preset of the device's part, as mpu6050, whose data sheet stands beside; by default the part that the calibration names.
     """
@@ -144,7 +136,6 @@ def noise(
 
     reads = (record, calibration, opening.column_map)
     check_figure(figure, reads=reads)
-    check_output(output, endings=(*PICTURES, *YAML), reads=reads)
     chosen = choose_calibration(calibration, (record,), opening)
     model, calibration = chosen.model, chosen.path
     kind = kind or (model.provenance.text(PART) if model else "")
@@ -159,22 +150,18 @@ def noise(
         check_force(readings)
     progress("fitting", 0.3)
     fit = fit_noise(readings)
-    verdict, title = fit.verdict, f"{record.name}: overlapping Allan deviation"
-    for path in (figure, output):
-        if path is not None and path.name.lower().endswith(YAML):
-            verdict = verdict.also(_write_kalibr(fit, path, readings.sample_rate_hz, rostopic))
-        elif path is not None:
-            Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options={"title": title}).save(path)
+    if figure is not None:
+        title = {"title": f"{record.name}: overlapping Allan deviation"}
+        Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options=title).save(figure)
     ends = {"--start-s": start_s, "--stop-s": stop_s}
     stretch = tuple(word for name, end in ends.items() if end is not None for word in (name, f"{end:g}"))
-    written = figure, output
     return Noise(
         record=record,
         fit=fit,
-        verdict=verdict,
+        verdict=fit.verdict,
         kind=kind,
         notes=(*chosen.notes, *notes),
-        written=written,
+        written=(figure,),
         stretch=stretch,
     )
 
@@ -223,17 +210,6 @@ def _corrected(readings: "Record", model: "Calibration", since: float | None) ->
     readings, left_out = calibrated_part(readings, model)
     done = correct_checked(readings, model, power_on_s=None if since is None else float(since + readings.time[0]))
     return done.record, (*left_out, *done.warnings, *done.notes)
-
-
-def _write_kalibr(fit: "NoiseFit", path: Path, update_rate_hz: float, rostopic: str) -> "Verdict":
-    """Write imu.yaml; the verdict says which of its numbers are limits."""
-    from undrift.export.programs import kalibr_text
-    from undrift.files import write_whole
-    from undrift.model import Verdict
-
-    text, findings = kalibr_text(fit, update_rate_hz=update_rate_hz, rostopic=rostopic)
-    write_whole(path, text)
-    return Verdict.of(*findings)
 
 
 def _data(fit: "NoiseFit") -> dict[str, object]:

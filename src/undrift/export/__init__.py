@@ -1,9 +1,8 @@
 """Targets of ``undrift export``: a name, and the object that writes the file.
 
-    c            C source of the correction in float, double and fixed point
-    firmware     the constants of correction/plan.py on findable grids and in integers, error bounds, cost of a build
-    autopilots   PX4 and ArduPilot parameters
-    programs     Fusion, imucal, ROS, undrift
+    c            C source of the correction in float and double
+    firmware     the constants of correction/plan.py on findable grids
+    constants    matrix and offset at one temperature, as JSON and as a C header
     losses       what a target cannot carry, with figures
 
 In goes a ``Calibration``, readings in the device's unit and frame b; out comes the text of a file whose numbers are in the units
@@ -27,12 +26,7 @@ if TYPE_CHECKING:
 
 TARGETS = {
     "c": "undrift.export.c:TARGET",
-    "px4": "undrift.export.autopilots:PX4",
-    "ardupilot": "undrift.export.autopilots:ARDUPILOT",
-    "fusion": "undrift.export.programs:FUSION",
-    "imucal": "undrift.export.programs:IMUCAL",
-    "ros": "undrift.export.programs:ROS",
-    "undrift": "undrift.export.programs:UNDRIFT",
+    "constants": "undrift.export.constants:TARGET",
 }
 GROUP = "undrift.targets"
 
@@ -43,40 +37,22 @@ class ExportOptions:
 
     Parameters
     ----------
-    fixed : bool
-        c: fixed point where the build defines nothing; the source holds all three arithmetics anyway.
     double : bool
         c: double where the build defines nothing.
     prefix : str
         c: what every name begins with, in lower case.
-    gyro_raw_bits : int or None
-        c, fixed point: bits behind the point of a gyroscope reading; chosen from the offsets where not given.
-    accel_raw_bits : int or None
-        c, fixed point: the same of an accelerometer reading.
     gyro_unit : str or None
         c: unit of the gyroscope readings where the calibration has no model of them; rad/s where not given.
     accel_unit : str or None
         c: the same of the accelerometer readings; m/s2 where not given.
-    sensor : int
-        px4, ardupilot: which inertial sensor of the autopilot, from 0.
-    gyro_dps_per_unit : float or None
-        px4, ardupilot: the autopilot driver's gain, deg/s per count or volt.
-    accel_g_per_unit : float or None
-        px4, ardupilot: the autopilot driver's gain, g per count or volt.
     temp_c : float or None
-        Where tables are read that the target has no place for, degC; the reference temperature where not given.
+        constants: temperature at which tables are read, degC; the reference temperature by default.
     """
 
-    fixed: bool = False
     double: bool = False
     prefix: str = "undrift"
-    gyro_raw_bits: int | None = None
-    accel_raw_bits: int | None = None
     gyro_unit: str | None = None
     accel_unit: str | None = None
-    sensor: int = 0
-    gyro_dps_per_unit: float | None = None
-    accel_g_per_unit: float | None = None
     temp_c: float | None = None
 
 

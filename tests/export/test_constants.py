@@ -1,0 +1,80 @@
+"""Constants at one temperature: JSON and C header give what the corrector does there."""
+
+import json
+import re
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.c_build import STRICT
+from testkit.full_calibration import STEPS, device, record, tables
+from undrift.correction.correct import correct
+from undrift.errors import InputError
+from undrift.export import ExportOptions
+from undrift.export.constants import write_constants
+
+U = np.array([100.0, -200.0, 300.0])
+
+
+def corrected_at_40(made):
+    """Return rate and specific force of one reading at 40 degC, without the dynamic table."""
+    bare = replace(made, drift=replace(made.drift, dynamic=None))
+    done = correct(record(2, gyro=np.tile(U, (2, 1)), accel=np.tile(U, (2, 1)), temp_c=np.full(2, 40.0)), bare)
+    return done.gyro[0], done.accel[0]
+
+
+def test_json_constants_correct_as_the_corrector_does():
+    made = device(drift=tables(scale=STEPS[::2]))
+    exported = write_constants(made, ExportOptions(temp_c=40.0), "a.json")
+    content = json.loads(exported.text)
+    assert (content["kind"], content["format"], content["device"], content["temp_c"]) == (
+        "undrift.constants",
+        1,
+        "A",
+        40,
+    )
+    gyro, accel = content["gyro"], content["accel"]
+    assert (gyro["unit_in"], gyro["unit_out"], accel["unit_out"]) == ("count", "rad/s", "m/s2")
+    w, a = corrected_at_40(made)
+    force = np.array(accel["matrix"]) @ (U - accel["offset"])
+    np.testing.assert_allclose(force, a, rtol=1e-12)
+    rate = np.array(gyro["matrix"]) @ (U - gyro["offset"]) - np.array(gyro["g_sensitivity"]) @ force
+    np.testing.assert_allclose(rate, w, rtol=1e-12)
+    codes = {one.code for one in exported.findings}
+    assert {"export.static", "export.dynamic", "export.scale_change", "export.uncertainty", "export.read_at"} <= codes
+    assert "export.g_sensitivity" not in codes
+
+
+def test_c_header_holds_the_same_numbers(tmp_path):
+    made = device(drift=tables(), device="A*/ x")
+    options = ExportOptions(temp_c=40.0, prefix="foot")
+    header = write_constants(made, options, "a.h").text
+    (tmp_path / "a.h").write_text(header)
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "a.h"\nint main(void)\n{\n    const float *m = &foot_gyro_matrix[0][0];\n    int k;\n'
+        '    for (k = 0; k < 9; k++) printf("%.9g\\n", (double)m[k]);\n'
+        '    printf("%.9g %.9g ", (double)foot_gyro_offset[2], (double)foot_accel_matrix[2][1]);\n'
+        '    printf("%.9g\\n", (double)foot_accel_offset[0]);\n'
+        "    return foot_gyro_g_sensitivity[0][0] > 1e9f;\n}\n"
+    )
+    subprocess.run(["gcc", *STRICT, tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
+    got = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True).stdout.split()
+    content = json.loads(write_constants(made, options, "a.json").text)
+    wanted = [*np.ravel(content["gyro"]["matrix"]), content["gyro"]["offset"][2]]
+    wanted += [content["accel"]["matrix"][2][1], content["accel"]["offset"][0]]
+    np.testing.assert_allclose(np.array(got, float), wanted, rtol=1e-6)
+    assert len(re.findall(r"[*]/", header.splitlines()[0] + header.splitlines()[1])) == 1
+
+
+def test_a_triad_without_a_model_is_left_out_and_named():
+    exported = write_constants(device(accel=None, drift=None), ExportOptions(), "a.json")
+    assert json.loads(exported.text)["accel"] is None
+    assert "export.no_constants" in {one.code for one in exported.findings}
+
+
+def test_a_temperature_outside_the_tables_is_refused():
+    with pytest.raises(InputError) as caught:
+        write_constants(device(drift=tables()), ExportOptions(temp_c=90.0), "a.json")
+    assert caught.value.numbers == {"low": 18.0, "high": 75.0}
