@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Flag, OptionalOutput, Picture, options, verb
+from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, reading, silent
@@ -77,7 +77,6 @@ class Calibrated(Result):
 
     def summary(self) -> Summary:
         """Return matrices and offsets with their uncertainty, what was used, and how the fit reproduces it."""
-        from undrift.calibration.live_motion import elements_known
         from undrift.io.store import calibration_json
 
         made, output, lacking = self.calibration, self.output, self.lacking
@@ -90,13 +89,9 @@ class Calibrated(Result):
         follows = recording is not None and NAMES["accel"] not in lacking
         shown, more = calibration_summary(made), dict[str, Any]()
         if self.in_motion is not None:
-            figures, elements = _motion_figures(self, self.in_motion), elements_known(made, self.in_motion)
-            rows = tuple((one.name, one.axis, f"{one.uncertainty:.2g} {one.unit}") for one in elements)
-            heads = "element", "axis", "uncertainty"
-            by_element = Section(title="Known to, 95 %", columns=heads, rows=rows, folded=True)
-            added = _motion_section(figures), _field_section(figures), by_element
-            shown = replace(shown, sections=(*shown.sections, *added))
-            more |= {"motion": figures, "elements": [asdict(one) for one in elements]}
+            figures = _motion_figures(self, self.in_motion)
+            shown = replace(shown, sections=(*shown.sections, _motion_section(figures), _field_section(figures)))
+            more |= {"motion": figures}
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
@@ -115,7 +110,7 @@ PRIOR_OF = "undrift.sim.device.presets:sensitivity_of"  # of a part, over temper
 
 @verb
 def calibrate(
-    *files: Path,
+    *files: Files,
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
