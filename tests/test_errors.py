@@ -2,14 +2,27 @@
 
 import pickle
 
+import numpy as np
 import pytest
 
+from testkit.walking import perfect_calibration
 from undrift import errors
+from undrift.calibration.calibrate import calibrate_from_motion
+from undrift.calibration.reference import ReferenceSettings
+from undrift.correction.correct import Corrector, correct
+from undrift.drift.fit import DriftSettings
+from undrift.io.columns import ReadSettings
+from undrift.orientation import OrientSettings
+from undrift.record import Record
+from undrift.validation.trial import TrialSettings
+
+CALIBRATION = perfect_calibration()
+STILL = Record(time=np.arange(100) / 50.0, gyro=np.zeros((100, 3)), accel=np.tile((0.0, 0.0, 9.8), (100, 1)))
 
 
 def test_every_error_is_of_the_tree_and_input_errors_are_value_errors():
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
-    assert len(kinds) == 15
+    assert len(kinds) == 14
     assert all(issubclass(kind, errors.UndriftError) for kind in kinds)
     assert issubclass(errors.FileFormatError, errors.InputError)
     assert issubclass(errors.InputError, ValueError)
@@ -29,3 +42,29 @@ def test_an_error_travels_between_processes():
     back = pickle.loads(pickle.dumps(errors.InputError("text", row=3)))
     assert str(back) == "text"
     assert back.row == 3
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: OrientSettings(method="madgwick"), "method"),
+        (lambda: OrientSettings(forward="x"), "forward"),
+        (lambda: TrialSettings(offset="whatever"), "offset"),
+        (lambda: ReferenceSettings(mounting="twice"), "mounting"),
+        (lambda: DriftSettings(tables="all"), "tables"),
+        (lambda: ReadSettings(gaps="ignore"), "gaps"),
+        (lambda: correct(STILL, CALIBRATION, policy="whatever"), "policy"),
+        (lambda: correct(STILL, CALIBRATION, offset="whatever"), "offset"),
+        (lambda: Corrector(CALIBRATION, "whatever"), "policy"),
+        (lambda: calibrate_from_motion([STILL], adc="whatever"), "adc"),
+    ],
+)
+def test_unknown_choice_is_refused_with_the_choices(make, name):
+    with pytest.raises(errors.InputError, match=f"`{name}` must be one of"):
+        make()
+
+
+def test_choices_that_are_allowed_pass():
+    assert ReadSettings(gaps=None).gaps is None
+    assert ReadSettings(gaps="keep").gaps == "keep"
+    assert OrientSettings(method="vqf").method == "vqf"

@@ -13,6 +13,12 @@ UndriftError
     LinkError, RigTimeout, RigFault, LimitError
 """
 
+from functools import cache
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+_UNIONS = (Union, UnionType)
+
 
 class UndriftError(Exception):
     """Root of all errors undrift raises on purpose.
@@ -94,3 +100,38 @@ def check_positive(settings: object, what: str, advice: str, *names: str) -> Non
         value = getattr(settings, name)
         if value is not None and not 0.0 < value < float("inf"):
             raise InputError(f"{what}: wanted {name} above 0, got {value}; {advice}")
+
+
+def check_choices(settings: Any, what: str) -> None:
+    """Refuse settings with a field of a Literal type whose value is not one of its choices."""
+    for name, choices in _choices_of(settings.__class__):
+        check_choice(getattr(settings, name), choices, what, name)
+
+
+def check_choice(value: object, choices: object, what: str, name: str) -> None:
+    """Refuse a value that is not among choices: a Literal type, optional or not, or a tuple of values."""
+    allowed = choices if isinstance(choices, tuple) else _values_of(choices)
+    if not any(value is each or (type(value) is type(each) and value == each) for each in allowed):
+        words = ", ".join("None" if each is None else repr(each) for each in allowed)
+        raise InputError(f"{what}: `{name}` must be one of {words}, got {value!r}. Choose one of these.")
+
+
+@cache
+def _choices_of(cls: type) -> tuple[tuple[str, tuple[object, ...]], ...]:
+    """Return the fields of a settings class that are choices, with their values."""
+    return tuple((name, values) for name, hint in get_type_hints(cls).items() if (values := _values_of(hint)))
+
+
+def _values_of(hint: object) -> tuple[object, ...]:
+    """Return the values of a Literal type, with None if it is optional; nothing of any other type."""
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    values: tuple[object, ...] = ()
+    for part in get_args(hint) if get_origin(hint) in _UNIONS else ():
+        if part is type(None):
+            values += (None,)
+        elif part_values := _values_of(part):
+            values += part_values
+        else:
+            return ()  # free values are allowed too
+    return values

@@ -45,7 +45,7 @@ from undrift.correction.rest import (
     rest_offset,
     rests_from_first,
 )
-from undrift.errors import InputError
+from undrift.errors import InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, BodyMounting, TriadModel
@@ -295,6 +295,9 @@ class OrientSettings:
     forward: Face = "+x"
     up: Face = "+z"
     mounting: BodyMounting | None = None
+
+    def __post_init__(self) -> None:
+        check_choices(self, "orient")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ import pytest
 from testkit.data import data_path, show
 from undrift.calibration.adc import (
     AdcFinding,
+    _sweeping,
     adc_model,
     code_grid,
     code_variance,
@@ -163,3 +164,10 @@ def test_every_fit_to_rests_of_a_coarse_converter_names_its_steps(kind, methods,
     named = {word for text in found[10] for word in text.split(" and ")}
     assert named == triads
     assert found[16] == []
+
+
+def test_gap_in_a_rest_is_no_sweep_through_the_codes() -> None:
+    rest = np.random.default_rng(4).integers(-2, 3, 400).astype(float)
+    assert _sweeping(rest, 1.0).sum() == 0.0
+    rest[100:110] = np.nan
+    assert _sweeping(rest, 1.0).sum() == 0.0

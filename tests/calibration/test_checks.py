@@ -21,6 +21,7 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
     nearest_signed_permutation,
+    stuck_in_motion,
     stuck_windows,
 )
 from undrift.errors import Implausible
@@ -278,3 +279,10 @@ def test_a_pose_that_sticks_as_a_whole_is_seen_among_the_others():
     check_range(poses, "accelerometer")
     with pytest.raises(Implausible, match=r"accelerometer: wanted x .* stuck at 9\.5"):
         check_range([pose.clip(None, 9.5) for pose in poses], "accelerometer")
+
+
+def test_level_at_rest_of_a_turn_to_one_side_is_no_end_of_the_range():
+    time = np.arange(1000) / 100.0
+    rate = np.where((time > 3.0) & (time < 7.0), 2.0 * np.sin(np.pi * (time - 3.0) / 4.0) ** 2, 0.0) - 0.02
+    log = np.round(np.stack((rate, 0.0 * rate + 0.01, 0.0 * rate - 0.01), axis=1), 2)
+    assert stuck_in_motion([log]) is None

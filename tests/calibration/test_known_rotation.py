@@ -1,6 +1,7 @@
 """Known rotation: exact on made sums, reversed turns named, what is missing named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from undrift.calibration.checks import axis_vectors, face_vectors
 from undrift.calibration.creep import blocks_within
 from undrift.calibration.known_rotation import (
     RotationData,
+    _with_moves,
     calibrate_turns,
     check_turns_gravity,
     fit_known_rotation,
@@ -19,7 +21,7 @@ from undrift.calibration.known_rotation import (
 )
 from undrift.calibration.observe import CalibrateSettings, observe
 from undrift.calibration.six_face import FaceMeans, calibrate_faces
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.model import TriadModel
 from undrift.record import FACES, Record, Still, Turn
 from undrift.segments import StillSettings
@@ -578,3 +580,22 @@ def test_slow_moves_are_weighed_by_how_far_the_offset_wanders_in_them():
         over.append((fit.model.matrix - true.matrix).ravel() / fit.model.standard_uncertainty[:9])
     low, high = share_limits(9 * SESSIONS)
     assert low <= np.mean(np.abs(over) <= 1.96) <= high
+
+
+def test_gyroscope_in_rad_declared_as_deg_is_refused_with_its_unit():
+    rng = np.random.default_rng(12)
+    bare = simulate_session("ferraris", random_device(rng), rng=rng, labelled=False)
+    made = calibrate(bare, settings=CalibrateSettings(turn_angle_deg=360.0)).gyro
+    read = (bare.records[0].gyro - made.offset) @ made.matrix.T  # rad/s
+    declared = replace(bare, records=(replace(bare.records[0], gyro=read, gyro_unit="dps"),))
+    with pytest.raises(Implausible, match="is in rad/s, not deg/s") as refused:
+        calibrate(declared, settings=CalibrateSettings(turn_angle_deg=360.0))
+    assert refused.value.ratio == pytest.approx(np.pi / 180.0, rel=0.05)
+
+
+def test_moves_that_contradict_the_turns_are_a_warning_of_their_own():
+    inverse = SimpleNamespace(g_sensitivity=np.zeros((3, 3)))
+    assert _with_moves(inverse, np.eye(21), None)[2].code == "known_rotation.no_spare_equations"
+    named = _with_moves(inverse, np.eye(21), PoorFit("moves miss gravity by 30 deg"))[2]
+    assert (named.code, named.level) == ("known_rotation.moves_contradict", "warn")
+    assert "30 deg" in named.text

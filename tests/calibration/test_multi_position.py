@@ -325,3 +325,17 @@ def test_rests_show_g_sensitivity_and_the_offset_is_that_under_no_force() -> Non
         np.testing.assert_allclose(gyro.model.g_sensitivity, GYRO @ h, atol=5.0 * sigma[12:].max())
     assert 0.87 < float((np.abs(scaled) < 1.96).mean()) <= 1.0  # 75 offsets: 2.5 % one sigma; 80 % without H
     assert np.degrees(sigma[9:12]).max() < 0.002
+
+
+def test_scale_tolerance_holds_for_free_poses_and_their_moves() -> None:
+    record = recorded()
+    assert record.accel is not None
+    assert record.gyro is not None
+    large = Record(time=record.time, gyro=record.gyro, accel=1.35 * record.accel)
+    with pytest.raises(Implausible, match="wanted a scale factor"):
+        fit_multi_position(large, gravity=G)
+    assert fit_multi_position(large, gravity=G, scale_tolerance=0.5).accel.model.scale_factor.min() > 1.2
+    fast = Record(time=record.time, gyro=1.35 * record.gyro, accel=record.accel)
+    with pytest.raises(Implausible, match="wanted a scale factor"):
+        fit_multi_position(fast, gravity=G)
+    assert fit_multi_position(fast, gravity=G, scale_tolerance=0.5).gyro is not None

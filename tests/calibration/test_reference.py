@@ -18,7 +18,7 @@ from undrift.calibration.reference import (
     fit_reference,
     leave_one_out,
 )
-from undrift.calibration.reference_windows import Recording, Solution, Windows, _whitened, solve, solve_chain
+from undrift.calibration.reference_windows import Recording, Solution, Windows, solve
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.frames import rotate
 from undrift.model import AdcModel
@@ -72,17 +72,6 @@ def test_a_recording_gets_its_own_rest_offset(exact):
     throughout = fit_reference(*exact, settings=ReferenceSettings(turning=False))
     assert throughout.triad.model.moving_offset is None
     assert np.allclose(throughout.model_at_rest_offset(REST).offset, REST + CHANGE, atol=3e-5)
-    common = fit_reference(*exact, settings=ReferenceSettings(offset="common"))
-    assert common.model_at_rest_offset(np.ones(3)) is common.triad.model
-    assert np.abs(common.triad.model.offset - REST - CHANGE).max() < 3e-5
-    assert (common.motion_offset == 0.0).all()
-
-
-def test_the_rest_offset_alone_can_be_asked_for(exact):
-    fit = fit_reference(*exact, settings=ReferenceSettings(offset="rest"))
-    assert (fit.motion_offset == 0.0).all()
-    assert np.allclose(fit.triad.model.offset, REST, atol=1e-9)
-    assert fit.triad.model.rank == 9
 
 
 @pytest.mark.slow
@@ -146,7 +135,7 @@ def test_counts_and_a_turned_mounting_are_taken_up_by_the_matrix():
 def test_g_sensitivity_is_found_where_it_is_large():
     g = np.array([[2e-4, 0.0, -1e-4], [0.0, 3e-4, 0.0], [1e-4, 0.0, -2e-4]])
     device = Device(forward=FORWARD, g_sensitivity=g, lag_s=0.002)
-    settings = ReferenceSettings(g_sensitivity=True, offset="common")
+    settings = ReferenceSettings(g_sensitivity=True)
     fit = fit_reference(*recordings((21, 22), device), settings=settings)
     model = fit.triad.model
     assert model.g_sensitivity is not None
@@ -400,11 +389,11 @@ def test_recordings_of_other_motions_do_not_fit(exact):
         fit_reference([records[0]], [later(references[1], 0.0)])
 
 
-# ---- windows state what errors of poses, readings and offset do to the fit; the chain refuses what it cannot see
+# ---- windows state what errors of poses, readings and offset do to the fit
 
 
 class Poses:
-    """The part of a recording that the chain reads."""
+    """The part of a recording that the equations read."""
 
     def __init__(self, count: int) -> None:
         self.q_nb = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
@@ -416,43 +405,6 @@ def recording(count: int) -> Recording:
 
 def steps(design: np.ndarray, turn: np.ndarray, first: np.ndarray) -> Windows:
     return Windows(turn=turn, design=design, first=first)
-
-
-def test_too_few_steps_are_refused() -> None:
-    few = steps(np.ones((3, 3, 12)), np.zeros((3, 3)), np.arange(3))
-    with pytest.raises(NotObservable, match="wanted more than 8 steps between poses, got 3; record longer motion"):
-        solve_chain([recording(4)], [few], free=np.arange(12))
-
-
-def test_motion_about_one_axis_is_refused_with_its_rank() -> None:
-    design = np.zeros((40, 3, 12))
-    design[:, 0, 0] = np.random.default_rng(1).normal(size=40)
-    with pytest.raises(NotObservable, match="design of rank 1 for 12 parameters; turn the device about every axis"):
-        solve_chain([recording(41)], [steps(design, np.zeros((40, 3)), np.arange(40))], free=np.arange(12))
-
-
-def test_whitening_undoes_the_covariance_of_a_chain_with_a_gap() -> None:
-    n, kappa = 7, 0.3
-    linked = np.array([True, True, False, True, True, True])
-    tied = np.diag(linked.astype(float), 1)
-    covariance = (1 - kappa) * (2 * np.eye(n) - tied - tied.T) + kappa * np.eye(n)
-    table = np.repeat(np.eye(n)[:, None, :], 3, axis=1)  # (n, 3, n): each column one unit step
-    white = _whitened([table], [linked], kappa)[::3]  # the whitener itself, one body axis
-    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-14)
-
-
-def test_parameters_held_fixed_stay_and_one_bad_pose_moves_little() -> None:
-    rng = np.random.default_rng(2)
-    design, truth = rng.normal(size=(200, 3, 12)), rng.normal(size=12)
-    truth[9:] = 0.0
-    pose = rng.normal(0.0, 1e-3, (201, 3))
-    pose[100] += 0.5
-    turn = design @ truth + np.diff(pose, axis=0)
-    solution = solve_chain([recording(201)], [steps(design, turn, np.arange(200))], free=np.arange(9))
-    assert solution.step.shape == (9,)
-    assert solution.covariance().shape == (9, 9)
-    # Pose noise of 1e-3 over 200 steps gives 1e-4; plain least squares would err by some 0.01.
-    np.testing.assert_allclose(solution.step, truth[:9], atol=6e-4)
 
 
 # ---- covariance of windows

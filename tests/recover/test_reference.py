@@ -1,4 +1,4 @@
-"""Poses of the body give back the gyroscope; with noise weights the error is the least that the poses used allow.
+"""Poses of the body give back the gyroscope; its error is compared with the least that the poses used allow.
 
 Data of the bound: the poses at the stride, with white noise, and the readings between them, with white noise. Every pose
 but the first two is shared by two steps, so their covariance is tridiagonal; it is written down here and solved as it is.
@@ -11,7 +11,7 @@ from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, white_device
 from testkit.data import show
 from testkit.twins import rotation_matrices
-from undrift.calibration.reference import ReferenceSettings, Weights, fit_reference
+from undrift.calibration.reference import ReferenceSettings, fit_reference
 from undrift.model import TriadModel
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -26,9 +26,9 @@ TASK = draw_task("free", rng=np.random.default_rng(0))
 MOTION = TASK.at(np.arange(round(TASK.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
 
 
-def fitted(device: DeviceModel, rng: np.random.Generator, weights: Weights, optics: OpticsSettings) -> TriadModel:
+def fitted(device: DeviceModel, rng: np.random.Generator, optics: OpticsSettings) -> TriadModel:
     record = simulate_device(device, MOTION, rng=rng).record
-    settings = ReferenceSettings(offset="common", weights=weights, stride_s=STRIDE_S)
+    settings = ReferenceSettings(stride_s=STRIDE_S)
     return fit_reference((record,), (see(TASK, rng=rng, settings=optics),), settings=settings).triad.model
 
 
@@ -62,30 +62,14 @@ def error_of(model: TriadModel, device: DeviceModel) -> Array:
     return np.concatenate((wrong.ravel(), model.offset - device.gyro.raw_offset))
 
 
-@pytest.mark.parametrize("weights", ["windows", "noise"])
-def test_poses_give_back_the_device_without_noise(weights: Weights) -> None:
+def test_poses_give_back_the_device_without_noise() -> None:
     rng = np.random.default_rng(1)
     device = white_device(rng).without_noise()
     still = OpticsSettings(sample_rate_hz=SAMPLE_RATE_HZ, angle_sd=0.0, gaps=2)
-    error = error_of(fitted(device, rng, weights, still), device)
+    error = error_of(fitted(device, rng, still), device)
     # The lag is found to about a microsecond, at 4 rad/s: 4e-6 rad a window of several rad.
     assert np.abs(error[:9]).max() < 1e-5 / 940.0
     assert np.abs(error[9:]).max() < 1e-3  # counts; 1 deg/s is 16
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("devices", COHORTS)
-def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
-    rng = np.random.default_rng(2)
-    tally = Tally.of("reference, noise weights")
-    information = physical_information(
-        MOTION, OPTICS.angle_sd, float(white_device(rng).gyro.white_noise.random_walk[0])
-    )
-    for _ in range(devices):
-        device = white_device(rng)
-        model = fitted(device, rng, "noise", OPTICS)
-        tally.add(error_of(model, device), bound(device, information), model.standard_uncertainty)
-    tally.check(devices)
 
 
 @pytest.mark.slow
@@ -98,8 +82,9 @@ def test_long_windows_pay_for_their_patience_with_less_than_half_more_error_wher
     )
     for _ in range(devices):
         device = white_device(rng)
-        model = fitted(device, rng, "windows", OPTICS)
-        tally.add(error_of(model, device), bound(device, information), model.standard_uncertainty)
+        model = fitted(device, rng, OPTICS)
+        errors, least = error_of(model, device)[:9], bound(device, information)[:9, :9]  # rests show the offset too
+        tally.add(errors, least, model.standard_uncertainty[:9])
     # Real optics wander with the pose, and there the long windows win: that is why they are the default.
     show("reference, windows: RMSE over Cramer-Rao bound", f"{tally.ratio:.3f}", 1.5)
     show("reference, windows: coverage of 95 % intervals", f"{tally.coverage:.3f}")

@@ -155,10 +155,12 @@ def limited_by_codes(
 
 def _sweeping(column: FloatArray, step: float) -> FloatArray:
     # How often each code from -_SIDE to _SIDE occurs while the reading sweeps through zero.
-    codes = np.round(np.nan_to_num(column, nan=1e9) / step).astype(np.int64)
+    known = np.isfinite(column)
+    codes = np.round(np.where(known, column, 0.0) / step).astype(np.int64)
     flag = np.zeros(len(codes), bool)
-    flag[_HALF:-_HALF] = np.abs(codes[2 * _HALF :] - codes[: -2 * _HALF]) >= _TRAVEL
-    near = codes[flag & (np.abs(codes) <= _SIDE)] + _SIDE
+    travelled = np.abs(codes[2 * _HALF :] - codes[: -2 * _HALF]) >= _TRAVEL
+    flag[_HALF:-_HALF] = travelled & known[2 * _HALF :] & known[: -2 * _HALF]  # a gap is no motion
+    near = codes[flag & known & (np.abs(codes) <= _SIDE)] + _SIDE
     return np.bincount(near, minlength=2 * _SIDE + 1).astype(float)
 
 

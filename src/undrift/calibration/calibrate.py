@@ -37,7 +37,7 @@ from undrift.calibration.reference import ReferenceFit, ReferenceSettings
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.settings import FITS, FitMethod
 from undrift.calibration.six_face import calibrate_faces
-from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit
+from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
 Mode = Literal["paper", "affine", "levelled"]
 Triad = Literal["accelerometer", "gyroscope"]
+Adc = Literal["auto", "none"]
 
 _LEAST_POSES = 9  # free poses of a multi-position fit
 RADIANS = (0.4, 1.22)  # as degrees at the equator, as radians 23 to 70 deg, where people live
@@ -173,8 +174,7 @@ def calibrated(
         find_fit(accel, "accel")  # an unknown name is an error before anything is fitted
     if gyro not in (None, "none"):
         find_fit(str(gyro), "gyro")
-    if mode not in (None, "paper", "affine", "levelled"):
-        raise InputError(f"calibrate: wanted mode one of paper, affine, levelled, got '{mode}'; name one of them")
+    check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
@@ -411,7 +411,7 @@ def calibrate_to_references(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    adc: Literal["auto", "none"] = "auto",
+    adc: Adc = "auto",
     method: str = "reference",
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
@@ -453,6 +453,7 @@ def calibrate_to_references(
     """
     if gravity_m_s2 is None:
         gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
+    check_choice(adc, Adc, "calibrate", "adc")
     check_local_gravity(gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
     fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
@@ -498,7 +499,7 @@ def _calibration(
 def calibrate_from_motion(
     records: Sequence[Record],
     *,
-    adc: Literal["auto", "none"] = "auto",
+    adc: Adc = "auto",
     gravity_m_s2: float | None = None,
     gravity_source: GravitySource = "stated",
     prior: ElementPrior = PUBLISHED,
@@ -546,6 +547,7 @@ def calibrate_from_motion(
     """
     if gravity_m_s2 is None:
         gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
+    check_choice(adc, Adc, "calibrate", "adc")
     check_local_gravity(gravity_m_s2, "motion")
     session = Session(
         kind="calibration", serial="", records=tuple(records), gravity_m_s2=gravity_m_s2, gravity_source=gravity_source,

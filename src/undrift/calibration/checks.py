@@ -108,6 +108,9 @@ _RUN = 5  # equal readings in a row: at an end it is the converter's, unless rea
 _ABRUPT = 5.0  # smallest changes: a reading gets to the end of the range, or leaves it, in one sample
 _LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
 _FEW = 0.1  # of the readings at one end: fewer are no step of such a signal
+# Share of the largest reading of an axis. Ranges are symmetric about zero, so that a reading nearer to zero is the level at rest of
+# a motion to one side, not an end of the range [assumed]
+_NEAR_ZERO = 0.1
 
 
 class Stuck(NamedTuple):
@@ -130,10 +133,14 @@ class Stuck(NamedTuple):
 def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:
     """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
     window = np.repeat(np.arange(len(windows)), [len(one) for one in windows])
-    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
+    readings = np.concatenate(windows) if len(windows) else np.zeros((0, 3))
+    signed = bool((readings < 0.0).any())  # unsigned codes have their zero at an end of the range
+    for axis, column in enumerate(readings.T if len(readings) else ()):
         kept = np.isfinite(column)
         finite, seam = column[kept], np.diff(window[kept]) != 0
         for end in (finite.max(), finite.min()) if len(np.unique(finite)) > 2 else ():
+            if signed and abs(end) < _NEAR_ZERO * np.abs(finite).max():
+                continue
             if _piles_up(finite, end) and _sticks(finite, end, seam):
                 return Stuck(axis, float(end), int((finite == end).sum()))
     return None
@@ -410,6 +417,11 @@ def force_words(median_g: float, spread_g: float) -> str:
     if median_g < 0.5 and spread_g > 0.3 * median_g:
         return "gravity is missing: an app's linear acceleration, without gravity"
     return _named(median_g, FORCE_UNITS, 1.3)
+
+
+def rate_unit_words(ratio: float) -> str:
+    """Return the mistaken unit that makes rates read this multiple of the true ones, "" if there is none."""
+    return _named(ratio, RATE_UNITS, 1.1) if np.isfinite(ratio) else ""
 
 
 def _named(ratio: float, units: Mapping[float, str], within: float) -> str:

@@ -17,7 +17,6 @@ rounding leaves, the angle of each turn, jitter of the clock, and the axis of th
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
@@ -436,7 +435,9 @@ def fit_known_rotation(
     axis_uncertainty: float = 0.0,
     scale_tolerance: float = 0.25,
     creep: Creep | None = None,
-    moves: Callable[[Inverse, FloatArray, FloatArray], TriadModel | None] = lambda inverse, covariance, by_creep: None,
+    moves: Callable[
+        [Inverse, FloatArray, FloatArray], TriadModel | PoorFit | None
+    ] = lambda inverse, covariance, by_creep: None,
 ) -> TriadFit:
     """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad.
 
@@ -515,9 +516,11 @@ def _closed_form(
 
 
 def _with_moves(
-    inverse: Inverse, covariance: FloatArray, moved: TriadModel | None
+    inverse: Inverse, covariance: FloatArray, moved: TriadModel | PoorFit | None
 ) -> tuple[Inverse, FloatArray, Finding]:
     """Return model and covariance (21, 21) of rests, turns and moves together, and whether chance makes them differ so."""
+    if isinstance(moved, PoorFit):
+        return inverse, covariance, finding("known_rotation.moves_contradict", "warn", reason=str(moved))
     if moved is None or inverse.g_sensitivity is None:
         return inverse, covariance, finding("known_rotation.no_spare_equations", "info")
     of_turns, joint, away = covariance[:9, :9], moved.covariance[:9, :9], (moved.matrix - inverse.matrix).ravel()
@@ -628,8 +631,11 @@ def _under_flicker(moves: multi_position.Moves, blocks: Blocks | None) -> Offset
 
 def _by_moves(
     seen: Observed, data: RotationData, accel: TriadModel, shown: tuple[Inverse, FloatArray, FloatArray]
-) -> TriadModel | None:
-    """Fit the matrix to turns and moves, readings freed of the g-sensitivity; None where moves show nothing."""
+) -> TriadModel | PoorFit | None:
+    """Fit the matrix to turns and moves, with readings freed of the g-sensitivity.
+
+    Return None if the moves determine nothing, and the error if no matrix fits turns and moves together.
+    """
     inverse, covariance, by_creep = shown
     slope = inverse.forward[:, 4:]
     records = [
@@ -639,12 +645,17 @@ def _by_moves(
     ]
     stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
-    with suppress(NotObservable, PoorFit):
-        by_turns = multi_position.ByTurns(
-            inverse.matrix, covariance[:9, :9], by_creep, partial(_under_flicker, blocks=data.blocks)
-        )
-        return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
-    return None
+    by_turns = multi_position.ByTurns(
+        inverse.matrix, covariance[:9, :9], by_creep, partial(_under_flicker, blocks=data.blocks)
+    )
+    try:
+        return multi_position.fit_gyro_between_stills(
+            records, stills, accel, creep=creep, by_turns=by_turns, scale_tolerance=seen.settings.scale_tolerance
+        ).model
+    except NotObservable:
+        return None
+    except PoorFit as error:
+        return error
 
 
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:

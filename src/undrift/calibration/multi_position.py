@@ -20,7 +20,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.creep import G_SENSITIVITY_SD, Creep, Kind, OffsetPrior, creep_of, offset_prior
-from undrift.calibration.norm import QUADRATIC_SD, WEAKEST, NormFit, check_count, fit_norm, judged
+from undrift.calibration.norm import QUADRATIC_SD, TOLERANCE, WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
@@ -270,7 +270,6 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
 
 WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
 _LOOSE = 0.01  # of the weight of turns by known angles while the scatter of the moves is sought
-_TOLERANCE = 0.25  # of the sensitivity that the unit states; a wrong sample rate shows as a factor
 # Limits of a verdict: marginal above the first, bad above the second.
 DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
 MISS_DEG = (2.0, 8.0)
@@ -317,6 +316,7 @@ def fit_gyro_between_stills(
     creep: tuple[Creep, Creep] | None = None,
     by_turns: ByTurns | None = None,
     quadratic: FloatArray | float = 0.0,
+    scale_tolerance: float = TOLERANCE,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
@@ -351,7 +351,7 @@ def fit_gyro_between_stills(
     p, covariance, missed = _solve(problem, np.concatenate((rough.reshape(-1) * unit, np.zeros(3))))
     if by_turns is None:
         _check_seen(missed, p)
-    fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit)
+    fit = _as_triad(problem, p, covariance, missed, records[0].gyro_unit, scale_tolerance)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
 
 
@@ -526,7 +526,9 @@ def _check_seen(missed: _Missed, p: FloatArray) -> None:
         )
 
 
-def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str) -> TriadFit:
+def _as_triad(
+    problem: _Problem, p: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str, scale_tolerance: float
+) -> TriadFit:
     moves = problem.moves
     rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
     if rms_angle > 20.0:
@@ -572,7 +574,7 @@ def _as_triad(problem: _Problem, p: FloatArray, covariance: FloatArray, missed: 
         valid_range=(float(rate.min()), float(rate.max())),
     )
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
-    check_own_scale(fit.model.scale_factor, unit_in, "rate", _TOLERANCE, "gyro", sample_rate_hz=rate_hz)
+    check_own_scale(fit.model.scale_factor, unit_in, "rate", scale_tolerance, "gyro", sample_rate_hz=rate_hz)
     return fit
 
 
@@ -644,6 +646,7 @@ def fit_multi_position(
     cross_axis_prior: float | None = 0.01,
     axes: TriadModel | None = None,
     creep: Callable[[Sequence[Still], Kind], Creep] | None = None,
+    scale_tolerance: float = TOLERANCE,
 ) -> MultiPositionFit:
     """Calibrate from recordings of free poses and turns between them, all together; a recording may be a single pose.
 
@@ -678,7 +681,7 @@ def fit_multi_position(
         if fit is None:
             raise PoorFit(_NO_LENGTH)
     check_range([levels[s.recording].values[s.start : s.stop] for s in used], "accelerometer in still poses")
-    accel = judged(fit, reading, records[0].accel_unit)
+    accel = judged(fit, reading, records[0].accel_unit, scale_tolerance)
     between: TriadFit | None = None
     missing: tuple[Finding, ...] = ()
     if gyro and all(r.gyro is not None for r in records):
@@ -688,7 +691,9 @@ def fit_multi_position(
             bend = fit.quadratic if model is accel.model else np.zeros(3)
             ordered = sorted(used, key=lambda still: (still.recording, still.start))
             both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
-            between = fit_gyro_between_stills(records, used, model, cores=cores, creep=both, quadratic=bend)
+            between = fit_gyro_between_stills(
+                records, used, model, cores=cores, creep=both, quadratic=bend, scale_tolerance=scale_tolerance
+            )
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
     return MultiPositionFit(accel=accel, gyro=between, stills=used, attempts=tuple(attempts), missing=missing)
@@ -785,6 +790,7 @@ def _of_session(seen: Observed, axes: TriadFit | None = None, *, gyro: bool = Tr
         cross_axis_prior=seen.settings.cross_axis_prior,
         axes=model,
         creep=lambda pieces, kind: creep_of(seen, pieces, kind),
+        scale_tolerance=seen.settings.scale_tolerance,
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from undrift import segments
 from undrift.arrays import FloatArray, runs
 from undrift.calibration.adc import code_steps, code_variance
-from undrift.calibration.checks import check_gravity, stuck_at_rate, stuck_in_motion
+from undrift.calibration.checks import check_gravity, rate_unit_words, stuck_at_rate, stuck_in_motion
 from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -604,6 +604,7 @@ class Observed:
         turns = self.turns_of(angle_deg * RADIAN_PER_DEGREE)
         lacking = tuple(axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns})
         if lacking:
+            self._check_rate_unit(angle_deg)
             why = self._why_missing(angle_deg)
             missing = finding(
                 "session.turns_missing", "warn", angle_deg=angle_deg, axes=lacking, count=len(turns), why=why
@@ -613,6 +614,27 @@ class Observed:
         found = finding("session.turns_found", "info", angle_deg=angle_deg, count=len(turns), turns=shown)
         return replace(self, session=replace(self.session, turns=turns), findings=(*self.findings, found))
 
+    def _check_rate_unit(self, angle_deg: float) -> None:
+        """Raise if turns back to the same pose read the multiple of the angle that a mistaken unit gives."""
+        for number, record, search in self.turn_searches():
+            ratio = self._reading_ratio(record, search, angle_deg)
+            if cause := rate_unit_words(ratio):
+                raise Implausible(
+                    f"gyroscope: recording {number} is declared in {record.gyro_unit}, but its turns by {angle_deg:g} deg read "
+                    f"{ratio:.3g} times that angle: {cause}. Correct the unit of the gyroscope columns.",
+                    ratio=ratio,
+                )
+
+    def _reading_ratio(self, record: Record, search: segments.TurnSearch, angle_deg: float) -> float:
+        """Return the median of what turns back to the same pose read over their angle; NaN without such turns or in counts."""
+        unit = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else np.nan
+        read = [
+            float(np.abs(angle).max()) * unit / RADIAN_PER_DEGREE / angle_deg
+            for turn, angle in zip(search.rotations, search.rotation_angle, strict=True)
+            if self._returns(turn)
+        ]
+        return float(np.median(read)) if read else np.nan
+
     def _why_missing(self, angle_deg: float) -> str:
         """Return why turns by a known angle may be missing: the recording ends in one, or they read a multiple of it."""
         for number, record, search in self.turn_searches():
@@ -620,13 +642,7 @@ class Observed:
             last = np.linalg.norm(gyro[-round(_END_S * record.sample_rate_hz) :], axis=1)
             if search.rotations and last.min() > _CUT_LIMITS[1] * np.linalg.norm(gyro, axis=1).max():
                 return f"; recording {number} still turns at its end: its last turn is cut off"
-            unit = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else np.nan
-            read = [
-                float(np.abs(angle).max()) * unit / RADIAN_PER_DEGREE / angle_deg
-                for turn, angle in zip(search.rotations, search.rotation_angle, strict=True)
-                if self._returns(turn)
-            ]
-            ratio = float(np.median(read)) if read else np.nan
+            ratio = self._reading_ratio(record, search, angle_deg)
             if abs(ratio - 1.0) > self.settings.scale_tolerance:
                 rate_hz = record.sample_rate_hz
                 return (

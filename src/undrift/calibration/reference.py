@@ -4,10 +4,10 @@ w = M (u + c sign(u) - o) - m(t) d - G a, with w the body rate of the reference.
 are integrated over windows and compared with how far the reference turned, so pose noise enters twice a window whatever the rate.
 Windows grow from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose errors do not grow with the
 window, the rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose
-errors drift with the pose; where pose and reading noise are white, ``weights="noise"`` reaches the least error that poses allow, a
-quarter less. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a recording's
-offset is its own mean at rest, and a change d that all recordings share, fitted with M, acts while the device turns, m = 1: a new
-recording needs its own rest alone. Where it never rests, its offset is that of all recordings and a change of its own with a prior.
+errors drift with the pose. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a
+recording's offset is its own mean at rest, and a change d that all recordings share, fitted with M, acts while the device turns,
+m = 1: a new recording needs its own rest alone. Where it never rests, its offset is that of all recordings and a change of its own
+with a prior.
 Where the codes show how they were rounded, c is fitted about half a step, or none, within a third of a step. Each recording has a
 small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the recordings is none: markers are
 put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all. Motion that does not show the
@@ -16,7 +16,6 @@ matrix leaves it a prior about the rotation that the rates show, and the verdict
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -29,10 +28,9 @@ from undrift.calibration.reference_windows import (
     Windows,
     independent_windows,
     solve,
-    solve_chain,
     window_equations,
 )
-from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
+from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import TriadFit
@@ -44,9 +42,6 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- settings and results
 
-Offset = Literal["motion", "rest", "common"]
-Weights = Literal["windows", "noise"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceSettings:
@@ -56,19 +51,14 @@ class ReferenceSettings:
     # Last window, s. Longer weighs pose noise less and slow changes of the offset more
     longest_window_s: float = 16.0
     stride_s: float = 0.5  # From the start of one window to the next, s
-    # "motion": rest offset of each recording plus one fitted change from rest to motion. "rest": rest offsets alone.
-    # "common": one fitted offset for all, whatever they read at rest
-    offset: Offset = "motion"
     g_sensitivity: bool = False  # Fit G as well; needs accelerometer readings
-    # "windows": long windows, each alike. "noise": after the first windows, neighbouring poses as one chain weighed
-    # by the white noise of poses and readings
-    weights: Weights = "windows"
     # d acts while the device turns, beside priors for it and for codes; False: from the first to the last rest
     turning: bool = True
     # "each": device and reference body are turned against each other anew in each recording. "one": by the matrix alone
     mounting: Mounting = "each"
 
     def __post_init__(self) -> None:
+        check_choices(self, "reference")
         if not 0.0 < self.stride_s <= self.window_s <= self.longest_window_s:
             raise InputError(
                 "reference: wanted 0 < stride_s <= window_s <= longest_window_s, got "
@@ -83,7 +73,7 @@ class ReferenceFit:
     # Model, residuals of the longest windows (rad, shape (n, 3)), verdict. The model's offset is the recordings' mean at rest
     # where it has a ``moving_offset``, else in motion
     triad: TriadFit
-    # (3,), reading while the device turns less reading at rest, at zero rate, raw unit; zero unless ``offset`` is "motion"
+    # (3,), reading while the device turns less reading at rest, at zero rate, raw unit
     motion_offset: FloatArray
     rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit; NaN where it never rests
     lags_s: FloatArray  # (R,), lag of each recording, s
@@ -91,13 +81,12 @@ class ReferenceFit:
     turn_rates_rms: FloatArray  # (R,), root-mean-square body rate of each recording in motion, rad/s
     window_s: float  # Length of the longest windows that the recordings were long enough for, s
     window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
-    offset_mode: Offset  # As in the settings
     mountings: FloatArray  # (R, 3), rotation vector of each recording from the mean mounting to its own body, rad
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
         """Return the model for a recording that reads ``rest_offset`` (3,), codes corrected, at rest."""
         model = self.triad.model
-        if self.offset_mode == "common" or not np.isfinite(rest_offset).all():
+        if not np.isfinite(rest_offset).all():
             return model
         return replace(model, offset=rest_offset + self.motion_offset * (model.moving_offset is None))
 
@@ -166,7 +155,7 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     late = np.concatenate(([False], step > sync.LONGEST_STEP * np.median(step)))
     rest, rest_uncertainty, rest_sign = rest_reading(aligned)
     turning: FloatArray = np.ones(len(time))
-    if settings.turning and settings.offset == "motion" and np.isfinite(rest).all():
+    if settings.turning and np.isfinite(rest).all():
         turning = find_turning((np.where(gap[:, None], np.nan, gyro) - rest) @ lag.matrix.T, time)[0]
     # Strapdown holds each reading over the step before its stamp: half a sample.
     at = poses.time + (lag.seconds - 0.5 * float(np.median(step)))
@@ -181,7 +170,7 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
         moving=(time >= motion.start_s) & (time < motion.stop_s),
         turning=turning,
         rest_offset=rest,
-        rest_sign=rest_sign * (settings.offset != "common"),
+        rest_sign=rest_sign,
         rest_uncertainty=rest_uncertainty,
         unit=record.gyro_unit,
         at=np.ascontiguousarray(at[chosen]),
@@ -337,11 +326,10 @@ class _Estimate:
     ) -> None:
         """``nominal`` (R, 3, 3) are the matrices that a prior expects, rad/s per unit; None leaves the matrix free."""
         self.prepared, self.settings, self.nominal = prepared, settings, nominal
-        rests = [p.rest_offset for p in prepared if p.rested and settings.offset != "common"]
+        rests = [p.rest_offset for p in prepared if p.rested]
         usual = np.mean(rests, axis=0) if rests else np.zeros(3)
         self.offsets = [p.rest_offset if p.rested and rests else usual for p in prepared]
-        apart = settings.offset != "common" and len(prepared) > 1
-        self.unrested = [i for i, p in enumerate(prepared) if apart and not p.rested]
+        self.unrested = [i for i, p in enumerate(prepared) if len(prepared) > 1 and not p.rested]
         if nominal is None:
             self.mounted = _first_mountings(prepared, settings)
             self.guess = _first_guess(prepared, self.mounted, self.offsets, settings)
@@ -354,14 +342,11 @@ class _Estimate:
         self.size, self.turns = len(self.guess), np.zeros(3 * (self.turning - 1))
         self.changes = np.zeros((len(self.unrested), 3))  # rad/s
         self.free = np.arange(self.size + len(self.turns) + self.changes.size)
-        # d is a change from rest to motion; a chain of white noise takes no priors
-        self.apart = bool(rests) and settings.offset == "motion" and settings.turning
-        self.bounded = self.apart and settings.weights == "windows"
+        self.apart = bool(rests) and settings.turning  # d is a change from rest to motion
         step = None if adc is None else adc.gyro_lsb
         self.codes = np.zeros(3) if step is None or adc is None else 0.5 * step * (adc.gyro_rounding == "toward_zero")
         self.guess[12:15], self.code_sd = self.codes, np.zeros(3) if step is None else CODE_PRIOR * step
-        fixed = [9, 10, 11] if settings.offset == "rest" and rests else []
-        fixed += [12, 13, 14] if step is None or not settings.turning or settings.weights == "noise" else []
+        fixed = [12, 13, 14] if step is None or not settings.turning else []
         self.free = np.setdiff1d(self.free, fixed)
 
     def equations(self, reach: int) -> list[Windows]:
@@ -380,14 +365,14 @@ class _Estimate:
 
     def prior(self) -> tuple[FloatArray, FloatArray] | None:
         """Return how far each parameter is below what is expected, and the standard deviation of that; None without any."""
-        if self.nominal is None and not (self.unrested or self.bounded or 12 in self.free):
+        if self.nominal is None and not (self.unrested or self.apart or 12 in self.free):
             return None
         most, last = self.size + len(self.turns), self.size
         away, spread = np.zeros(most + self.changes.size), np.full(most + self.changes.size, np.inf)
         away[most:], spread[most:] = -self.changes.reshape(-1), TURN_ON
         if 12 in self.free:
             away[12:15], spread[12:15] = self.codes - self.guess[12:15], self.code_sd
-        if self.bounded:
+        if self.apart:
             away[9:12], spread[9:12] = -self.guess[9:12], MOVING_PRIOR
         if self.nominal is not None:
             away[:9] = self.nominal[0].reshape(-1) - self.guess[:9]
@@ -420,9 +405,6 @@ def _fitted(estimate: _Estimate, unit: str) -> ReferenceFit:
         if solution is not None and independent_windows(windows, reach) <= unknowns / 3.0:
             break  # too short for longer windows: stay with the last ones
         solution, used = solve(prepared, windows, free=free, reach=reach, prior=prior), length
-        estimate.step(solution)
-    for _ in range(_REFINEMENTS if settings.weights == "noise" and estimate.prior() is None else 0):
-        solution, used = solve_chain(prepared, estimate.equations(1), free=free), settings.stride_s
         estimate.step(solution)
     determinant = np.linalg.det(estimate.guess[:9].reshape(3, 3))
     if solution is None or determinant <= 0.0:
@@ -481,8 +463,6 @@ def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
 
 def _lengths(settings: ReferenceSettings) -> list[float]:
     lengths = [settings.window_s]
-    if settings.weights == "noise":
-        return lengths  # a start for the chain
     while lengths[-1] < settings.longest_window_s:
         lengths.append(min(2.0 * lengths[-1], settings.longest_window_s))
     return lengths + [lengths[-1]] * _REFINEMENTS
@@ -519,10 +499,7 @@ def _first_guess(
             "marker clusters (`mounting` one) or other sensors apart",
             difference=worst,
         )
-    constants = [
-        np.zeros(3) if settings.offset == "rest" else -r @ p.lag.constant - matrix @ o * (settings.offset == "motion")
-        for p, r, o in zip(prepared, back, offsets, strict=True)
-    ]
+    constants = [-r @ p.lag.constant - matrix @ o for p, r, o in zip(prepared, back, offsets, strict=True)]
     g = np.zeros(9 if settings.g_sensitivity else 0)
     return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), np.zeros(3), g))
 
@@ -534,7 +511,7 @@ def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float)
     free = estimate.free[estimate.free < estimate.size]
     matrix, moving, codes, g = guess[:9].reshape(3, 3), guess[9:12], guess[12:15], guess[15:]
     rest = np.array([p.rest_offset for p in prepared])
-    rested = np.isfinite(rest).all(axis=1) & (settings.offset != "common")
+    rested = np.isfinite(rest).all(axis=1)
     signs = np.array([p.rest_sign for p in prepared])[rested].mean(axis=0) if rested.any() else np.zeros(3)
     base = rest[rested].mean(axis=0) + signs * codes if rested.any() else np.zeros(3)
     apart, coded = estimate.apart, bool(estimate.code_sd.any())
@@ -555,7 +532,7 @@ def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float)
         covariance += (shift * spread**2) @ shift.T
     seen = [(p.gyro[p.moving] - base - motion_offset) @ matrix.T for p in prepared]
     model = TriadModel(
-        method=f"reference/{settings.offset}",
+        method="reference/motion",
         unit_in=unit,
         unit_out="rad/s",
         matrix=matrix,
@@ -574,27 +551,26 @@ def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float)
         moving_offset=moving if apart else None,
         code_offset=codes if coded else None,
     )
-    verdict = Verdict.of(*_judged(model, rest[rested], settings), *(one for p in prepared for one in p.findings))
+    verdict = Verdict.of(*_judged(model, rest[rested]), *(one for p in prepared for one in p.findings))
     return ReferenceFit(
         triad=TriadFit(model=model, residuals=solution.residuals, verdict=verdict),
-        motion_offset=np.zeros(3) if settings.offset == "common" else motion_offset,
+        motion_offset=motion_offset,
         rest_offsets=rest,
         lags_s=np.array([p.lag.seconds for p in prepared]),
         lag_uncertainties_s=np.array([p.lag.standard_uncertainty for p in prepared]),
         turn_rates_rms=np.array([np.sqrt((w**2).sum(axis=1).mean()) for w in seen]),
         window_s=window_s,
         window_rms=solution.scale,
-        offset_mode=settings.offset,
         mountings=Rotation.from_matrix(estimate.mounted).as_rotvec(),
     )
 
 
-def _judged(model: TriadModel, rest: FloatArray, settings: ReferenceSettings) -> Iterator[Finding]:
+def _judged(model: TriadModel, rest: FloatArray) -> Iterator[Finding]:
     sigma, scale = model.standard_uncertainty, float(np.linalg.norm(model.matrix, 2))
     uncertain = float(sigma[:9].max()) / scale
     if uncertain > 2e-3:
         yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * uncertain)
-    if settings.offset == "motion" and len(rest) > 1:
+    if len(rest) > 1:
         spread_dps = np.degrees(rest.std(axis=0, ddof=1).max() * scale)
         if spread_dps > 0.03:
             yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)

@@ -300,7 +300,7 @@ def validate(
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
     mounting: Literal["each", "one"] | None = None,
-    offset: Literal["none", "rest", "motion"] | None = None,
+    offset: Literal["none", "rest", "motion"] = "rest",
     adc: Literal["auto", "none"] = "auto",
     forward: Side | None = None,
     up: Side | None = None,
@@ -331,9 +331,9 @@ def validate(
     mounting : str or None
         With --calibrate-from: "each" fits a small rotation between device and reference body for each recording, "one" states that
         they were mounted once. Without it: as session.toml says, or each.
-    offset : str or None
+    offset : str
         "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, or without any
-        rest, as correct and orient do; "none" does not. Without a calibration: rest.
+        rest, as correct and orient do; "none" does not.
     adc : str
         "auto" corrects the quantisation of the codes where it shows and, in a fit to references, where that lowers the error on
         recordings that a fit has not seen: by two recordings or more, the held-out one apart. "none" leaves them.
@@ -362,7 +362,6 @@ def validate(
     _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
     comparing.check()
     check_folder(output)
-    offset = offset or ("none" if calibration or calibrate_from else "rest")
     chosen = choose_calibration(calibration, records, opening)
     model, calibration = chosen.model, chosen.path
     settings = TrialSettings(

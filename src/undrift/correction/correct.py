@@ -50,7 +50,7 @@ from undrift.correction.plan import (
     plan_record,
 )
 from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset, moved_by
-from undrift.errors import InputError
+from undrift.errors import InputError, check_choice
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration, TriadModel
 from undrift.record import Record
@@ -319,6 +319,7 @@ def re_zeroed(
     if offset == "none":
         return done
     if isinstance(offset, str):
+        check_choice(offset, ("rest", "motion"), "correct", "offset")
         rest = find_rest_offset(done.record) if offset == "rest" else known_rest_offset(done.record)
         offset = offset_left(done.record, offset, rest, model)
     remainder: OffsetLeft = offset
@@ -359,6 +360,7 @@ def correct_planned(
     carry: Carry = Carry(),
 ) -> Corrected:
     """Correct a record with plans made beforehand, as a stream has them."""
+    check_choice(policy, Policy, "correct", "policy")
     conditions, coming = conditions_of(record, calibration, plans, carry)
     temp_c = conditions.temp_c
     # A least value is NaN where any is. Masks stay None where nothing is marked: most records need no second pass over them.
@@ -511,6 +513,7 @@ class Corrector:
         power_on_s: float | None = None,
         offset: OffsetLeft | None = None,
     ) -> None:
+        check_choice(policy, Policy, "correct", "policy")
         carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
         self._calibration, self._policy, self._span = calibration, policy, reference_span_c
         self._power_on_s, self._offset = power_on_s, offset

@@ -44,7 +44,7 @@ from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
 from undrift.drift.rests import felt_by_gyro
 from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, far_from_data, fit_static
 from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
-from undrift.errors import CalibrationError, InputError, NotObservable
+from undrift.errors import CalibrationError, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
 from undrift.fit.least_squares import determined
 from undrift.model import (
@@ -173,6 +173,9 @@ class DriftSettings:
     temperature: TemperatureSettings = field(default_factory=TemperatureSettings)
     observe: ObserveSettings = field(default_factory=ObserveSettings)
     static: StaticSettings = field(default_factory=StaticSettings)
+
+    def __post_init__(self) -> None:
+        check_choices(self, "drift")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

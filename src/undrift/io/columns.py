@@ -19,7 +19,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.base.codec import stored
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import FileFormatError, InputError, check_choices
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
@@ -202,6 +202,9 @@ class ReadSettings:
     clock: Clock | None = None  # "file" or "regular", overruling a map; None: as the map states, else the file's
     # Stretches, s on the recording's clock: cut off at its ends, gaps between
     leave_out: tuple[tuple[float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_choices(self, "read_record")
 
 
 READ_SETTINGS = ReadSettings()

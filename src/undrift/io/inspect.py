@@ -197,6 +197,8 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     usual = np.nanmedian(away)
     if not usual > 0.0:
         return False
+    if codes[0] < 0.0 and abs(limit) < 0.1 * max(-codes[0], codes[-1]):
+        return False  # ranges are symmetric about zero: this is the level at rest of a motion to one side
     fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
     jumped = bool((change[np.clip(stuck - 1, 0, len(change) - 1)] > 5.0 * change[change > 0.0].min()).any())
     begins = np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)

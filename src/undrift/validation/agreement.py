@@ -324,10 +324,10 @@ def validate_leave_one_out(
     of_each = replace(settings, offset="motion" if settings.offset == "motion" else "none")
     if fit_settings.mounting == "each":
         of_each = replace(of_each, align_above=min(settings.align_above, MOUNTING_ABOVE))
-    in_motion, called = fit_settings.offset != "rest", list(names) or [""] * len(pairs)
+    called = list(names) or [""] * len(pairs)
     source = OffsetSource(
-        rest="shown" if of_each.offset == "motion" else "other" if fit_settings.offset == "common" else "own",
-        in_motion=in_motion,
+        rest="shown" if of_each.offset == "motion" else "own",
+        in_motion=True,
         recordings=len(pairs) - 1,
     )
     apart, trials = _told_apart(fits), list[Trial]()

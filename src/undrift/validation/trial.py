@@ -35,7 +35,7 @@ from undrift.correction.correct import OffsetLeft, Policy, correct_checked, corr
 from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import IN_MOTION, RestOffset, find_rest_offset, mean_variance
 from undrift.drift.observe import nominal_triad
-from undrift.errors import AlignmentError, InputError
+from undrift.errors import AlignmentError, InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import (
     cross,
@@ -434,6 +434,9 @@ class TrialSettings:
     align_above: float = 5.0 * RADIAN_PER_DEGREE
     prior: ErrorPrior = ERROR_PRIOR
     method: Literal["strapdown", "vqf"] = "strapdown"
+
+    def __post_init__(self) -> None:
+        check_choices(self, "validate")
 
 
 TRIAL_SETTINGS = TrialSettings()
