@@ -87,22 +87,6 @@ def test_a_name_that_is_not_utf_8_is_refused_in_one_line(undrift, tmp_path, word
     assert r"caf\udce9.csv: wanted a name in UTF-8, got other bytes; rename the file or folder" in line
 
 
-@pytest.mark.parametrize(
-    ("command", "earlier", "standard"),
-    [(command, *names) for command, pairs in program.EARLIER_NAMES.items() for names in pairs.items()],
-)
-def test_an_earlier_name_of_an_option_still_works_and_help_shows_the_standard_one(
-    undrift, monkeypatch, command, earlier, standard
-):
-    shown = undrift.good(*(("rig", "run") if command == "rig" else (command,)), "--help").out
-    assert standard in shown
-    assert f"{earlier} " not in shown
-    called = []
-    monkeypatch.setattr(program, "app", lambda arguments: called.append(arguments) or 0)
-    undrift.good(command, "a", earlier, "b", f"{earlier}=c", "-o", "d")
-    assert called == [[command, "a", standard, "b", f"{standard}=c", "-o", "d"]]
-
-
 def test_without_a_command_the_help_is_shown_in_80_columns(undrift):
     shown = undrift.good().out
     assert "Usage: undrift COMMAND" in shown

@@ -71,7 +71,7 @@ def make_pages(folder: Path) -> None:
         held.setenv("SOURCE_DATE_EPOCH", "1800000000")
         for name, words in CALLS.items():
             assert run([name, *shlex.split(words), "--report", f"{name}.html"]) in (0, 1), name
-        assert run(["calibrate", "session", "--page", "again.html"]) in (0, 1)
+        assert run(["calibrate", "session", "--report", "again.html"]) in (0, 1)
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
         write_page(Path("rig.html"), rig_run().summary(), origin)
     (folder / "cut.json").write_text(json.dumps(cut))

@@ -46,13 +46,6 @@ COMMANDS = {  # one line of 80 columns each
     "data": "Recordings to try: list them, fetch one by checksum; --json.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
-EARLIER_NAMES = {  # options renamed since a release; both spellings work, help shows the standard one
-    "drift": {"--range": "--range-c", "--step": "--step-c"},
-    "rig": {"--hands": "--operator"},
-    "info": {"--up": "--reference-up"},
-    "simulate": {"--up": "--reference-up"},
-    "validate": {"--longest-lag-s": "--max-lag-s"},
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -108,7 +101,7 @@ def _called(arguments: Sequence[str]) -> int:
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
-        code = app(_standard(_with_limits(arguments)))
+        code = app(_with_limits(arguments))
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
@@ -239,10 +232,3 @@ def _with_limits(arguments: Sequence[str]) -> list[str]:
         if LIMITS.memory_gb > 0.0:
             return left
     raise InputError(f"--memory-limit-gb: wanted gigabytes above 0, got {given!r}; write it as --memory-limit-gb 4")
-
-
-def _standard(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with the standard names of options that were called otherwise in earlier versions."""
-    names = {"--page": "--report"} | EARLIER_NAMES.get(arguments[0], {})
-    split = (word.partition("=") for word in arguments)
-    return [names.get(option, option) + equals + value for option, equals, value in split]
