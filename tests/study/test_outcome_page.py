@@ -7,18 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testkit.pictures import pictures_looked_at
 from testkit.surfaces import errors
 from undrift.commands.study import Studied
 from undrift.findings import finding
-from undrift.report.figures import draw_effects, draw_pareto, svg_of
 from undrift.report.page import write_page
 from undrift.study.case import device_of
 from undrift.study.judge import compare_with_note, find_optimum, other_study
 from undrift.study.outcome import TOO_LONG, StudyOutcome, _too_long, judge_study
 from undrift.study.plan import TABLE_1, Space, ends_of, note_study
 from undrift.study.run import InProcess, TaskSurface
-from undrift.study.space import HEADINGS
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -101,14 +98,6 @@ def test_the_other_cohort_shares_nothing_with_the_one_that_chose(outcome: StudyO
 
 
 @pytest.mark.slow
-def test_an_outcome_says_how_surely(outcome: StudyOutcome) -> None:
-    for task in outcome.tasks:
-        assert len(task.effect_reach_deg) == 4
-    assert outcome.figure3 is not None
-    assert [cohort.group for cohort in outcome.cohorts] == ["simulation", "testing"]
-
-
-@pytest.mark.slow
 def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path: Path) -> None:
     write_page(tmp_path / "report.html", Studied(outcome=outcome, output=tmp_path).summary())
     text = (tmp_path / "report.html").read_text()
@@ -142,33 +131,6 @@ def test_the_page_holds_every_table_and_picture(outcome: StudyOutcome, tmp_path:
     without = replace(outcome, figure3=None, figure3_missing=finding("study.no_sit_to_stand", "info"))
     write_page(tmp_path / "b.html", Studied(outcome=without, output=tmp_path).summary())
     assert "no sit-to-stand" not in (tmp_path / "b.html").read_text()  # nor does such a study speak of it
-
-
-@pytest.mark.slow
-def test_no_picture_of_the_page_cuts_its_legend_or_a_label(outcome: StudyOutcome, tmp_path: Path) -> None:
-    task = outcome.tasks[0]
-    best, count = task.optimum.best, len(task.surface.cutoff_hz)
-    mixed = (
-        np.arange(count) % 3
-    )  # every mark of the first picture, the optimum apart from the shortest equivalent, and the same
-    marks = {"worse": mixed == 0, "undecided": mixed == 1, "equivalent": mixed == 2}
-    further = [
-        replace(effect, name=name)
-        for effect, name in zip(task.optimum.effects, ("gain", "static_step_c", "bracket_s"), strict=False)
-    ]
-    variants = [
-        replace(
-            task, optimum=replace(task.optimum, cheapest=place, **marks), effect_reach_deg=task.effect_reach_deg[:3]
-        )
-        for place in (best, (best + 1) % count)
-    ]
-    variants = [replace(one, optimum=replace(one.optimum, effects=tuple(further))) for one in variants]
-    with pictures_looked_at() as cut:
-        write_page(tmp_path / "a.html", Studied(outcome=outcome, output=tmp_path).summary())
-        for one in variants:
-            svg_of(draw_pareto(outcome, one))
-            svg_of(draw_effects(one, HEADINGS))
-    assert cut == []
 
 
 def test_the_ends_of_a_study_are_a_first_look() -> None:

@@ -102,28 +102,6 @@ def test_what_cannot_be_made_says_why_and_the_others_stand():
     assert mean_of(study, "as read").limits is None
 
 
-@pytest.mark.slow
-def test_a_device_without_a_calibration_takes_its_other_recordings():
-    trials = [trial(p, "free", calibration=None) for p in (1, 2)]
-    by_name = {(one.pipeline, one.method): one for one in study_people(trials, margin_deg=0.15).errors}
-    for pipeline in ("as read", "rest offset", "calibrated", "motion alone"):
-        show(f"{pipeline}, total, deg", by_name[pipeline, "strapdown"].total_deg.round(3))
-    calibrated, rest = (by_name[name, "strapdown"] for name in ("calibrated", "rest offset"))
-    assert not calibrated.missing
-    assert (calibrated.total_deg < 0.5 * rest.total_deg).all()
-    apart = study_people([replace(trials[0], device="B"), trials[1]], margin_deg=0.15)
-    assert "device B has one recording" in next(o for o in apart.errors if o.pipeline == "calibrated").missing
-
-
-@pytest.mark.slow
-def test_no_trial_that_can_be_judged_is_refused():
-    record, reference = worn(1)
-    asleep = replace(record, gyro=0.0 * record.gyro + 100.0)
-    one = replace(trial(1, "sit_to_stand"), pair=(asleep, reference))
-    with pytest.raises(InputError, match="wanted one trial or more that can be judged, got none: "):
-        study_people([one], margin_deg=0.15)
-
-
 def test_a_unit_that_is_wrong_is_named_and_a_mounting_is_applied():
     one = trial(1, "sit_to_stand", calibration=None)
     record, reference = one.pair

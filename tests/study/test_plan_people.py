@@ -94,13 +94,6 @@ def test_trials_of_one_person_in_a_table_are_one_subject_with_their_mean_error(t
     assert surface.error_rms_deg[0, 0] == whole["error_rms_deg"][0]
 
 
-@pytest.mark.slow
-def test_a_label_chooses_the_rows_of_a_table(tmp_path: Path) -> None:
-    (task,) = read_study(with_table(tmp_path, more='label = "frail"\n')).tasks
-    assert task.motion is not None
-    assert [[Path(one.path).stem for one in task.motion.of(k)] for k in range(3)] == [["a1", "a2"], ["b1"], ["c1"]]
-
-
 @pytest.mark.parametrize(
     ("rows", "more", "head", "text"),
     [

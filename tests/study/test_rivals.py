@@ -146,17 +146,6 @@ def test_what_a_method_cannot_see_is_a_finding_of_its_own_fit(rows: dict[tuple[s
     assert "nothing was recorded" in words["data_sheet"]
 
 
-@pytest.mark.slow
-def test_same_seed_same_bits() -> None:
-    device = random_device_of("enc03j_3031", np.random.default_rng(4))
-    one, two = (
-        calibrate_by("mocap", device, kind="enc03j_3031", rng=np.random.default_rng(5), minutes=6.0) for _ in range(2)
-    )
-    assert one.calibration.gyro is not None
-    assert two.calibration.gyro is not None
-    assert np.array_equal(one.calibration.gyro.matrix, two.calibration.gyro.matrix)
-
-
 def test_a_wrong_call_is_told() -> None:
     device = random_device_of("enc03j_3031", np.random.default_rng(4))
     rng = np.random.default_rng(5)

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.errors import InputError, UndriftError
-from undrift.study.case import Unit, run_unit, units_of
+from undrift.errors import UndriftError
+from undrift.study.case import run_unit, units_of
 from undrift.study.plan import Study, read_study
-from undrift.study.run import MOST_LOSSES, Dask, Executor, InProcess, Pool, run_study
+from undrift.study.run import MOST_LOSSES, Dask, InProcess, Pool, run_study
 
 TEXT = """
 [study]
@@ -116,10 +115,6 @@ def wait_for(event: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def has_workers(executor: Executor, count: int) -> bool:
-    return executor.workers == count
-
-
 def dies(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -212,34 +207,6 @@ def test_a_scheduler_that_goes_away_is_said(tmp_path: Path) -> None:
         assert next(found) == (0, 0.01)
     with pytest.raises(UndriftError, match=r"scheduler: wanted an answer from tcp://.*, got none any more"):
         list(found)
-
-
-def where(unit: Unit) -> int:
-    run_unit(unit)
-    return os.getpid()
-
-
-@pytest.mark.slow
-def test_dask_gives_work_to_each_of_two_workers_and_then_to_the_one_that_is_left(study: Study, cluster: Any) -> None:
-    executor = Dask(cluster.scheduler_address)
-    units = units_of(study) * 2
-    took = {}
-    for count in (2, 1):
-        cluster.scale(count)
-        wait_for(partial(has_workers, executor, count))
-        list(executor.run(run_unit, units[:4]))  # imports and compiled code
-        start = time.perf_counter()
-        done = dict(executor.run(where, units))
-        took[count] = time.perf_counter() - start
-        assert sorted(done) == list(range(len(units)))
-        assert len(set(done.values())) == count
-    show("Dask, two workers over one: speed-up", took[1] / took[2], "2 on two idle processors; told, not held")
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_named() -> None:
-    with pytest.raises(InputError, match=r"wanted a Dask scheduler at tcp://127\.0\.0\.1:9, got no answer"):
-        list(Dask("tcp://127.0.0.1:9", timeout_s=1.0).run(sleeps, [0.0]))
 
 
 @pytest.mark.slow
