@@ -24,7 +24,7 @@ from undrift.study.case import (
 )
 from undrift.study.figure3 import drawn_errors
 from undrift.study.plan import DEVICE, Study, note_study
-from undrift.study.search import count_runs
+from undrift.study.run import count_runs
 
 STUDY = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
 

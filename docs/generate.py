@@ -221,7 +221,6 @@ def keys() -> str:
             "study.toml",
             ("study/plan.py", "Entry"),
             ("sim/bench_errors.py", "BenchErrors"),
-            ("sim/motion/worn.py", "WornErrors"),
             ("sim/motion/tasks.py", "Category"),
         ),
     ):
@@ -315,10 +314,9 @@ def _models(path: Path, endings: tuple[str, ...]):
 def _keys_of(model: type) -> dict[str, tuple[str, str]]:
     """Return the key of each field of a class, and its default in words."""
     from undrift.base.codec import default_tree, slots_of, tree_of
-    from undrift.sim.motion.worn import AT_L5
     from undrift.study.plan import NOTE_BENCH
 
-    for own in (NOTE_BENCH, AT_L5):  # what study.toml takes where keys are left out
+    for own in (NOTE_BENCH,):  # what study.toml takes where keys are left out
         if isinstance(own, model):
             return {slot.name: (slot.path[0], _default(tree_of(own)[slot.path[0]])) for slot in slots_of(model)}
 

@@ -1,4 +1,4 @@
-"""undrift demo: emulate, run, calibrate, drift, correct and study over sockets, in a process of its own."""
+"""undrift demo: emulate, run, calibrate, drift and correct over sockets, in a process of its own."""
 
 import errno
 import importlib
@@ -48,8 +48,7 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
     told = json.loads(answer.stdout)["result"]
     written = (out / "summary.json").read_text()  # names arguments, where the command line names options
     assert told == json.loads(re.sub(r"`([a-z]\w*)`", lambda found: "--" + found[1].replace("_", "-"), written))
-    assert set(told) == {"calibration", "study", "checks"}
-    assert told["study"]["tasks"][0]["task"] == "step"
+    assert set(told) == {"calibration", "checks"}
     assert all(set(check) == {"name", "value", "limit", "pass"} for check in told["checks"])
     with capsys.disabled():
         for check in told["checks"]:
@@ -143,7 +142,6 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     monkeypatch.setattr(virtual_bench, "record_on_bench", lambda *_, **__: None)
     monkeypatch.setattr(virtual_bench, "compare_with_truth", lambda *_: worst)
     monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
-    monkeypatch.setattr(importlib.import_module("undrift.commands.study"), "study_json", lambda _: {})
     monkeypatch.setattr(page_module, "write_page", lambda *_: None)
     figures = SimpleNamespace(max_abs_pitch_deg=1.0, motion_s=1.0)
     drift = SimpleNamespace(calibration=None, verdict=Verdict.of())

@@ -22,6 +22,7 @@ from undrift.model import BodyMounting, Calibration
 from undrift.study.statistics import Decision, decide_between, mean_interval
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.agreement import (
+    LEAST_FOR_AGREEMENT,
     BlandAltman,
     IntraclassCorrelation,
     Pair,
@@ -31,7 +32,7 @@ from undrift.validation.agreement import (
 )
 from undrift.validation.trial import OffsetChoice, Trial, TrialSettings, check_scale, validate_trial
 
-LEAST = 3  # people, or trials, of a verdict or an agreement
+LEAST = 3  # people of a verdict
 Source: TypeAlias = Literal["none", "constants", "tables", "best", "motion"]
 Made: TypeAlias = Calibration | str | None  # or why there is none
 Method: TypeAlias = Literal["strapdown", "vqf"]
@@ -255,11 +256,12 @@ def _groups(
     for name, rows in parts.items():
         for one in errors:
             raw = next(x for x in errors if x.method == one.method)
-            yield _group(name, one, raw, rows, people, quantity, margin_deg)
+            yield _group(name, trials, one, raw, rows, people, quantity, margin_deg)
 
 
 def _group(
     name: str,
+    trials: Sequence[PersonTrial],
     one: PipelineErrors,
     raw: PipelineErrors,
     rows: BoolArray,
@@ -273,7 +275,10 @@ def _group(
     by_person = [_of_people(values, seen, people) for values in (error, before, *one.measure.T)]
     number, tests = len(by_person[0]), 2 * (len(PIPELINES) - 1)
     mean, interval = mean_interval(by_person[0]) if number else (float("nan"), (float("nan"),) * 2)
-    measured = one.measure[seen & np.isfinite(one.measure).all(axis=1)]
+    tasks = {trial.task for trial, row in zip(trials, seen, strict=True) if row}
+    measured = np.column_stack(by_person[2:])  # one mean per person: repeated trials are not independent
+    measured = measured[np.isfinite(measured).all(axis=1)]
+    several = len(measured) >= LEAST_FOR_AGREEMENT
     enough = number >= LEAST and np.isfinite(by_person[1]).all()
     agrees = number >= LEAST and np.isfinite(by_person[2]).all()
     return Group(
@@ -288,8 +293,8 @@ def _group(
         decision=decide_between(by_person[0], by_person[1], margin=margin_deg, tests=tests)
         if enough and one is not raw
         else None,
-        limits=bland_altman(*measured.T) if len(measured) >= LEAST else None,
-        icc=intraclass_correlation(measured) if len(measured) >= LEAST else None,
+        limits=bland_altman(*measured.T) if several else None,
+        icc=intraclass_correlation(measured) if several and len(tasks) == 1 else None,
         equivalence=decide_between(by_person[2], by_person[3], margin=margin_deg) if agrees else None,
     )
 

@@ -164,7 +164,7 @@ def _consistency_interval(n: int, k: int, rows: float, rest: float) -> Interval:
 
 # ---- agreement
 
-LEAST_FOR_AGREEMENT = 3
+LEAST_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
 ONE_DEVICE_DPS = 0.1  # BROAD: one warm device repeats its reading at rest within 0.01-0.02 deg/s over a session
 MOUNTING_ABOVE = 1.0 * RADIAN_PER_DEGREE  # a recording in a mounting of its own is turned back from here on, rad
 REFERENCE_SETTINGS = ReferenceSettings()
@@ -200,7 +200,7 @@ class Validation(Shown):
     trials: tuple[Trial, ...]  # One for each recording, in order
     mean: Figures  # Over the trials, gaps left out
     median: Figures
-    agreement: Agreement | None  # None with fewer than three trials
+    agreement: Agreement | None  # None with fewer than ten trials
     held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
 
     @property
