@@ -29,7 +29,6 @@ def write_all(folder: Path) -> None:
     pages = {"presets.md": presets(), **commands()}
     for name, text in (("findings", findings()), ("keys", keys()), ("api", api())):
         pages |= in_pages(name, text)
-    pages["watch.md"] = watch()
     pages["comparison.md"] = comparison()
     for name, text in pages.items():
         path = folder / name
@@ -397,20 +396,6 @@ def presets() -> str:
         ]
         parts.append(f"{title}:\n\n| {heads[side]} |\n|{'---|' * (heads[side].count('|') + 1)}\n" + "\n".join(rows))
     return "# Presets\n\n" + "\n\n".join(parts) + "\n"
-
-
-def watch() -> str:
-    """Return the table of what is watched while a rate table is driven."""
-    from undrift.rig.rig import WATCHED
-
-    rows = [f"| {row.by} | {row.what} | {row.limit:g} {row.unit} | {row.act} |" for row in WATCHED.values()]
-    return (
-        "# What is watched while a rate table is driven\n\nGuard, run, lock, standby, driver and card "
-        "read their limits from one table, `WATCHED` in `rig/rig.py`; this page is made from it. 0 s: at the next look. "
-        "[Rigs](../rig.md) says how a run goes.\n\n| who | looks at | limit | then |\n|---|---|---|---|\n"
-        + "\n".join(rows)
-        + "\n"
-    )
 
 
 STAGES = {

@@ -11,13 +11,11 @@ from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
 from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
-from undrift.rig import watch as guard
 from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
 from undrift.rig.run import RigBench, run_programme
-from undrift.rig.watch import Guard
 from undrift.sim.rig.emulator import (
     AirSettings,
     EmulatedBench,
@@ -97,9 +95,7 @@ def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_
     assert {round(turn.temp_c) for turn in session.turns} & {43, 44}
 
 
-def test_the_command_asks_on_the_terminal_and_sets_no_guard_over_a_chamber_by_hand(tmp_path, monkeypatch, capsys):
-    guarded = []
-    monkeypatch.setattr(guard, "Guard", lambda *places: guarded.append(places) or Guard(*places))
+def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
     (tmp_path / "protocol.toml").write_text(
         "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
@@ -112,7 +108,6 @@ def test_the_command_asks_on_the_terminal_and_sets_no_guard_over_a_chamber_by_ha
     said = capsys.readouterr().err
     assert "Set the chamber to 30 degC, then press Enter (q gives up): " in said
     assert "chamber: wanted it set to 30 degC, got 'q'; continue with --resume when it can be" in said
-    assert guarded == [(bench.rig_address, "")]  # the table alone
 
 
 def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):

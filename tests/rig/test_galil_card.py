@@ -167,7 +167,7 @@ def test_a_refusal_without_a_code_is_an_error():
 def test_a_number_that_lost_a_byte_on_its_way_to_the_card_is_seen_when_read_back():
     answer, _ = transcript([("JG 10000", b":"), ("JG ?", b" 1000\r\n:")])
     with Talk(answer) as talk, pytest.raises(LinkError, match="wanted JG 10000, got 1000 when it was read back"):
-        talk.card.set("JG", 10_000, tolerance=1, magnitude=True)
+        talk.card.set("JG", 10_000, tolerance=1)
 
 
 def test_a_position_that_lost_a_digit_is_seen_once_the_format_is_fixed():

@@ -64,9 +64,8 @@ def test_a_terminal_that_ends_is_a_person_who_gave_up():
 
 def test_a_hand_holds_no_rate():
     rig = ManualRig(Person())
-    assert rig.turn(0.0) == 0.0
     with pytest.raises(RigFault, match=r"wanted a steady rate, got a hand; plan turns through known angles"):
-        rig.turn(1.0)
+        rig.turn_for(1.0, 6.0)
 
 
 def test_what_a_person_cannot_know_is_nan():

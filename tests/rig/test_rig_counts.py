@@ -5,7 +5,7 @@ import math
 import pytest
 
 from undrift.errors import InputError, LimitError
-from undrift.rig.rig import ACCELERATION, JOG, JOG_BY_TWO, MOVE, SLEW, CountScale
+from undrift.rig.rig import ACCELERATION, MOVE, SLEW, CountScale
 
 DEGREE = math.pi / 180.0
 NOTE = CountScale.from_lines(10_000)
@@ -19,17 +19,12 @@ def test_the_rig_of_the_note_has_111_counts_a_degree():
 
 @pytest.mark.parametrize(
     ("wanted_dps", "counts", "achieved_dps"),
-    [(90, 10_000, 90.0), (45, 5000, 45.0), (5, 556, 5.004), (3, 333, 2.997), (0.1, 11, 0.099), (-0.1, -11, -0.099)],
+    [(90, 10_000, 90.0), (45, 5000, 45.0), (5, 556, 5.004), (3, 334, 3.006), (0.1, 12, 0.108), (-0.1, -12, -0.108)],
 )
-def test_rates_of_the_note_become_whole_counts_per_second(wanted_dps, counts, achieved_dps):
-    rounded = JOG.round(NOTE.counts(wanted_dps * DEGREE))
+def test_rates_of_the_note_become_even_counts_per_second(wanted_dps, counts, achieved_dps):
+    rounded = SLEW.round(NOTE.counts(wanted_dps * DEGREE))
     assert rounded == counts
     assert NOTE.angle(rounded) / DEGREE == pytest.approx(achieved_dps, rel=1e-12)
-
-
-@pytest.mark.parametrize(("counts", "by_two"), [(11.11, 12), (10.9, 10), (-11.11, -12), (556.0, 556)])
-def test_older_cards_jog_by_two(counts, by_two):
-    assert JOG_BY_TWO.round(counts) == by_two
 
 
 @pytest.mark.parametrize(
@@ -40,7 +35,9 @@ def test_accelerations_are_multiples_of_1024_and_slew_speeds_even(grid, counts, 
     assert grid.round(counts) == held
 
 
-@pytest.mark.parametrize(("grid", "counts"), [(JOG, 0.4), (JOG, 2e7), (ACCELERATION, 500.0), (MOVE, 3e9), (SLEW, -0.1)])
+@pytest.mark.parametrize(
+    ("grid", "counts"), [(SLEW, 0.4), (SLEW, 2e7), (ACCELERATION, 500.0), (MOVE, 3e9), (SLEW, -0.1)]
+)
 def test_what_the_card_cannot_hold_is_refused_with_its_range(grid, counts):
     with pytest.raises(
         LimitError, match=rf"{grid.name}: wanted {grid.smallest} to {grid.largest} in steps of {grid.step}, got"

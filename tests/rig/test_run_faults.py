@@ -14,9 +14,9 @@ from undrift.io.session import read_session
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.rig.folder import read_journal
+from undrift.rig.lock import stop_rig
 from undrift.rig.programme import Dwell, Protocol, programme_of
 from undrift.rig.rig import RigSettings
-from undrift.rig.watch import stop_rig
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 FAULTS = (
@@ -191,7 +191,7 @@ def cell(fault, phase, path, uninterrupted):
         kept = pieces(path)
         before = {entry["step"]: (path / f"pieces/{entry['step']:04d}.parquet").read_bytes() for entry in kept}
         bench.clear()
-        if "NOT CONFIRMED" in str(error):  # then the guard stops it, once the link is back
+        if "NOT CONFIRMED" in str(error):  # the operator stops it, once the link is back
             place = f"galil:tcp://{bench.emulator.host}:{bench.emulator.port}"
             stop_rig(place, RigSettings(clock=bench.emulator.clock))
         assert at_rest(bench.emulator), f"{fault} while {phase}: the table is not at rest with its motor off"

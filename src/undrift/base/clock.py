@@ -1,6 +1,6 @@
 """Time: the host's clock, faster by a factor beside an emulator, and a virtual one that jumps to what happens next.
 
-Whoever waits asks a clock: drivers, links, emulators, watchdogs and runs. On the host's clock a wait sleeps and what goes on beside
+Whoever waits asks a clock: drivers, links, emulators and runs. On the host's clock a wait sleeps and what goes on beside
 it has threads. On a virtual clock one thread does everything: a wait carries out what is due meanwhile, in the order of its time,
 and then it is later. So a soak of hours takes as long as its computing does, and nothing depends on how busy the host is.
 

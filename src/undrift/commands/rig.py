@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from undrift.rig.folder import RecordedDwell, RunFolder
     from undrift.rig.programme import Forecast, Programme
     from undrift.rig.rig import RigSettings
-    from undrift.rig.run import Mounted, Progress, RigBench, RunResult, Watch
+    from undrift.rig.run import Mounted, Progress, RigBench, RunResult
     from undrift.sim.rig.emulator import EmulatedBench
     from undrift.sim.rig.hand_held import HandHeld
 
@@ -170,10 +170,10 @@ def run(
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.judge import RunSettings
+    from undrift.rig.lock import one_run, stopping_on_signals
     from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.rig import check_programme, parse_address
-    from undrift.rig.run import Watch, run_programme
-    from undrift.rig.watch import Guard, StopWatch, one_run, stopping_on_signals
+    from undrift.rig.run import run_programme
 
     asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
     shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
@@ -190,13 +190,9 @@ def run(
         check_programme(programme, limits, done, by_hand=by_hand)
         shown.plan(programme, done, yes, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        watched = ["" if place.startswith("manual:") else place for place in (rig, chamber or "")]
-        guard = stack.enter_context(Guard(*watched)) if any(watched) else None  # before they are opened: it goes last
-        shown.watch = watch = Watch(StopWatch(rig), guard, programme)
         first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
         first.serial = serial or first.serial
-        bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme)
-        watch.arm()
+        bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme, resume=resume)
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
     return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
@@ -245,14 +241,16 @@ def _bench(
     settings: "RigSettings",
     shown: "_Shown",
     programme: "Programme",
+    *,
+    resume: bool,
 ) -> "RigBench":
     """Connect chamber, operator and, last, the table."""
     from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
+    from undrift.rig.lock import check_free
     from undrift.rig.manual import AskedOperator
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import RigBench
-    from undrift.rig.watch import check_free
     from undrift.sim.rig.emulator import BenchHands
 
     rig, chamber, operator = addresses
@@ -264,7 +262,7 @@ def _bench(
         oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=shown.ask)
         stack.callback(oven.close)
     mounting = AskedOperator(shown.ask) if operator is None else BenchHands(operator)
-    check_free(rig)
+    check_free(rig, motor_on=resume)  # a run that was killed leaves its motor on
     table = open_rig(rig, settings)
     stack.callback(table.close)
     return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
@@ -276,7 +274,6 @@ class _Shown:
     def __init__(self, screen: Screen, file: Path | None) -> None:
         from undrift.rig.run import ProgressFile
 
-        self.watch: Watch | None = None
         self._screen, self._file = screen, None if file is None else ProgressFile(file)
         self.ask = screen.ask if self._file is None else self._file.ask
 
@@ -301,8 +298,6 @@ class _Shown:
 
     def __call__(self, progress: "Progress") -> None:
         """Take where the run is; in a log a step is one line, once there are readings of it."""
-        if self.watch is not None:
-            self.watch(progress)
         if self._file is not None:
             self._file(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
@@ -329,7 +324,7 @@ class Emulated(Result):
         )
 
     def __enter__(self) -> "Emulated":
-        from undrift.rig.watch import stopping_on_signals
+        from undrift.rig.lock import stopping_on_signals
 
         self._entered.enter_context(stopping_on_signals())
         self._entered.enter_context(self.bench)
@@ -452,10 +447,9 @@ def _end_when_idle(table: "EmulatedBench", idle_s: float) -> None:
 
 @verb
 def stop(*, rig: TableAddress) -> Summary:
-    """Stop the table and switch its motor off, whoever drives it."""
-    from undrift.rig.watch import mark_stop, stop_rig
+    """End the run on this computer that drives a table, stop the table and switch its motor off."""
+    from undrift.rig.lock import stop_rig
 
-    mark_stop(rig)  # first, so that a run that mounts or soaks ends even where the table does not answer
     stop_rig(rig)
     data = {"rig": rig, "stopped": True, "motor_on": False}
     return Summary(title="A table stopped", answer=f"{rig}: at rest, motor off", data=data)
@@ -530,8 +524,8 @@ def check(
         Largest following error at steady rate, deg; beyond it the exit code is 1.
     """
     from undrift.rig.check import CheckSettings, check_rig
-    from undrift.rig.rig import WATCHED, open_rig, parse_address
-    from undrift.rig.watch import Guard, StopWatch, check_free, one_run, stopping_on_signals
+    from undrift.rig.lock import check_free, one_run, stopping_on_signals
+    from undrift.rig.rig import open_rig, parse_address
 
     asked = shaft.settings(turn_rate_dps, acceleration_dps2)
     settings = CheckSettings(
@@ -545,19 +539,10 @@ def check(
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
-        stops, guard = StopWatch(rig), stack.enter_context(Guard(rig))
-
-        def report(line: str) -> None:
-            stops.check()
-            guard.check()
-            guard.expect(WATCHED["progress"].limit)  # longer: it hangs, and the guard stops the table
-            screen.over(line)
-
         check_free(rig, motor_on=True)
         table = open_rig(rig, asked)
         stack.callback(table.close)
-        guard.arm()
-        found = check_rig(table, parse_address(rig)[2].timing, settings, report)
+        found = check_rig(table, parse_address(rig)[2].timing, settings, screen.over)
     return Accepted(rig=rig, settings=settings, found=found)
 
 

@@ -5,10 +5,10 @@ Out: a folder with a recording for each dwell and ``session.toml``, which `calib
 one that the encoder shows, not the one that was asked for.
 
 ``programme``   what is done step by step, and how long it takes; nothing is opened
-``rig``         what every table can do, its limits, the rate achieved, and WATCHED: who watches what, and what follows
+``rig``         what every table can do, its limits, the rate achieved
 ``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``: when air and board of a chamber stand still
 ``run``         a programme on a rig, dwell by dwell; ``judge`` says which dwells are kept, ``folder`` brings them to the disk
-``watch``       one run for one table, a guard that outlives its program, a stop that leaves at once; ``check``: its acceptance
+``lock``        one run for one table, and a run that signals end at rest; ``check``: acceptance of a table with a servo
 
 Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are
 those of the table's clock (base/clock.py): the host's, an emulator's that runs faster, or a virtual one in tests. deg, deg/s and

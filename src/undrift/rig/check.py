@@ -15,8 +15,8 @@ from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigTimeout, check_positive
 from undrift.findings import finding
 from undrift.model import Verdict
+from undrift.rig.lock import uninterrupted
 from undrift.rig.rig import Position, Rig, ServoReport, achieved_turn_rate
-from undrift.rig.watch import uninterrupted
 from undrift.units import RADIAN_PER_DEGREE
 
 Report = Callable[[str], None]
@@ -81,7 +81,7 @@ def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = 
 
 def _run_check(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) -> RigCheck:
     rig.limits.check_turn_rate(settings.turn_rate)
-    rig.limits.check_travel(2.0 * settings.turn_rate * settings.half_period_s)
+    rig.limits.check_travel(settings.turn_rate * settings.half_period_s)
     identity, servo = rig.identify(), rig.read_servo()
     if servo is None:
         raise InputError(
@@ -101,15 +101,15 @@ def _step_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) 
     steady: list[float] = []
     in_run_up: list[float] = []
     rates: list[float] = []
-    turn_rate = settings.turn_rate
+    turn_rate, ramp_s = settings.turn_rate, settings.turn_rate / settings.acceleration
     end = clock.now() + settings.duration_s
     while (start := clock.now()) < end:
         report(f"step wave, {end - start:.0f} s left")
         positions: list[Position] = []
-        rig.turn(turn_rate)
-        while (elapsed_s := clock.now() - start) < settings.half_period_s:
+        rig.turn_for(turn_rate, settings.half_period_s)
+        while (elapsed_s := clock.now() - start) < settings.half_period_s - ramp_s:
             error = abs(rig.following_error())
-            if elapsed_s < 2.0 * abs(turn_rate) / settings.acceleration + SETTLE_S:
+            if elapsed_s < ramp_s + SETTLE_S:
                 in_run_up.append(error)
             else:
                 steady.append(error)
@@ -117,8 +117,8 @@ def _step_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) 
             clock.wait(READ_S)
         if len(positions) > 2:
             rates.append(abs(achieved_turn_rate(positions).turn_rate))
+        rig.stop()
         turn_rate = -turn_rate
-    rig.stop()
     if not rates:
         raise RigTimeout("rig check: no position was read at steady rate. Look at the link and at the table.")
     return WaveError(

@@ -34,8 +34,8 @@ from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
 from undrift.record import Kind, MountedFace, Record, TurnAxis
+from undrift.rig.lock import uninterrupted
 from undrift.rig.programme import DAMPING, Protocol, Purpose, write_protocol
-from undrift.rig.watch import uninterrupted
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 

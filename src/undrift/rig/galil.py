@@ -12,26 +12,23 @@ Sources: command references DMC-1400, 2x00 and 40x0.
 """
 
 import logging
+import math
 import re
-from dataclasses import dataclass
 
 from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.link import CardClock, LinkedRig, LinkPort, ask_until, link_settings
 from undrift.rig.rig import (
     ACCELERATION,
-    JOG,
-    JOG_BY_TWO,
     LONGEST_MOVE,
     MOVE,
     SLEW,
-    WATCHED,
     CountScale,
     Position,
     RigSettings,
     ServoReport,
     in_words,
-    parse_address,
+    steady_angle,
 )
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -51,7 +48,6 @@ class GalilCard:
         self.port, self.axis, self.clock = port, axis, clock
         self.commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         self._digits: int | None = None
-        self._tells_signs: bool | None = None  # of a jog speed that is read back
 
     def do(self, command: str) -> None:
         """Give a command that has no answer but ``:``."""
@@ -94,17 +90,10 @@ class GalilCard:
             digits = sum(character.isdigit() for character in self.text(f"TP{self.axis}"))
             self._digits = 10 if digits == 10 else None
 
-    def set(self, name: str, value: float, *, tolerance: float = 0.0, magnitude: bool = False) -> float:
+    def set(self, name: str, value: float, *, tolerance: float = 0.0) -> float:
         """Set a parameter of the axis and read it back."""
-        tell, ask = f"{name} {self.commas}{value:.10g}", f"{name} {self.commas}?"
-        self.do(tell)
-        held = self.number(ask)
-        if magnitude and value < 0.0:
-            if held > 0.0 and self._tells_signs is None:  # a minus sign that was lost, or such a card
-                self.do(tell)
-                held = self.number(ask)
-            self._tells_signs = self._tells_signs or held < 0.0
-            held = held if self._tells_signs else -held
+        self.do(f"{name} {self.commas}{value:.10g}")
+        held = self.number(f"{name} {self.commas}?")
         if abs(held - value) > tolerance:
             raise LinkError(
                 f"{self.port.name}: wanted {name} {value:.10g}, got {held:.10g} when it was read back; {CABLE}",
@@ -145,11 +134,11 @@ class GalilAxis:
 
     def __init__(self, card: GalilCard, fastest: float, slack: float) -> None:
         self.card, self.name = card, card.port.name
-        self.deceleration = 256_000.0  # counts/s2, the card's own default
+        self.acceleration = self.deceleration = 256_000.0  # counts/s2, the card's own default
         self.found = (False, 0.0, 0.0)  # motor on, AC and DC, before the driver changed them
         self.refused: str | None = None
         self.broken: RigError | None = None
-        self.enabled = self.jogging = False
+        self.enabled = False
         self.last: int | None = None  # position
         self.when = (0.0, 0.0)  # s of the clock, and by how much that may be off
         self._clock, self._fastest, self._slack = card.clock, fastest, slack
@@ -243,7 +232,6 @@ class GalilAxis:
         """Slow down (ST) and wait for the end of the profile; the motor stays on."""
         self.command("ST")
         self.wait_for_rest(self._fastest / self.deceleration)
-        self.jogging = False
 
     def come_to_rest(self) -> None:
         """Stop (ST), or abort (AB) where that does not help."""
@@ -256,7 +244,7 @@ class GalilAxis:
     def make_safe(self) -> bool:
         """Stop and switch off, over a new connection where the old one is gone; return whether that is confirmed."""
         port = self.card.port
-        self.enabled = self.jogging = False
+        self.enabled = False
         try:
             if not port.is_open:
                 self.refused = "the connection was lost, and the card may have lost its commands"
@@ -306,11 +294,11 @@ class GalilAxis:
 
 MOVE_TURN_RATE = 90.0 * RADIAN_PER_DEGREE  # of `move_by`, rad/s
 # following error at which the card switches the motor off by itself (ER, OE1)
-ERROR_LIMIT = WATCHED["following error"].limit * RADIAN_PER_DEGREE
+ERROR_LIMIT = 5.0 * RADIAN_PER_DEGREE
 
 
-class GalilReports(LinkedRig):
-    """A Galil rig as far as it only says things; GalilRig moves it."""
+class GalilRig(LinkedRig):
+    """A rate table on a Galil card; nothing moves until `turn_for` or `move_by`."""
 
     stopped = "the table was stopped and its motor switched off"
     unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
@@ -325,6 +313,11 @@ class GalilReports(LinkedRig):
         axis = GalilAxis(self.card, fastest, slack=self._scale.counts_per_turn / 36.0)
         super().__init__(axis, settings.limits)
         self._home = 0
+        try:
+            self._prepare()
+        except RigError:
+            self._axis.let_go()
+            raise
 
     def identify(self) -> str:
         """Return the card's model and firmware, as it answers to control-R control-V."""
@@ -355,29 +348,6 @@ class GalilReports(LinkedRig):
             wrong.append(f"{in_words('galil_stop', code)} (stop code {code})")
         return "; ".join(wrong) or None
 
-
-def wrong_switches(byte: int, enabled: bool) -> list[str]:
-    """Say what is not as it should be in the byte that TS returns; a limit switch that is not pressed reads 1."""
-    seen = (
-        (enabled and byte & 0x20, "the motor is off though it was switched on"),
-        (byte & 0x40, "the following error is beyond its limit"),
-        (not byte & 0x08, "the forward limit switch is pressed"),
-        (not byte & 0x04, "the reverse limit switch is pressed"),
-    )
-    return [words for is_so, words in seen if is_so]
-
-
-class GalilRig(GalilReports):
-    """A rate table on a Galil card; nothing moves until `turn` or `move_by`."""
-
-    def __init__(self, port: LinkPort, settings: RigSettings = RigSettings()) -> None:
-        super().__init__(port, settings)
-        try:
-            self._prepare()
-        except RigError:
-            self._axis.let_go()
-            raise
-
     def read_servo(self) -> ServoReport:
         """Return the gains (KP, KI, KD) and the sample period (TM) that the card runs."""
         with self._guarded():
@@ -400,39 +370,37 @@ class GalilRig(GalilReports):
         self.limits.check_acceleration(acceleration)
         counts = ACCELERATION.round(self._scale.counts(acceleration))
         with self._guarded():
-            held = self.card.set("AC", counts, tolerance=1024)
+            held = self._axis.acceleration = self.card.set("AC", counts, tolerance=1024)
             self._axis.deceleration = self.card.set("DC", held, tolerance=1024)
         return self._scale.angle(held)
 
-    def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until stopped (JG, BG); a turning axis changes over to it."""
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Turn at a steady rate for so long, ramps included (SP, PR, BG); return the rate that the card holds.
+
+        The card ends the move by itself, whatever becomes of this program.
+        """
         self.limits.check_turn_rate(turn_rate)
-        if turn_rate == 0.0:
-            self.stop()
-            return 0.0
-        grid = JOG if self._settings.speed_step == 1 else JOG_BY_TWO
-        counts = grid.round(self._scale.counts(turn_rate))
+        axis = self._axis
+        speed = SLEW.round(self._scale.counts(turn_rate))
+        ramp = 2.0 / (1.0 / axis.acceleration + 1.0 / axis.deceleration)
+        distance = MOVE.round(steady_angle(speed, seconds, ramp))
+        self.limits.check_travel(self._angle_now() + self._scale.angle(distance))
         with self._guarded():
-            moving = self._axis.is_moving()
-            if moving and not self._axis.jogging:
-                raise RigFault(f"{self._axis.name}: wanted to turn, got a move that still runs; stop it first")
-            held = self.card.set("JG", counts, tolerance=1, magnitude=True)
-            self._axis.jogging = True
-            if not moving:
-                self._axis.command("BG")
-        return self._scale.angle(held)
+            self._check_at_rest()
+            held = self.card.set("SP", abs(speed), tolerance=1)
+            self.card.set("PR", distance)
+            axis.command("BG")
+        return self._scale.angle(math.copysign(held, turn_rate))
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle (PR, BG) and wait until the axis is at rest."""
         axis, counts = self._axis, MOVE.round(self._scale.counts(angle))
-        stands = 0 if axis.last is None else axis.last - self._home
-        self.limits.check_travel(self._scale.angle(stands) + angle)
+        self.limits.check_travel(self._angle_now() + angle)
         with self._guarded():
-            if axis.is_moving():
-                raise RigFault(f"{axis.name}: wanted to move, got an axis that moves; stop it first")
+            self._check_at_rest()
             before = axis.read()
+            self.card.set("SP", self._move_speed, tolerance=1)
             self.card.set("PR", counts)
-            axis.jogging = False
             axis.command("BG")
             axis.wait_for_rest(abs(counts) / self._move_speed + 2.0 * self._move_speed / axis.deceleration)
             code = axis.stop_code()
@@ -446,6 +414,14 @@ class GalilRig(GalilReports):
         with self._guarded():
             self._axis.stop()
             self._axis.settled()
+
+    def _angle_now(self) -> float:
+        """Return the angle at the last reading of the position, from where the axis was when the rig was opened, rad."""
+        return 0.0 if self._axis.last is None else self._scale.angle(self._axis.last - self._home)
+
+    def _check_at_rest(self) -> None:
+        if self._axis.is_moving():
+            raise RigFault(f"{self._axis.name}: the axis still moves. Stop it first.")
 
     def _prepare(self) -> None:
         """Bring the card into the state that this driver reads, and note where the axis stands; nothing moves."""
@@ -461,10 +437,10 @@ class GalilRig(GalilReports):
                 axis.stop()
             card.set("ER", max(1, round(self._scale.counts(ERROR_LIMIT))), tolerance=1)
             card.set("OE", 1)
-            card.set("SP", self._move_speed, tolerance=2)
+            axis.acceleration = card.number(f"MG _AC{card.axis}")
             axis.deceleration = card.number(f"MG _DC{card.axis}")
             axis.enabled = axis.is_on()
-            axis.found = (axis.enabled, card.number(f"MG _AC{card.axis}"), axis.deceleration)
+            axis.found = (axis.enabled, axis.acceleration, axis.deceleration)
             axis.find_clock()
             self._home = axis.read()
             forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # as good as none
@@ -475,6 +451,17 @@ class GalilRig(GalilReports):
             card.set("BL", reverse, tolerance=2)
 
 
+def wrong_switches(byte: int, enabled: bool) -> list[str]:
+    """Say what is not as it should be in the byte that TS returns; a limit switch that is not pressed reads 1."""
+    seen = (
+        (enabled and byte & 0x20, "the motor is off though it was switched on"),
+        (byte & 0x40, "the following error is beyond its limit"),
+        (not byte & 0x08, "the forward limit switch is pressed"),
+        (not byte & 0x04, "the reverse limit switch is pressed"),
+    )
+    return [words for is_so, words in seen if is_so]
+
+
 def open_from(url: str, settings: RigSettings) -> GalilRig:
     """Open a Galil rig."""
     return GalilRig(_port(url, settings), settings)
@@ -483,44 +470,17 @@ def open_from(url: str, settings: RigSettings) -> GalilRig:
 def _port(url: str, settings: RigSettings) -> LinkPort:
     if settings.axis not in ("", *"ABCDEFGHXYZW"):
         raise InputError(f"galil: wanted an axis A to H or X, Y, Z, W, got '{settings.axis}'; name one")
-    if settings.speed_step not in (1, 2):
-        raise InputError(f"galil: wanted speed_step 1 or 2, got {settings.speed_step}; see JG in the card's manual")
     return LinkPort(url, link_settings(settings))
 
 
-# ---- Where a table stands and what is wrong with it, read beside whoever drives it: nothing is set and nothing stops.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TableStatus:
-    """What a table says."""
-
-    identity: str  # Model and firmware
-    moving: bool  # Of the axis
-    motor_on: bool  # Of the axis
-    angle: float  # Of the position register, rad
-    following_error: float  # Commanded minus actual, rad
-    fault: str | None  # In words
-
-
-def read_status(address: str, settings: RigSettings = RigSettings()) -> TableStatus:
-    """Ask a table on a connection of its own."""
-    kind, url, settings = parse_address(address, settings)
-    if kind != "galil":
-        raise InputError(
-            f"status: wanted a Galil card on TCP or serial, got '{address}'; others cannot be asked unharmed"
-        )
+def axis_state(url: str, settings: RigSettings) -> str:
+    """Ask a card on a connection of its own: "moving", "its motor on", or "" at rest with its motor off. Nothing is set."""
     port = _port(url, settings)
     try:
         port.resynchronise()
-        rig = GalilReports(port, settings)
-        return TableStatus(
-            identity=rig.identify(),
-            moving=rig._axis.is_moving(),
-            motor_on=rig._axis.is_on(),
-            angle=rig.position().angle,
-            following_error=rig.following_error(),
-            fault=rig.fault(),
-        )
+        card = GalilCard(port, settings.axis or "X")
+        if card.integer(f"MG _BG{card.axis}", 0, 1):
+            return "moving"
+        return "" if card.integer(f"MG _MO{card.axis}", 0, 1) else "its motor on"
     finally:
         port.close()

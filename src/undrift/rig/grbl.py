@@ -3,9 +3,9 @@
 Lines are answered by ``ok`` or ``error:n``; single characters act at once: ``?`` asks for the status, ``!`` holds, 0x85 ends a jog,
 0x18 resets. Alarms come by themselves, between answers.
 
-`$J=G91A<deg>F<deg/min>` turns by an angle and can be cancelled at any time. A steady rate is a chain of such jogs, each a whole
-number of steps (`$100` and its neighbours, steps per degree), a second or so of them queued: if this program dies, the table stops
-by itself when the queue is empty. There is no encoder: what was commanded counts as achieved, and there is no following error.
+`$J=G91A<deg>F<deg/min>` turns by an angle and can be cancelled at any time. A steady turn is one such jog of a whole number of
+steps (`$100` and its neighbours, steps per degree), which the board ends by itself, whatever becomes of this program. There is no
+encoder: what was commanded counts as achieved, and there is no following error.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.live.transports import number_of
 from undrift.rig.link import Link, LinkedRig, ask_until, end_of, link_settings
-from undrift.rig.rig import Position, RigSettings, in_words
+from undrift.rig.rig import Position, RigSettings, in_words, steady_angle
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- The language: lines, and single characters that act at once.
@@ -164,41 +164,6 @@ AXES = "XYZABC"
 STEPS, RATE, ACCELERATION = 100, 110, 120  # settings of the first axis: steps/deg, deg/min, deg/s2
 OWN_STOPS = ("Sleep", "Jog", "Run", "Hold")
 SLACK_DEG = 1.0  # of a position: the driver's clock and the board's are not quite the same
-QUEUED_JOGS = 8  # of the 15 that a small board can hold
-
-
-class Feeder:
-    """Sends jogs of a distance and a duration from its own thread, from birth until `end`: one whenever few are queued.
-
-    The controller's planner joins jogs of one direction and rate without slowing down, as long as the queue reaches further than it
-    needs to stop.
-    """
-
-    def __init__(self, jog: Callable[[], None], duration_s: float, clock: Clock, most: float) -> None:
-        self.failure: RigError | None = None
-        self._jog, self._duration_s, self._clock, self._left = jog, duration_s, clock, most
-        self._planned = clock.now()
-        self._feeding = clock.repeat(self._feed, "grbl feeder")
-
-    def end(self) -> None:
-        """Send no more; harmless when called again."""
-        self._feeding.end(10.0)
-
-    def _feed(self) -> float | None:
-        """Queue a jog unless enough wait; return when to look again, None at the end."""
-        now = self._clock.now()
-        if self._left <= 0:
-            return None
-        if self._planned - now > QUEUED_JOGS * self._duration_s:
-            return 0.25 * self._duration_s
-        try:
-            self._jog()
-        except RigError as error:
-            self.failure = error
-            return None
-        self._planned = max(self._planned, now) + self._duration_s
-        self._left -= 1
-        return 0.0
 
 
 class GrblAxis(GrblController):
@@ -209,7 +174,6 @@ class GrblAxis(GrblController):
     def __init__(self, link: Link, axis: str, clock: Clock) -> None:
         super().__init__(link, clock)
         self.enabled = False
-        self.feeder: Feeder | None = None
         self._axis = axis
         self._last: tuple[float, float] | None = None  # deg, and when it was asked for, s
         self._found_asleep: bool | None = None
@@ -285,28 +249,12 @@ class GrblAxis(GrblController):
         """Queue a jog by a whole number of steps, signed, at a rate above 0."""
         self.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{deg_per_min:.3f}")
 
-    def start_turning(self, deg_per_min: float, room_deg: float) -> None:
-        """Start a chain of jogs."""
-        rate_dps = abs(deg_per_min) / 60.0
-        ahead_s = max(1.0, 2.0 * rate_dps / self.acceleration_dps2)
-        steps = max(1, round(rate_dps * ahead_s / QUEUED_JOGS * self.steps_per_deg))
-        distance_deg = steps / self.steps_per_deg
-        signed_deg = math.copysign(distance_deg, deg_per_min)
-        most = math.inf if math.isinf(room_deg) else int(room_deg / distance_deg)
-        duration_s = 60.0 * distance_deg / abs(deg_per_min)
-        self.feeder = Feeder(lambda: self.jog(signed_deg, abs(deg_per_min)), duration_s, self.clock, most)
-
     def stop(self) -> None:
-        """End the chain and the jog, and wait for rest; the motor stays on."""
-        failure = self._end_feeding()
-        if isinstance(failure, LinkError | RigTimeout):
-            raise failure
+        """End the jog, and wait for rest; the motor stays on."""
         if self.status().state in ("Jog", "Run", "Hold"):
             self.link.send(JOG_CANCEL)
             self.wait_for(("Idle",), self.fastest_dps / self.acceleration_dps2)
         self.read_place()
-        if failure is not None:
-            raise failure
 
     def check_awake(self) -> None:
         """Refuse to jog when the motor is off or an alarm stands."""
@@ -324,21 +272,13 @@ class GrblAxis(GrblController):
         return self.sleep() if self._found_asleep else self.status().state == "Idle"
 
     def make_safe(self) -> bool:
-        """End the chain, stop, put the motor to sleep."""
+        """Stop and put the motor to sleep."""
         self.enabled = False
-        self._end_feeding()
         return super().make_safe()
 
     def let_go(self) -> None:
         """Close the link."""
         self.link.close()
-
-    def _end_feeding(self) -> RigError | None:
-        feeder, self.feeder = self.feeder, None
-        if feeder is None:
-            return None
-        feeder.end()
-        return feeder.failure
 
 
 # ---- The rig.
@@ -392,26 +332,25 @@ class GrblRig(LinkedRig):
             self._axis.acceleration_dps2 = held
         return held * RADIAN_PER_DEGREE
 
-    def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until stopped, by chained jogs."""
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Turn at a steady rate for so long, ramps included, by one jog; return the rate that is commanded."""
         self.limits.check_turn_rate(turn_rate)
         axis, deg_per_min = self._axis, round(60.0 * turn_rate / RADIAN_PER_DEGREE, 3)
-        if turn_rate != 0.0 and not SLOWEST_DEG_PER_MIN <= abs(deg_per_min) <= 60.0 * axis.fastest_dps:
+        rate_dps = deg_per_min / 60.0
+        if not SLOWEST_DEG_PER_MIN <= abs(deg_per_min) <= 60.0 * axis.fastest_dps:
             raise LimitError(
                 f"turn rate: wanted {SLOWEST_DEG_PER_MIN / 60:.4f} to {axis.fastest_dps:g} deg/s, "
-                f"got {abs(deg_per_min) / 60:.4f}; choose another",
+                f"got {abs(rate_dps):.4f}; choose another",
                 turn_rate=turn_rate,
             )
+        distance = (
+            round(steady_angle(rate_dps, seconds, axis.acceleration_dps2) * axis.steps_per_deg) / axis.steps_per_deg
+        )
+        self.limits.check_travel((axis.place_deg - axis.home_deg + distance) * RADIAN_PER_DEGREE)
         with self._guarded():
-            axis.stop()
-            if deg_per_min != 0.0:
-                axis.check_awake()
-                room_deg = math.inf
-                if self.limits.travel is not None:
-                    gone = math.copysign(1.0, deg_per_min) * (axis.place_deg - axis.home_deg)
-                    room_deg = max(self.limits.travel / RADIAN_PER_DEGREE - gone, 0.0)
-                axis.start_turning(deg_per_min, room_deg)
-        return deg_per_min / 60.0 * RADIAN_PER_DEGREE
+            axis.check_awake()
+            axis.jog(distance, abs(deg_per_min))
+        return rate_dps * RADIAN_PER_DEGREE
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle and wait until the axis is at rest."""
@@ -456,8 +395,6 @@ class GrblRig(LinkedRig):
     def fault(self) -> str | None:
         """Return what is wrong in words, None when all is well."""
         axis = self._axis
-        if axis.feeder is not None and axis.feeder.failure is not None:
-            return str(axis.feeder.failure)
         with self._guarded():
             status = axis.status()
         if status.state in ("Alarm", "Door"):

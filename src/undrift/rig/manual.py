@@ -1,8 +1,8 @@
 """A rig that is a person: mounts the device on its faces and turns it by hand through known angles.
 
-A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, whatever its rate was: the angle is what
-calibrates, not the rate. So `move_by` works, and `turn` does not. And a chamber that a person sets: the device's own thermometer
-shows when it has soaked.
+A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, whatever its rate was. The angle
+calibrates, not the rate, so `move_by` works and `turn_for` does not. A chamber can be set by a person too: the device's own
+thermometer shows when it has soaked.
 """
 
 import logging
@@ -110,14 +110,12 @@ class ManualRig:
         self._check_open()
         return math.nan
 
-    def turn(self, turn_rate: float) -> float:
-        """Refuse: a hand holds no rate; 0 is rest and allowed."""
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Refuse: no hand keeps a steady rate."""
         self._check_open()
-        if turn_rate != 0.0:
-            raise RigFault(
-                "manual rig: wanted a steady rate, got a hand; plan turns through known angles (move_by) instead"
-            )
-        return 0.0
+        raise RigFault(
+            "manual rig: wanted a steady rate, got a hand; plan turns through known angles (move_by) instead"
+        )
 
     def move_by(self, angle: float) -> float:
         """Have the device turned by an angle."""

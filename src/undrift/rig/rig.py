@@ -83,8 +83,6 @@ class CommandRange:
 
 
 LONGEST_MOVE = 2_147_483_647  # counts, a signed word of 32 bits
-JOG = CommandRange(name="JG", step=1, smallest=1, largest=12_000_000)
-JOG_BY_TWO = CommandRange(name="JG", step=2, smallest=2, largest=12_000_000)
 SLEW = CommandRange(name="SP", step=2, smallest=2, largest=12_000_000)
 ACCELERATION = CommandRange(name="AC", step=1024, smallest=1024, largest=67_107_840)
 MOVE = CommandRange(name="PR", step=1, smallest=1, largest=LONGEST_MOVE)
@@ -173,8 +171,11 @@ class Rig(Protocol):
     def set_acceleration(self, acceleration: float) -> float:
         """Set run-up and slow-down."""
 
-    def turn(self, turn_rate: float) -> float:
-        """Turn at a steady rate until stopped."""
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Turn at a steady rate for so long, ramps included; the controller ends the move by itself.
+
+        Return at once, with the rate that the controller holds.
+        """
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle and come to rest."""
@@ -249,9 +250,28 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     )
 
 
+# ---- A steady turn of a stated duration, as a finite move.
+
+
+def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float:
+    """Return the angle of a move at a steady rate that takes so long, run-up and slow-down included.
+
+    Both ramps together cover half of what the steady rate would in that time: angle = w (T - |w| / a), in any one unit of angle.
+    """
+    ramp_s = abs(turn_rate) / acceleration
+    if not ramp_s < seconds:
+        raise LimitError(
+            f"turn: {seconds:g} s are too short, run-up and slow-down alone take {2.0 * ramp_s:.3g} s. Turn for longer, or choose "
+            "a larger acceleration.",
+            seconds=seconds,
+            ramp_s=ramp_s,
+        )
+    return turn_rate * (seconds - ramp_s)
+
+
 # ---- Whether a programme may be run on a rig: asked before anything moves.
 
-TRAVEL_MARGIN = 1.1  # a wait is never shorter than asked for, and the table turns on meanwhile
+TRAVEL_MARGIN = 1.1  # a wait is never shorter than requested, so a dwell's move is planned longer, and ended early
 
 
 def check_programme(
@@ -309,45 +329,6 @@ def in_words(kind: str, code: int) -> str:
     return codes(kind).get(str(code), codes(kind)["other"])
 
 
-# ---- What is watched while a table is driven: guard, run, lock, standby, driver and card read their limits here, and docs/rig.md
-# links the page that docs/generate.py makes of it.
-
-
-@dataclass(frozen=True, slots=True)
-class Watched:
-    """A row: who looks at what, when that is too much, and what follows."""
-
-    by: str
-    what: str
-    limit: float  # s of the host unless the unit says otherwise
-    act: str
-    unit: str = "s"
-
-
-WATCHED = {
-    "program": Watched(
-        "guard", "beats of the program that drives the table, one a second, and the pipe that they come by", 5.0,
-        "table stopped and motor off over a connection of its own, chamber off; at once where the pipe ends without a last word",
-    ),
-    "progress": Watched(
-        "run", "what a run or a check says of itself, beside ramps and settling", 60.0, "its beats end, so that the guard acts"
-    ),
-    "guard": Watched("run", "the guard's process, before each step and several times a second", 0.0, "the run ends"),
-    "mark": Watched("run", "marks that rig stop leaves on this computer, as often", 0.0, "the run ends"),
-    "lock": Watched("lock", "another run of the same table on this computer", 0.3, "refused before a byte is sent"),
-    "motor": Watched("lock", "the motor on, or moving, before a run begins", 0.0, "refused; nothing is set or stopped"),
-    "connection": Watched("standby", "its own connection to the table, between two looks", 2.0, "opened again"),
-    "slow-down": Watched("standby", "a table after ST, until MO is taken", 0.5, "AB, with MO every 50 ms"),
-    "stopped run": Watched("standby", "a run after SIGTERM", 4.0, "killed, so that its guard stops the table too"),
-    "ended run": Watched(
-        "standby", "a run after all that", 10.0,
-        "stop and motor off over a fresh connection, four times at most, else NOT CONFIRMED",
-    ),
-    "answer": Watched("driver", "an answer of the controller", 2.0, "stop, abort, motor off, else NOT CONFIRMED"),
-    "following error": Watched("Galil card", "commanded minus actual angle (ER, OE1)", 5.0, "motor off", "deg"),
-}  # fmt: skip
-
-
 # ---- Addresses.
 
 CONTROLLERS = {  # kind -> the function that opens a rig
@@ -364,10 +345,9 @@ class RigSettings:
     limits: Limits = field(default_factory=Limits)
     encoder_lines: int = 10_000  # Lines of a servo's encoder, 4 counts each
     axis: str = ""  # Letter of the axis; "" is the rig's usual one
-    speed_step: int = 1  # Counts/s between two speeds of a Galil card: 1, or 2 on older ones
     baud: int = 0  # Bits per second of a serial port; 0 is the rig's usual
     hardware_handshake: bool = False  # RTS/CTS of a serial port
-    reply_timeout_s: float = WATCHED["answer"].limit  # Longest wait for an answer, s
+    reply_timeout_s: float = 2.0  # Longest wait for an answer, s
     clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
     clock: Clock | None = None  # The table's; None is the host's, at clock_speed
     # Shows a person a line and returns what they typed; a manual rig needs it
@@ -382,7 +362,6 @@ class RigSettings:
 OPTIONS: dict[str, Callable[[str], object]] = {
     "encoder_lines": int,
     "axis": str.upper,
-    "speed_step": int,
     "baud": int,
     "hardware_handshake": lambda text: {"yes": True, "no": False}[text],
     "reply_timeout_s": float,

@@ -1,8 +1,8 @@
 """Run: a programme on a rig, dwell by dwell to the disk; whatever ends it, the table is at rest and its motor off.
 
-For each dwell: turn, wait for the ramp, let the device settle, read while positions are polled, stop, judge (rig/judge.py), and
-write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that someone disturbed, or a
-face that was not mounted, is taken again.
+For each dwell: begin a turn of that length, wait for the ramp, let the device settle, read while positions are polled, stop, judge
+(rig/judge.py), and write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that
+someone disturbed, or a face that was not mounted, is taken again.
 
 Several devices on one table are mounted alike and read in the same dwells, a folder each. One that fails in a dwell misses it; the
 run ends at once where no device is left that can read it.
@@ -11,6 +11,7 @@ run ends at once where no device is left that can read it.
 import contextlib
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -39,10 +40,10 @@ from undrift.rig.judge import (
     check_readings,
     link_hides,
 )
+from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
 from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
-from undrift.rig.rig import WATCHED, Achieved, Position, Rig, achieved_turn_rate, check_programme
-from undrift.rig.watch import Guard, StopWatch, uninterrupted
+from undrift.rig.rig import TRAVEL_MARGIN, Achieved, Position, Rig, achieved_turn_rate, check_programme
 
 # ---- run
 
@@ -62,6 +63,7 @@ Phase = Literal[
 POLLS = 20  # positions in a short dwell
 POLL_S = 0.1  # between two positions of a long one, s of the host
 READS = 3  # of a dwell whose positions or readings come too late
+SPARE_S = 2.0  # by which a move is planned longer than its dwell, host s; the run ends it early
 AIR_POLL_S = 2.0  # between two looks at the chamber, table s
 
 log = logging.getLogger(__name__)
@@ -404,19 +406,7 @@ class _Run:
 
     def _one_dwell(self, step: Dwell, devices: Sequence[Mounted]) -> dict[Mounted, Disturbed]:
         """Read a dwell with some devices and keep what is sound; return which were disturbed."""
-        rig, held = self._bench.rig, 0.0
-        if step.turn_rate != 0.0:
-            self._say("ramping")
-            held = rig.turn(step.turn_rate)
-            self._old_fault = None
-            self._bench.clock.wait(step.ramp_s)
-        self._say("settling")
-        self._bench.clock.wait(step.settle_s)
-        self._look_at_air(step)
-        records, achieved = self._read_seen(step, devices)
-        chamber_c = self._look_at_air(step)
-        if step.turn_rate != 0.0:
-            rig.stop()
+        records, achieved, held, chamber_c = self._read_turning(step, devices)
         where = f"step {self._number} ({step})"
         check_rate(achieved, held, self._settings, where)
         rates = {"set_turn_rate": held, "turn_rate": achieved.turn_rate, "turn_rate_uncertainty": achieved.uncertainty}
@@ -439,19 +429,40 @@ class _Run:
         self._say("writing")
         return {device: error for device, error in self._sound(records, take).items() if error is not None}
 
-    def _read_seen(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved]:
-        """Read until the encoder tells how fast the table turned, and the readings span the dwell; a rest needs no times."""
-        turning = step.turn_rate != 0.0
-        reads = 1 if turning and self._bench.rig.limits.travel is not None else READS  # turning on would leave it
-        for left in range(reads, 0, -1):
-            records, achieved = self._read(step, devices)
-            if turning and link_hides(achieved, self._settings):
-                continue
+    def _read_turning(
+        self, step: Dwell, devices: Sequence[Mounted]
+    ) -> tuple[dict[Mounted, Record], Achieved, float, float | None]:
+        """Turn and read, again until the encoder determines the rate and the readings span the dwell; a rest needs no times.
+
+        Return the readings, the achieved rate, the rate that the controller held, and the chamber's temperature.
+        """
+        rig, clock, turning = self._bench.rig, self._bench.clock, step.turn_rate != 0.0
+        limited = turning and rig.limits.travel is not None
+        reads = 1 if limited else READS  # another turn would leave the travel
+        for attempt in range(1, reads + 1):
+            held, end = 0.0, math.inf
+            if turning:
+                spare_s = (TRAVEL_MARGIN - 1.0) * abs(step.travel / step.turn_rate)
+                spare_s += 0.0 if limited else attempt * SPARE_S * clock.speed
+                self._say("ramping")
+                end = clock.now() + step.duration_s - step.ramp_s + spare_s  # then it slows down
+                held = rig.turn_for(step.turn_rate, step.duration_s + spare_s)
+                self._old_fault = None
+                clock.wait(step.ramp_s)
+            self._say("settling")
+            clock.wait(step.settle_s)
+            self._look_at_air(step)
+            records, achieved, read_s = self._read(step, devices)
+            chamber_c = self._look_at_air(step)
+            if turning:
+                rig.stop()
+                if read_s > end or link_hides(achieved, self._settings):
+                    continue
             # readings that came too late to be certain are missing at its start; the last is for check_readings to refuse
             spans_s = (record.duration_s + 1.0 / record.sample_rate_hz for record in records.values())
             spanned_s = min(spans_s, default=np.inf)  # none: it failed when it was to be read again
-            if left == 1 or spanned_s >= self._settings.least_part * step.dwell_s:
-                return records, achieved
+            if attempt == reads or spanned_s >= self._settings.least_part * step.dwell_s:
+                return records, achieved, held, chamber_c
         raise RigTimeout(
             f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
             f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
@@ -465,8 +476,8 @@ class _Run:
             device.readings.end()
         return self._sound(devices, lambda device: device.readings.stop())
 
-    def _read(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved]:
-        """Read devices and the encoder over a dwell."""
+    def _read(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved, float]:
+        """Read devices and the encoder over a dwell; return the readings, the achieved rate, and when the dwell ended."""
         rig, clock = self._bench.rig, self._bench.clock
         phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
@@ -483,9 +494,10 @@ class _Run:
             latest = self._sound(devices, lambda one: f"{one.readings.latest()} of {one.serial or 'the device'}")
             devices = [*latest]
             self._say(phase, next(iter(latest.values()), ""))
+        read_s = clock.now()
         records = self._records(devices)
         self._check_fault()
-        return records, achieved_turn_rate(positions)
+        return records, achieved_turn_rate(positions), read_s
 
     def _check_fault(self) -> None:
         wrong, where = self._bench.rig.fault(), f"step {self._number} ({self._step})"
@@ -540,34 +552,6 @@ def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
             temp_c=air_c,
         )
     return air_c
-
-
-# ---- Watch over a run: the guard stands by, nobody stopped the table from elsewhere, and the program does not hang.
-
-
-class Watch:
-    """Receives the progress of a run, before each step and several times a second, and ends it by an exception."""
-
-    def __init__(self, stops: StopWatch, guard: Guard | None, programme: Programme) -> None:
-        waits = [step.ramp_s + step.settle_s for step in programme.steps if isinstance(step, Dwell)]
-        self._stops, self._guard = stops, guard
-        self._within_s = WATCHED["progress"].limit + max(waits, default=0.0)
-
-    def arm(self) -> None:
-        """Say that the rig is open from now on."""
-        if self._guard is not None:
-            self._guard.arm()
-
-    def __call__(self, progress: Progress) -> None:
-        """Look whether the run may go on."""
-        if progress.phase != "closing":
-            self._stops.check()
-            if self._guard is not None:
-                self._guard.check()
-        if self._guard is not None:
-            self._guard.expect(
-                None if progress.phase in ("mounting", "setting", "turning", "closing") else self._within_s
-            )
 
 
 # ---- Progress as JSON lines in a file (``rig run --progress FILE``), for a program that shows it and answers its questions.
@@ -629,26 +613,3 @@ def append(path: Path, event: str, **fields: Any) -> None:
     line = json.dumps({"event": event, "time": time.time(), **fields}) + "\n"
     with path.open("ab", buffering=0) as file:
         file.write(line.encode())
-
-
-class ProgressReader:
-    """Reads such a file as it grows."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._place = path, 0
-
-    def news(self, take: Callable[[dict[str, Any]], None]) -> None:
-        """Hand over what is new, line by line; half a line waits for its end, a damaged one is left out."""
-        try:
-            with self._path.open("rb") as file:
-                file.seek(self._place)
-                data = file.read()
-        except OSError:
-            return
-        whole = data.rfind(b"\n") + 1
-        self._place += whole
-        for line in data[:whole].splitlines():
-            with contextlib.suppress(ValueError):
-                entry = json.loads(line)
-                if isinstance(entry, dict):
-                    take(entry)

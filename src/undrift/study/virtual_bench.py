@@ -32,10 +32,10 @@ from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.record import FACES, Record, Reference, Session
 from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
 from undrift.rig.folder import RunFolder
+from undrift.rig.lock import stopping_on_signals
 from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.run import Progress, RigBench, RunResult, run_programme
-from undrift.rig.watch import stopping_on_signals
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables

@@ -11,7 +11,6 @@ import random
 import selectors
 import socket
 import threading
-import tty
 from collections import deque
 from collections.abc import Callable
 from typing import Self
@@ -317,6 +316,8 @@ class Server:
         self._settled = threading.Event()
         if with_pty:
             self._descriptors = near, far = os.openpty()  # the far end stays open: a client may come and go
+            import tty
+
             tty.setraw(far)
             os.set_blocking(near, False)
             self.pty_path = os.ttyname(far)

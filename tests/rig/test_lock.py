@@ -16,7 +16,7 @@ from testkit.rig_bench import PROTOCOL, on_host, opened
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
 from undrift.io.session import read_session
-from undrift.rig.watch import check_free, one_run, place_of, stop_rig
+from undrift.rig.lock import check_free, one_run, place_of, stop_rig
 from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -56,7 +56,7 @@ def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
             with pytest.raises(RigFault, match="got its motor on: another program drives it"):
                 check_free(address)
             check_free(address, motor_on=True)
-            rig.turn(30.0 * DPS)
+            rig.turn_for(30.0 * DPS, 600.0)
             time.sleep(0.2)
             for motor_on in (False, True):
                 with pytest.raises(RigFault, match=r"got moving: another program.*undrift rig stop with `rig`"):
