@@ -33,7 +33,7 @@ from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, check_positive
 from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
-from undrift.record import MountedFace, Record
+from undrift.record import Face, Record
 from undrift.rig.link import Link, LinkSettings
 from undrift.rig.programme import Soak
 
@@ -274,7 +274,7 @@ class Readings(Protocol):
 class Operator(Protocol):
     """The operator, who mounts the device on the table."""
 
-    def mount(self, up: MountedFace) -> None:
+    def mount(self, up: Face) -> None:
         """Have the device mounted; returns when it is done and the table is free to turn."""
 
 

@@ -33,7 +33,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
-from undrift.record import Kind, MountedFace, Record, TurnAxis
+from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.lock import uninterrupted
 from undrift.rig.programme import DAMPING, Protocol, Purpose, write_protocol
 
@@ -199,7 +199,7 @@ def room(path: Path) -> Iterator[None]:
 
 FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
 # Of Protocol: what runs of before did
-LATER = {"damping": DAMPING, "faces_at": "every", "heated_axis": None, "board_lag_s": 600.0}
+LATER = {"damping": DAMPING, "faces_at": "every", "board_lag_s": 600.0}
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
@@ -220,8 +220,8 @@ class RecordedDwell:
 
     step: int  # Of the programme
     purpose: Purpose  # face, bracket, rate or turn
-    up: MountedFace  # Device axis that points up
-    axis: TurnAxis | None  # Axis of the turn
+    up: Face  # Device axis that points up
+    axis: Axis | None  # Axis of the turn
     samples: int  # Readings
     start_s: float  # On the device's clock, s; the stop is left out
     stop_s: float
@@ -305,7 +305,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             self.write_session()
         return kept
 
-    def withdraw(self, face: MountedFace) -> frozenset[int]:
+    def withdraw(self, face: Face) -> frozenset[int]:
         """Take back the dwells with a face up: the journal says so, their readings go aside, the steps are to be done again."""
         steps = frozenset(piece.step for piece in self.pieces if piece.up == face)
         with uninterrupted(), room(self.path):

@@ -30,14 +30,13 @@ In counts two faces that contradict each other do not tell which of them is wron
 does: its middle is what no acceleration reads, so that f less the middle lies along k for the face that is mounted as stated.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigFault, RigTimeout
-from undrift.record import MountedFace, Record, TurnAxis
+from undrift.record import Axis, Face, Record
 from undrift.rig.programme import Dwell
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
@@ -144,7 +143,7 @@ class Disturbed(RigFault):
 class Contradiction(Disturbed):
     """A rest that does not fit one that was kept, in counts: either of them may be the wrong one."""
 
-    other: MountedFace  # The one that was kept
+    other: Face  # The one that was kept
     surely: bool  # Other faces show that it is that one
 
 
@@ -153,7 +152,7 @@ class RestCheck:
 
     def __init__(self) -> None:
         self._spreads: list[FloatArray] = []
-        self._faces: dict[MountedFace, FloatArray] = {}
+        self._faces: dict[Face, FloatArray] = {}
 
     def check(self, step: Dwell, record: Record, where: str) -> None:
         """Refuse a rest that was not still, or a face that does not read as mounted."""
@@ -168,8 +167,7 @@ class RestCheck:
                 "table while it is read: continue with `resume`",
                 spread=worst,
             )
-        skew = step.up == "+xyz" and is_physical(record.accel_unit)
-        if (step.purpose == "face" or skew) and record.accel is not None:
+        if step.purpose == "face" and record.accel is not None:
             self._check_face(step.up, record.accel, record.accel_unit, APART * usual[-3:], where)
 
     def keep(self, step: Dwell, record: Record) -> None:
@@ -181,11 +179,11 @@ class RestCheck:
         if step.purpose == "face" and record.accel is not None:
             self._faces.setdefault(step.up, np.nanmean(record.accel, axis=0))
 
-    def forget(self, face: MountedFace) -> None:
+    def forget(self, face: Face) -> None:
         """Drop what a face read: it is taken again."""
         self._faces.pop(face, None)
 
-    def _check_face(self, up: MountedFace, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
+    def _check_face(self, up: Face, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
         force, others = np.nanmean(accel, axis=0), {face: f for face, f in self._faces.items() if face != up}
         same = next((face for face, seen in others.items() if (np.abs(force - seen) <= apart).all()), None)
         against = next((face for face in others if face[1] == up[1]), None)
@@ -228,7 +226,7 @@ class TurnCheck:
     def __init__(self) -> None:
         self._rest: tuple[float | None, Record] | None = None  # the last one, with its set-point
         # Turn rate, and readings less those at rest (3,), by axis
-        self._kept: dict[TurnAxis | None, list[tuple[float, FloatArray]]] = {}
+        self._kept: dict[Axis | None, list[tuple[float, FloatArray]]] = {}
 
     def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
         """Refuse a turn that does not read as one at its rate, and a rest that reads as a turn."""
@@ -267,7 +265,7 @@ class TurnCheck:
             shown = np.nanmean(record.gyro, axis=0) - np.nanmean(self._rest[1].gyro, axis=0)
             self._kept.setdefault(step.axis, []).append((turn_rate, shown))
 
-    def _is_unlike(self, axis: TurnAxis | None, turn_rate: float, shown: FloatArray, error: float) -> bool:
+    def _is_unlike(self, axis: Axis | None, turn_rate: float, shown: FloatArray, error: float) -> bool:
         if not (kept := self._kept.get(axis)):
             return False
         rates, others = np.array([rate for rate, _ in kept]), np.array([each for _, each in kept])
@@ -284,10 +282,9 @@ def _part_means(gyro: FloatArray) -> FloatArray:
     return np.array([part.mean(axis=0) for part in np.array_split(finite, min(PARTS, len(finite)))])
 
 
-def _lies_along(face: MountedFace, force: FloatArray, *, signed: bool = False) -> bool:
+def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
     """Tell whether a force lies along a face's axis; in counts the sign of an axis is not known."""
-    sign, count = 1.0 if face[0] == "+" else -1.0, len(face) - 1
-    along = sign * sum(float(force["xyz".index(axis)]) for axis in face[1:]) / math.sqrt(count)
+    along = (1.0 if face[0] == "+" else -1.0) * float(force["xyz".index(face[1])])
     return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))
 
 

@@ -12,9 +12,8 @@ from collections.abc import Callable
 from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LinkError, RigFault
 from undrift.live.transports import number_of
-from undrift.record import MountedFace
+from undrift.record import Face
 from undrift.rig.chamber import Chamber, ChamberSetup
-from undrift.rig.programme import SKEW_WORDS
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -39,10 +38,9 @@ class AskedOperator:
     def __init__(self, ask: Callable[[str], str]) -> None:
         self._ask = ask
 
-    def mount(self, up: MountedFace) -> None:
-        """Have the device mounted; a skew mounting that was begun is not to be touched."""
-        words = f"{SKEW_WORDS}; if it still is, leave it as it is" if up == "+xyz" else ""
-        line = f"Motor off. Mount the device with {up} up{words}, step back, then press Enter (q gives up): "
+    def mount(self, up: Face) -> None:
+        """Have the device mounted."""
+        line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
         _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with `resume` when it is")
 
 

@@ -5,8 +5,7 @@
 A person or a door disturbs more than a chamber does, so the device is mounted as seldom as can be: each face once, every
 temperature in it, and the rates about an axis where its + side is up. No rig is needed to make a programme. Soaks take most of
 the time, and faces need few: they are read at every set-point, at the first alone, or in mountings of their own before the chamber
-is used, as the study lays its sessions out. So may be the rates: with an axis of its own for the set-points (``heated_axis``) only
-one mounting is heated, and turned at room temperature first. About xyz, (1, 1, 1) of the case, it shows all three gyroscopes.
+is used, as the study lays its sessions out.
 
     grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
     settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step
@@ -28,7 +27,7 @@ from annotated_types import Gt, MinLen
 from undrift.arrays import FloatArray
 from undrift.base.codec import Key, read, stored, tree_by_keys, write
 from undrift.errors import InputError
-from undrift.record import FACES, Axis, Face, MountedFace, TurnAxis
+from undrift.record import FACES, Axis, Face
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Protocol: faces, rates, temperatures, for how long and in which order.
@@ -85,8 +84,8 @@ class Protocol:
     turn_rate_step: Annotated[float, Key("rates.turn_rate_step_dps", unit=DPS, needed=True), Gt(0.0)] = 0.0
     # paper leaves omega_m itself out, as the note's count does; inclusive keeps it
     grid: Annotated[GridRule, Key("rates.grid")] = "inclusive"
-    # Case axes to turn about, in order, xyz for (1, 1, 1); the device is mounted anew for each
-    axes: Annotated[tuple[TurnAxis, ...], MinLen(1), Key("rates.axes")] = AXES
+    # Case axes to turn about, in order; the device is mounted anew for each
+    axes: Annotated[tuple[Axis, ...], MinLen(1), Key("rates.axes")] = AXES
     # alternating takes the rates upward, each both ways; random draws the order
     order: Annotated[Order, Key("rates.order")] = "alternating"
     seed: Annotated[int, Key("rates.seed")] = 0  # Of the random order
@@ -105,9 +104,6 @@ class Protocol:
     turn_rest_s: Annotated[float, Key("turns.rest_s")] = 3.0  # Rest before and after each of those turns, s
     # Chamber set-points, degC, rising; without the table the chamber stays at room temperature
     temperatures_c: Annotated[tuple[float, ...], MinLen(1), Key("temperatures.set_points_c", needed=True)] = ()
-    # Axis to turn about at the set-points, in one mounting, and at room temperature first; the others at room temperature alone.
-    # Without it those of the rates, at the set-points alone; xyz, a skew mounting, turns all three gyroscopes
-    heated_axis: Annotated[TurnAxis | None, Key("temperatures.axis", later=True)] = None
     # A set-point counts as reached below this slope, K/min
     soak_c_per_min: Annotated[float, Key("temperatures.soak_c_per_min")] = 0.1
     # With which the device follows the chamber, s: only for the forecast; 600 of a board in its box, 60 of a bare one in moving air
@@ -131,12 +127,6 @@ class Protocol:
             raise InputError("protocol: wanted faces, rates or turns, got none; there is nothing to do")
         if self.turn_axes and not (math.isfinite(self.turn_angle) and self.turn_angle != 0.0):
             raise InputError(f"protocol: wanted a turn by an angle other than 0, got {self.turn_angle:g} rad")
-        at_room = self.faces_at == "room" or not self.faces
-        if self.heated_axis and not (self.temperatures_c and self.turn_rate_step > 0.0 and at_room):
-            got = f'{len(self.temperatures_c)} set-points and faces at = "{self.faces_at}"'
-            raise InputError(
-                f'protocol: wanted set-points, rates and faces at = "room" beside an axis for these, got {got}; correct it'
-            )
         if any(b <= a for a, b in pairwise(self.temperatures_c)):
             raise InputError("protocol: wanted rising temperatures, got others; sort them and name each once")
 
@@ -205,9 +195,8 @@ def whole_turns_time(turn_rate: float, least_s: float) -> float:
 
 # ---- programme
 
-PLUS: dict[TurnAxis, MountedFace] = {"x": "+x", "y": "+y", "z": "+z", "xyz": "+xyz"}
+PLUS: dict[Axis, Face] = {"x": "+x", "y": "+y", "z": "+z"}
 Purpose = Literal["face", "bracket", "rate", "turn"]
-SKEW_WORDS = " (on a wedge: +x, +y and +z of the case each 54.7 deg from straight up)"
 TURN_S = 10.0  # how long an operator takes for a turn, s: only for the forecast
 
 
@@ -228,11 +217,11 @@ class ProgrammeSettings:
 class Mount:
     """The device is mounted by hand; the table rests and its motor is off."""
 
-    up: MountedFace  # Device axis that points up, along the table's axis
+    up: Face  # Device axis that points up, along the table's axis
     duration_s: float  # Forecast, s
 
     def __str__(self) -> str:
-        return f"mount {self.up} up{SKEW_WORDS * (self.up == '+xyz')}"
+        return f"mount {self.up} up"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,8 +241,8 @@ class Dwell:
     """The device is read at a steady rate, or at rest."""
 
     purpose: Purpose  # face (rest), bracket (rest before and after a block), rate, or turn (by a known angle)
-    up: MountedFace  # Device axis that points up
-    axis: TurnAxis | None  # Device axis that the table turns about; None for a face
+    up: Face  # Device axis that points up
+    axis: Axis | None  # Device axis that the table turns about; None for a face
     turn_rate: float  # Nominal, rad/s about +axis; 0 at rest
     ramp_s: float  # Run-up, and as long again to slow down, s
     settle_s: float  # Wait before reading, s
@@ -297,7 +286,7 @@ class Programme:
     def __post_init__(self) -> None:
         if not any(isinstance(step, Dwell) for step in self.steps):
             raise InputError("programme: wanted one dwell or more, got none; there is nothing to read")
-        up: MountedFace | None = None
+        up: Face | None = None
         temp_c: float | None = None
         for number, step in enumerate(self.steps):
             if isinstance(step, Mount):
@@ -344,8 +333,7 @@ def forecast_of(programme: Programme, done: frozenset[int] = frozenset()) -> For
 
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Write a protocol out."""
-    turning = (*protocol.axes, protocol.heated_axis) if protocol.heated_axis else protocol.axes
-    turning = tuple(dict.fromkeys(turning)) if protocol.turn_rate_step > 0.0 else ()
+    turning = tuple(dict.fromkeys(protocol.axes)) if protocol.turn_rate_step > 0.0 else ()
     rng = np.random.default_rng(protocol.seed)
     steps: list[Step] = []
     before_c = settings.room_c
@@ -379,19 +367,16 @@ Visit: TypeAlias = tuple[
 ]  # Set-point, degC; whether the face is read there; whether it is turned
 
 
-def _mountings(protocol: Protocol, turned: tuple[MountedFace, ...]) -> Iterator[tuple[MountedFace, list[Visit]]]:
+def _mountings(protocol: Protocol, turned: tuple[Face, ...]) -> Iterator[tuple[Face, list[Visit]]]:
     """Return how the device is mounted, one mounting after the other, and what is done at which set-point of it."""
     temps_c: tuple[float | None, ...] = protocol.temperatures_c or (None,)
-    if protocol.faces_at == "room" or protocol.heated_axis:
-        heated = (PLUS[protocol.heated_axis],) if protocol.heated_axis else turned
-        temps_c = (None, *temps_c) if protocol.heated_axis else temps_c
-        alone = [up for up in turned if up not in heated]
-        for up in dict.fromkeys((*protocol.faces, *alone)):
-            yield up, [(None, up in protocol.faces, up in alone)]
-        for up in dict.fromkeys(heated):
+    if protocol.faces_at == "room":
+        for up in dict.fromkeys(protocol.faces):
+            yield up, [(None, True, False)]
+        for up in dict.fromkeys(turned):
             yield up, [(temp_c, False, True) for temp_c in temps_c]
         return
-    ups: dict[MountedFace, None] = dict.fromkeys((*protocol.faces, *turned))
+    ups: dict[Face, None] = dict.fromkeys((*protocol.faces, *turned))
     last = protocol.faces_at == "first"  # a chamber cools down once less
     for up in sorted(ups, key=lambda up: last and up in turned):
         visits = [(temp_c, up in protocol.faces and not (last and k), up in turned) for k, temp_c in enumerate(temps_c)]
@@ -411,7 +396,7 @@ def soak_time(protocol: Protocol, change_c: float, settings: ProgrammeSettings) 
 
 
 def _block(
-    axis: TurnAxis, protocol: Protocol, settings: ProgrammeSettings, temp_c: float | None, rng: np.random.Generator
+    axis: Axis, protocol: Protocol, settings: ProgrammeSettings, temp_c: float | None, rng: np.random.Generator
 ) -> Iterator[Dwell]:
     bracket = _rest("bracket", PLUS[axis], axis, protocol.bracket_s, protocol, temp_c)
     yield bracket
@@ -439,7 +424,7 @@ def _dwell_s(turn_rate: float, protocol: Protocol, settings: ProgrammeSettings) 
 
 
 def _rest(
-    purpose: Purpose, up: MountedFace, axis: TurnAxis | None, seconds: float, protocol: Protocol, temp_c: float | None
+    purpose: Purpose, up: Face, axis: Axis | None, seconds: float, protocol: Protocol, temp_c: float | None
 ) -> Dwell:
     settle_s = settle_time(protocol.cutoff_hz, protocol.damping)
     return Dwell(
@@ -447,7 +432,7 @@ def _rest(
     )
 
 
-def _check_dwell(number: int, dwell: Dwell, up: MountedFace | None, temp_c: float | None) -> None:
+def _check_dwell(number: int, dwell: Dwell, up: Face | None, temp_c: float | None) -> None:
     what, upright = f"programme: step {number} ({dwell})", dwell.axis is not None and dwell.up == PLUS[dwell.axis]
     if dwell.up != up:
         raise InputError(f"{what}: wanted the device mounted {dwell.up} up, got {up or 'no mounting'}; mount it first")

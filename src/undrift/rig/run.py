@@ -26,7 +26,7 @@ import numpy as np
 from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
-from undrift.record import Kind, MountedFace, Record
+from undrift.record import Face, Kind, Record
 from undrift.rig.chamber import Chamber, Operator, Readings, SoakWatch, mean_temp
 from undrift.rig.folder import Head, RecordedDwell, RunFolder
 from undrift.rig.judge import (
@@ -89,7 +89,7 @@ class Mounted:
     serial: str = ""
     rests: RestCheck = field(default_factory=RestCheck)
     turns: TurnCheck = field(default_factory=TurnCheck)
-    doubted: set[MountedFace] = field(default_factory=set)
+    doubted: set[Face] = field(default_factory=set)
     withdrawn: frozenset[int] = frozenset()  # Steps
     missed: dict[int, RigError] = field(default_factory=dict)  # By step, why it was not read
 
@@ -122,7 +122,7 @@ class Mounted:
         )
         self.folder.keep(record, piece)
 
-    def withdraw(self, face: MountedFace) -> bool:
+    def withdraw(self, face: Face) -> bool:
         """Take back all that was read with a face up that others contradict; False where that was done before."""
         if face in self.doubted:
             return False
