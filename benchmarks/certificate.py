@@ -16,8 +16,8 @@ from benchmarks.erring_bench import chain_that_errs, drawn_slope, even_rise
 from benchmarks.erring_bench.rate_table import ARM_M, RANGE, RATES, USUAL
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
+from undrift.calibration.expanded import block_of, expand
 from undrift.calibration.observe import CalibrateSettings
-from undrift.commands.certificate import block_of, stated
 from undrift.model import Calibration
 from undrift.record import Session, Still, Turn
 from undrift.sim.device.presets import random_device
@@ -69,7 +69,7 @@ def held(devices: int, seed: int = 1) -> Iterator[tuple[str, bool]]:
         made, truth = drawn(rng)
         for name, triad in (("gyro", made.gyro), ("accel", made.accel)):
             assert triad is not None
-            result = stated(triad)
+            result = expand(triad)
             for parameter, value, true, expanded in zip(
                 result.names[:12], result.value, truth[name], result.expanded, strict=False
             ):

@@ -2,22 +2,15 @@
 
 import contextlib
 import io
-import json
 import re
 import sys
 import tempfile
-from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-import typst
 
 import undrift
-from undrift.base.summary import without_signed_zeros
 from undrift.cli.app import run
-from undrift.commands.certificate import certificate_content
-from undrift.io.store import read_calibration
 
 COMMANDS = """data fetch sample
 calibrate sample/bench -o c.json --report calibration.html
@@ -43,14 +36,6 @@ def draw(folder: Path) -> None:
                 raise SystemExit(f"undrift {line} failed")
         for name, (page, k) in PICTURES.items():
             (folder / f"page-{name}.svg").write_text(picture(Path(page).read_text("utf-8"), k), "utf-8")
-        made = read_calibration("c.json")
-    made = replace(made, provenance=replace(made.provenance, created="2026-11-24"))  # the same picture on another day
-    template = files("undrift.report").joinpath("certificate.typ").read_bytes()
-    given = {"content": without_signed_zeros(json.dumps(certificate_content(made)))}
-    pages = typst.compile(template, format="svg", ignore_system_fonts=True, sys_inputs=given)
-    svg = (pages[0] if isinstance(pages, list) else pages).decode().replace(' fill-rule="nonzero"', "")  # the default
-    short = re.sub(r"\bg([0-9A-F]{8})[0-9A-F]{24}\b", r"g\1", svg)  # names of letters
-    (folder / "certificate.svg").write_text(short, "utf-8")
 
 
 def picture(page: str, k: int) -> str:

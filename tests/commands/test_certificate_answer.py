@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from undrift.calibration.calibrate import calibrate
-from undrift.commands.certificate import answer_sentence
+from undrift.commands.answer import answer_sentence
 from undrift.correction.correct import correct
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session

@@ -69,7 +69,7 @@ CALLS = {
     "calibrate": Call("calibrate {b}/session -o {o}/c.json --report {o}/c.html --figure {o}/c.svg", slow=True),
     "session new": Call("session new {b}/poses.parquet -o {o}/session", fresh=True),
     "drift": Call(
-        "drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.pdf", slow=True
+        "drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.html", slow=True
     ),
     "correct .parquet": Call(CORRECT + "x.parquet --report {o}/r.html"),
     "correct .csv": Call(CORRECT + "x.csv", together=True),
@@ -84,10 +84,9 @@ CALLS = {
     "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
     "export constants": Call("export {b}/calibration.json --target constants -o {o}/x.json"),
-    "orient --pdf": Call(ORIENT + "x.csv --report {o}/r.html --pdf {o}/trial.pdf", slow=True),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
     "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
-    "certificate": Call("certificate {b}/calibration.json -o {o}/c.pdf"),
+    "certificate": Call("certificate {b}/calibration.json -o {o}/c.html"),
     "noise": Call("noise {b}/rest.parquet --figure {o}/allan.svg --report {o}/r.html", slow=True),
     "simulate task": Call(
         "simulate sit_to_stand --device mpu6050 -o {o}/x.parquet --truth {o}/t.csv --save-device {o}/d.json --report {o}/r.html"

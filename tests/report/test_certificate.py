@@ -1,7 +1,6 @@
 """The certificate: shares that sum to the covariance, GTC's combination, coverage of simulated truth, the same bytes twice."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,19 +12,13 @@ from testkit.data import show
 from testkit.full_calibration import with_magnetometer
 from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
-from undrift.commands.certificate import (
-    SOURCE_ROWS,
-    block_of,
-    certificate_content,
-    coverage_factors,
-    rounded,
-    stated,
-    two_digits,
-)
+from undrift.calibration.expanded import block_of, coverage_factors, expand
+from undrift.commands.answer import two_digits
+from undrift.commands.certificate import SOURCE_ROWS, certificate_content, rounded
 from undrift.errors import InputError
 from undrift.io.store import calibration_text, content_hash, read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
-from undrift.report.certificate import write_certificate
+from undrift.report.calibration import write_certificate
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -52,7 +45,7 @@ def test_the_shares_combine_to_the_covariance(calibration: Calibration, name: st
     assert set(triad.budget.sources) <= set(SOURCES)
     assert len(triad.budget.sources) >= 4
     np.testing.assert_allclose((triad.budget.uncertainty**2).sum(axis=0), np.diag(triad.covariance), rtol=1e-12)
-    made = stated(triad)  # beyond the covariance: opposite faces read a quadratic term of a data sheet's size as offset
+    made = expand(triad)  # beyond the covariance: opposite faces read a quadratic term of a data sheet's size as offset
     bent = np.array([2e-4 * 9.80665**2] * 3) * triad.scale_factor * (name == "accel")
     np.testing.assert_allclose(made.standard[:9], triad.standard_uncertainty[:9], rtol=1e-12)
     np.testing.assert_allclose(made.standard[9:12], np.hypot(triad.standard_uncertainty[9:12], bent), rtol=1e-12)
@@ -99,7 +92,7 @@ def test_the_budget_equals_gtcs(calibration: Calibration, few: bool) -> None:
     gtc, reporting = pytest.importorskip("GTC"), pytest.importorskip("GTC.reporting")
     for triad in (calibration.gyro, calibration.accel):
         given = few_spare(triad) if few else triad
-        made = stated(given)
+        made = expand(given)
         for n in range(len(made.names)):
             total = gtc.constant(0.0)
             for source, share in made.shares.items():
@@ -148,21 +141,14 @@ def test_the_truth_lies_inside_the_expanded_uncertainty(devices: int) -> None:
 
 
 def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp_path) -> None:
-    write_certificate(calibration, tmp_path / "a.pdf")
+    write_certificate(calibration, tmp_path / "a.html")
     (tmp_path / "c.json").write_text(calibration_text(calibration, "c.json"))
-    write_certificate(read_calibration(tmp_path / "c.json"), tmp_path / "b.pdf")
-    first = (tmp_path / "a.pdf").read_bytes()
-    assert first.startswith(b"%PDF-")
-    assert (tmp_path / "b.pdf").read_bytes() == first
-    write_certificate(replace(calibration, device="another"), tmp_path / "b.pdf")
-    assert (tmp_path / "b.pdf").read_bytes() != first
-
-
-def test_without_typst_the_line_names_what_to_install(calibration: Calibration, tmp_path, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "typst", None)
-    with pytest.raises(InputError, match=r"wanted the package typst .*got none; pip install 'undrift\[pdf\]'"):
-        write_certificate(calibration, tmp_path / "certificate.pdf")
-    assert not list(tmp_path.iterdir())
+    write_certificate(read_calibration(tmp_path / "c.json"), tmp_path / "b.html")
+    first = (tmp_path / "a.html").read_bytes()
+    assert first.startswith(b"<!doctype html>")
+    assert (tmp_path / "b.html").read_bytes() == first
+    write_certificate(replace(calibration, device="another"), tmp_path / "b.html")
+    assert (tmp_path / "b.html").read_bytes() != first
 
 
 def test_the_hash_follows_the_content_alone(calibration: Calibration) -> None:
@@ -251,7 +237,7 @@ def test_turns_by_hand_keep_their_shares() -> None:
     made = calibrate(simulate_session("ferraris", device, rng=rng))
     assert made.gyro.method.startswith("known-rotation")
     assert {"axis", "noise", "instability"} <= set(made.gyro.budget.sources)
-    np.testing.assert_allclose(stated(made.gyro).standard, made.gyro.standard_uncertainty, rtol=1e-12)
+    np.testing.assert_allclose(expand(made.gyro).standard, made.gyro.standard_uncertainty, rtol=1e-12)
     content = certificate_content(made)
     assert "Rig: axis of turns" in [row[0] for row in content["triads"][0]["budget"]]
     assert any(text.startswith("Angles: those stated for the turns.") for text in content["traceability"])

@@ -27,7 +27,7 @@ from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_f
 
 DRAWN_BY = {
     "Record": "undrift.report.figures:draw_record",
-    "Calibration": "undrift.report.certificate:draw_calibration",
+    "Calibration": "undrift.report.calibration:draw_calibration",
     "NoiseFit": "undrift.report.figures:draw_allan",
     "DriftFit": "undrift.report.drift:draw_drift",
     "Orientation": "undrift.report.figures:draw_orientation",

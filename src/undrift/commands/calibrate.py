@@ -20,7 +20,7 @@ from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, 
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
 from undrift.commands import Progress, reading, silent
-from undrift.commands.certificate import answer_sentence, departures_words, rms_of, uncertainty_section
+from undrift.commands.answer import answer_sentence, departures_words, rms_of, uncertainty_section
 from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.errors import InputError
@@ -267,8 +267,8 @@ def _field_section(figures: list[dict[str, Any]]) -> Section:
 
 def calibration_summary(made: "Calibration") -> Summary:
     """Return what a calibration holds, however it was made: uncertainty, origin, matrices and offsets."""
-    pictures = (figure_of("certificate:draw_calibration", made),)
-    ideal = (*(departures_words(name, triad, made.provenance.text(PART)) for name, triad in _triads(made)), BARS)
+    pictures = (figure_of("calibration:draw_calibration", made),)
+    ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
     return Summary(
         title=f"Calibration of {made.device or 'a device'}",
         answer=answer_sentence(made),
@@ -458,7 +458,7 @@ def raw_and_corrected(triad: "TriadModel | None", unit: str, raw: Any, corrected
 
 def draw_rests(calibrated: Calibrated) -> Any:
     """Draw each rest that was used, raw beside corrected."""
-    return at("undrift.report.certificate:draw_rests")(*rests_of(calibrated), calibrated.calibration.gravity_m_s2)
+    return at("undrift.report.calibration:draw_rests")(*rests_of(calibrated), calibrated.calibration.gravity_m_s2)
 
 
 def residuals(judged: Sequence[CorrectedPiece], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
@@ -481,11 +481,11 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
         parts.append(f"the table's rates to {rms_of(dwells):.2g} deg/s rms in {len(dwells)} dwells")
     if parts:
         text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
-        drawing = figure_of("certificate:draw_residuals", poses, dwells)
+        drawing = figure_of("calibration:draw_residuals", poses, dwells)
         yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,), folded=True)
     if made.accel is not None:
         text = "Shaded: the stills that were used. Turns and handling lie between them."
-        drawing = figure_of("certificate:draw_norm", records, judged, made.gravity_m_s2)
+        drawing = figure_of("calibration:draw_norm", records, judged, made.gravity_m_s2)
         yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,), folded=True)
     yield _contributions(calibrated, judged)
 

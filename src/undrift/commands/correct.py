@@ -120,7 +120,7 @@ class CorrectedFiles(Result):
             for what, texts in (("warning", file.warnings), ("note", file.notes))
             for text in texts
         )
-        rests = figure_of("certificate:draw_rests", *self.files[0].rests, _gravity(self.model))
+        rests = figure_of("calibration:draw_rests", *self.files[0].rests, _gravity(self.model))
         corrected = Drawing(place="undrift.commands.correct:draw_corrected", of=(self.files[0].output,))
         return Summary(
             title=f"Corrected: {self.files[0].record.name}" + (f" and {len(rows) - 1} more" if several else ""),

@@ -56,7 +56,7 @@ def export(
             **exported.figures,
             "verdict": verdict_json(model.verdict),
         },
-        pictures=(figure_of("certificate:draw_calibration", model),),
+        pictures=(figure_of("calibration:draw_calibration", model),),
         sections=(Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),),
         verdict=model.verdict,
         notes=exported.notes,

@@ -124,7 +124,7 @@ def info(
     if calibration is not None:
         effects, span = _parts(calibration)
         found = replace(found, temp_c=span)
-        drawing = figure_of("certificate:draw_calibration", calibration)
+        drawing = figure_of("calibration:draw_calibration", calibration)
     verdict = None if calibration is None else calibration.verdict
     parts = effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]}
     lines = (*_lines(found, stills, reason), *(f"{part}: {', '.join(texts)}" for part, texts in effects.items()))

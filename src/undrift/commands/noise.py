@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 from undrift.base.options import Picture, verb
 from undrift.base.summary import Drawing, Result, Summary, figure_of, table_section
+from undrift.calibration.expanded import COVERAGE
 from undrift.commands import Progress, reading, silent
+from undrift.commands.answer import ANSWERED_S
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.certificate import ANSWERED_S, COVERAGE
 from undrift.commands.data_sheet import PART, sheet_of, sheet_words
 from undrift.commands.files import Opening, calibrated_part, check_figure, named_columns
 from undrift.errors import InputError

@@ -2,14 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift import __version__
-from undrift.base.options import Flag, Output, Picture, Side, verb
-from undrift.base.summary import CALLED, Result, Section, Summary, at, figure_of, interval, number, rows_section, today
+from undrift.base.options import Flag, Output, Side, verb
+from undrift.base.summary import Result, Section, Summary, figure_of, interval, number, rows_section
 from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.calibration_file import choose_calibration
@@ -38,7 +36,6 @@ class Oriented(Result):
     calibration: "Calibration | None"
     earlier: "tuple[Finding, ...]"  # of the correction
     notes: tuple[str, ...]
-    pdf: Path | None = None
 
     @property
     def anchor(self) -> int:
@@ -121,20 +118,17 @@ class Oriented(Result):
             sections=tuple(sections),
             findings=found.findings,
             notes=self.notes,
-            written=(self.pdf,),
-            next=(*CALLED.get(), "--pdf", self.output.with_suffix(".pdf")) if CALLED.get() and self.pdf is None else (),
         )
 
 
 @verb
-@of_folder(".parquet", alone=("pdf",))
+@of_folder(".parquet")
 def orient(
     record: Path,
     /,
     *,
     output: Output,
     calibration: Path | None = None,
-    pdf: Picture = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
     magnetometer: Flag = False,
     offset: Literal["none", "rest", "still", "motion"] = "none",
@@ -157,8 +151,6 @@ def orient(
         Time, quaternion and angles as .parquet, .csv or .csv.gz; quaternions as .sto (OpenSense).
     calibration : Path or None
         calibration.json of the device, for a raw recording; or a folder of calibrations: the newest one of its serial number.
-    pdf : Path or None
-        One page for a person's file to write, .pdf: angles over time with their band, verdict, calibration, device and date.
     method : str
         strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
         the whole recording.
@@ -184,7 +176,6 @@ def orient(
     from undrift.orientation import orient as find
 
     reads = (record, calibration, opening.column_map)
-    check_output(pdf, endings=(".pdf",), reads=reads)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
     chosen = choose_calibration(calibration, (record,), opening)
     model, calibration = chosen.model, chosen.path
@@ -206,58 +197,10 @@ def orient(
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
     write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
-    done = Oriented(
+    return Oriented(
         record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier,
-        notes=(*chosen.notes, *notes), pdf=pdf,
+        notes=(*chosen.notes, *notes),
     )  # fmt: skip
-    if pdf is not None:
-        device = readings.device or ("" if model is None else model.device)
-        drawing = figure_of("figures:draw_orientation", found, done.band)
-        at("undrift.report.certificate:write_pdf")(pdf, "trial", trial_content(done, device), {"angles": drawing})
-    return done
-
-
-def trial_content(done: Oriented, device: str) -> dict[str, Any]:
-    """Return what the page of a trial sets: its answer, verdict, findings, rows of angles and of what it comes from."""
-    from undrift.findings import Verdict, most_consequential_first
-    from undrift.io.store import content_hash
-
-    angles, model = done.orientation, done.calibration
-    verdict, start_s = Verdict.of(*angles.findings), float(angles.time[0])
-    recorded = "not stated by the recording"
-    if CLOCK_S[0] < start_s < CLOCK_S[1]:
-        recorded = datetime.fromtimestamp(start_s, UTC).isoformat(timespec="seconds")
-    basis = (
-        "none given: as the recording came"
-        if model is None
-        else f"of {model.provenance.created[:10] or 'no stated date'}, "
-    )
-    basis += "" if model is None else f"verdict {model.verdict.status}, sha256 {content_hash(model)}"
-    summary = done.summary()
-    (table,) = (one for one in summary.sections if one.title.startswith("Angles"))
-    how = {"strapdown": "rates integrated from the rest (strapdown)", "vqf": "filter VQF"}[done.method]
-    band = "95 % band: tilt at the rest, offset over the time since it, scale factor."
-    if done.band is None:
-        why = "The filter states" if done.method == "vqf" else "Accelerometers that are not calibrated state"
-        band = f"{why} no uncertainty of the angles in motion: no band is drawn."
-    return {
-        "title": done.record.name,
-        "answer": done.answer,
-        "band": band,
-        "verdict": verdict.status,
-        "findings": [one.text for one in most_consequential_first(angles.findings) if one.level != "info"],
-        "heads": list(table.columns),
-        "angles": [list(row) for row in table.rows],
-        "rows": [
-            ["Recording", f"{done.record.name}, {angles.time[-1] - start_s:.1f} s, {len(angles.time)} samples"],
-            ["Recorded", recorded],
-            ["Device", device or "without serial number"],
-            ["Calibration", basis],
-            ["Method", how],
-            ["Tilt at the start", angles.tilt.statement],
-            ["Page made", f"{today()}, undrift {__version__}"],
-        ],
-    }
 
 
 def _data(found: "Orientation") -> dict[str, Any]:

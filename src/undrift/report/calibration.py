@@ -1,22 +1,22 @@
-"""What a certificate and a calibration's summary draw, and the certificate as a PDF."""
+"""Figures of a calibration, and its certificate as an HTML page."""
 
-import json
+import re
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.base.summary import Drawing, without_signed_zeros
-from undrift.commands.certificate import COVERAGE, NAMES, certificate_content, drawings_of, stated
-from undrift.commands.data_sheet import PART, SHOWN, nominal_of, sheet_limit
+from undrift.calibration.expanded import COVERAGE, expand
+from undrift.commands.answer import NAMES
+from undrift.commands.certificate import certificate_content
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.model import AXES, Calibration, DriftTables
 from undrift.report import figures
-from undrift.units import is_physical
+from undrift.report.drift import draw_dynamic
+from undrift.units import is_physical, si_factor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,24 +26,37 @@ if TYPE_CHECKING:
 
 
 def write_certificate(calibration: Calibration, path: Path, content: Mapping[str, Any] | None = None) -> None:
-    """Write the certificate of a calibration, the same bytes for the same calibration and content."""
-    drawings = dict(drawings_of(calibration.drift))
-    write_pdf(path, "certificate", content or certificate_content(calibration), drawings)
+    """Write the certificate of a calibration as a page for A4, the same bytes for the same calibration and content."""
+    from jinja2 import Environment, PackageLoader
+
+    environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
+    environment.filters["number"] = _number
+    drift, drawings = calibration.drift, list["Figure"]()
+    if drift is not None and (drift.static is not None or drift.scale is not None):
+        drawings.append(draw_tables(drift))
+    if drift is not None and drift.dynamic is not None:
+        drawings.append(draw_dynamic(drift.dynamic))
+    pictures = [figures.svg_of(drawing).partition("?>")[2] for drawing in drawings]
+    text = environment.get_template("certificate.html.j2").render(
+        c=content or certificate_content(calibration), pictures=pictures
+    )
+    write_whole(path, text.lstrip() + "\n")
 
 
-def write_pdf(path: Path, template: str, content: Mapping[str, Any], drawings: Mapping[str, Drawing]) -> None:
-    """Write a template of typst, filled with its content and pictures, as a PDF; fonts come with it."""
-    try:
-        import typst
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"{path}: wanted the package typst to write a PDF, got none; pip install 'undrift[pdf]'"
-        ) from error
+def _number(cell: str) -> Any:
+    """Return a number with a true minus sign and its power of ten; other words as they are."""
+    from markupsafe import Markup
 
-    given = {"content": without_signed_zeros(json.dumps(content))}
-    given |= {name: figures.svg_of(drawing.draw(), outlines=True) for name, drawing in drawings.items()}
-    text = files("undrift.report").joinpath(f"{template}.typ").read_bytes()
-    write_whole(path, typst.compile(text, format="pdf", ignore_system_fonts=True, sys_inputs=given))
+    parts = re.fullmatch(r"(-?)([\d.]+)(?:e([-+]?)(\d+))?", cell)
+    if parts is None:
+        return cell
+    sign, digits, power_sign, power = parts.groups()
+    if not power:
+        sign = sign if float(digits) else ""
+        return f"{sign.replace('-', '−')}{digits}"
+    return Markup(
+        f"{sign.replace('-', '−')}{digits} × 10<sup>{power_sign.replace('-', '−').replace('+', '')}{power}</sup>"
+    )
 
 
 def draw_tables(drift: DriftTables) -> "Figure":
@@ -81,29 +94,19 @@ def draw_tables(drift: DriftTables) -> "Figure":
 
 def draw_calibration(calibration: Calibration) -> "Figure":
     """Draw each matrix as departures from the ideal, and the offsets; bars are expanded uncertainties.
-    Ideal: no cross-axis terms, and the gain of the unit or of the data sheet of the part, whose limits are shaded; the mean gain
-    where readings are in counts or volts of no part that is named."""
+    Ideal: no cross-axis terms, and the gain of the unit; the mean gain for readings in counts or volts."""
     triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
     if not triads:
         raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
     figure, panels = figures.new_figure(2 * len(triads), height=1.6, share_x=False)
-    elements, kind = [row + column for row in AXES for column in AXES], calibration.provenance.text(PART)
+    elements = [row + column for row in AXES for column in AXES]
     style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
     for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
-        made = stated(triad)
+        made = expand(triad)
         expanded = dict(zip(made.names, made.expanded, strict=True))
-        gain, ideal = nominal_of(name, triad, kind), "unit" if is_physical(triad.unit_in) else "data sheet"
-        nominal = gain / SHOWN[name][1]  # readings per deg/s or mg
-        if np.isnan(gain):
-            gain, ideal = float(triad.scale_factor.mean()), "mean scale"
-        if kind:
-            shade: Any = {"color": figures.SHADE, "linewidth": 0.0, "zorder": 0, "label": f"limits of {kind}"}
-            for k, one in enumerate(elements):
-                limit = sheet_limit(kind, name, "scale" if one[0] == one[1] else "cross")
-                matrix.fill_between((k - 0.4, k + 0.4), -limit, limit, **(shade if not k else shade | {"label": None}))
-            if np.isfinite(nominal):
-                limit = nominal * sheet_limit(kind, name, "offset")
-                offset.fill_between((-0.4, 2.4), -limit, limit, **shade)
+        gain, ideal = float(triad.scale_factor.mean()), "mean scale"
+        if is_physical(triad.unit_in):
+            gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
         bars = [100.0 * gain * expanded.get(f"m_{one}", 0.0) for one in elements]
         matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
         matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)

@@ -1,0 +1,79 @@
+"""Expanded uncertainty of the parameters of a calibration, combined from the shares of its budget (JCGM 100).
+
+    u^2 = sum_i u_i^2        the shares u_i that the fit kept; their sum is the variance of the calibration's covariance
+    nu  = n (u / u_r)^4      Welch-Satterthwaite; u_r repeatability, from the residuals of n spare equations, the others are known
+    U   = k u                k = 2, below 50 degrees of freedom Student's t for 95.45 %
+
+Values are in units of the triad.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from undrift.arrays import FloatArray
+from undrift.calibration.norm import QUADRATIC_SD
+from undrift.model import Calibration, TriadModel
+from undrift.units import INHABITED_GRAVITY, STANDARD_GRAVITY
+
+COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725  # k; degrees of freedom from which it holds; quantile of 95.45 %
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterTable:
+    """The parameters of one triad with their uncertainty, in units of the triad; arrays are (P,)."""
+
+    names: tuple[str, ...]
+    value: FloatArray
+    shares: Mapping[str, FloatArray]  # (P,) of each source
+    standard: FloatArray  # combined standard uncertainty
+    freedom: FloatArray  # effective degrees of freedom
+    coverage: FloatArray  # k
+    expanded: FloatArray  # U
+
+    def of_block(self, block: str) -> list[int]:
+        """Return the numbers of the parameters of a block."""
+        return [n for n, name in enumerate(self.names) if block_of(name) == block]
+
+
+def block_of(name: str) -> str:
+    """Return the block that a parameter belongs to."""
+    head, _, end = name.partition("_")
+    return head if head != "m" else "scale" if end[0] == end[1] else "cross"
+
+
+def gravity_uncertainty(calibration: Calibration, triad: str = "accel") -> float:
+    """Return the standard uncertainty of local gravity, relative: 0 where it was stated, or follows from a place."""
+    known = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
+    return 0.0 if known else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
+
+
+def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
+    """Combine the shares of a triad's budget, and what gravity's uncertainty and quadratic terms add, and expand them."""
+    sigma = triad.standard_uncertainty
+    budget = triad.budget
+    shares = {"fit": sigma} if budget is None else dict(zip(budget.sources, budget.uncertainty, strict=True))
+    if gravity > 0.0:
+        of_matrix = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
+        shares["gravity"] = np.where(of_matrix, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
+    if triad.method.startswith("six-face"):  # opposite faces read q g^2 as offset
+        of_offset = np.where([block_of(name) == "offset" for name in triad.parameters], STANDARD_GRAVITY**2, 0.0)
+        shares["nonlinearity"] = QUADRATIC_SD * of_offset * np.resize(triad.scale_factor, len(sigma))
+    combined = np.sqrt(np.sum([part**2 for part in shares.values()], axis=0))
+    freedom = np.full(len(sigma), np.inf)
+    if "repeatability" in shares:
+        spare, seen = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
+        freedom[seen] = spare * (combined[seen] / shares["repeatability"][seen]) ** 4
+    coverage = coverage_factors(freedom)
+    return ParameterTable(
+        names=triad.parameters, value=triad.values, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
+        expanded=coverage * combined,
+    )  # fmt: skip
+
+
+def coverage_factors(freedom: FloatArray) -> FloatArray:
+    """Return k for degrees of freedom (P,)."""
+    return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))
