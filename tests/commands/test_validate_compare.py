@@ -50,8 +50,8 @@ def test_other_calibrations_stand_beside_the_own_one_with_the_paired_difference(
     worse = replace(own, gyro=replace(own.gyro, offset=own.gyro.offset + np.array([0.0, 0.0, 12.0])))
     package.write_calibration(worse, tmp_path / "older.json")
     beside = ("--against", tmp_path / "older.json")
-    alone = undrift.good("validate", *words(trials), "--json").json()
-    answer = undrift.good("validate", *words(trials), *beside, "-o", tmp_path / "v")
+    alone = undrift.good("validate", *words(trials), "--offset", "none", "--json").json()
+    answer = undrift.good("validate", *words(trials), "--offset", "none", *beside, "-o", tmp_path / "v")
     told = json.loads((tmp_path / "v" / "validation.json").read_text())
     assert [trial["rmse_total_deg"] for trial in told["trials"]] == [x["rmse_total_deg"] for x in alone["trials"]]
     (other,) = told["against"]
@@ -66,11 +66,11 @@ def test_other_calibrations_stand_beside_the_own_one_with_the_paired_difference(
         assert "Calibrations side by side" in text
     judged = package.validate(
         trials / "a" / "trial.parquet", reference=trials / "a" / "reference.parquet", against=str(tmp_path / "older.json"),
-        calibration=trials / "calibration.json",
+        calibration=trials / "calibration.json", offset="none",
     )  # fmt: skip
     assert judged.rivals[0].decision is None  # one recording shows no scatter
     assert judged.rivals[0].result.mean.rmse_total_deg == pytest.approx(totals[0])
-    wrong = undrift.refused("validate", *words(trials), "--against", trials / "maker.params")  # readings are codes
+    wrong = undrift.refused("validate", *words(trials), "--offset", "none", "--against", trials / "maker.params")
     assert f"{trials / 'maker.params'}: " in wrong
 
 
