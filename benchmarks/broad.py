@@ -22,12 +22,12 @@ from time import perf_counter
 
 import numpy as np
 
+from benchmarks.broad_files import read_broad
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import find_motion_offset
 from undrift.correction.rest import find_rest_offset
-from undrift.io.mocap import read_broad
 from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.broad_files import read_broad
 from benchmarks.in_motion import pairs as pairs_in_motion
 from undrift.calibration.calibrate import calibrate_to_references
-from undrift.io.formats import read_record, read_reference
 from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.sim.device.presets import preset
@@ -145,8 +145,7 @@ def main(names: Sequence[str]) -> None:
     """Print the tables of the sets that are named, or of all."""
     for name in names or ("note", "captured", *BROAD, "chain"):
         if name in BROAD:
-            files = [DATA / "broad" / f"{trial}.hdf5" for trial in BROAD[name]]
-            show(name, left_out([(read_record(file), read_reference(file)) for file in files]))
+            show(name, left_out([read_broad(DATA / "broad" / f"{trial}.hdf5") for trial in BROAD[name]]))
         else:
             show(
                 name,

@@ -140,8 +140,7 @@ def commands() -> dict[str, str]:
     pages["commands.md"] = (
         "# Commands\n\nEach page is made from the command itself: `undrift COMMAND --help` prints the same.\n\n"
         f"| command | does |\n|---|---|\n{rows}\n\n"
-        "Every command takes `--json` (one object on stdout: [files](../files.md#answers-in-json)), `--memory-limit-gb G` (for\n"
-        "reading one file, 2 by default) and `--trust` (read without limits). `undrift --install-completion` completes\n"
+        "Every command takes `--json` (one object on stdout: [files](../files.md#answers-in-json)). `undrift --install-completion` completes\n"
         "commands in your shell.\n\n"
         "| exit code | means |\n|---|---|\n| 0 | done |\n| 1 | done, but the verdict is bad |\n"
         "| 2 | the input or the call is wrong: one line states what was wanted, what came, what to do; nothing is written |\n"

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from benchmarks.broad_files import read_broad
 
 from undrift import Calibration, validate_trial
 from undrift.calibration.calibrate import device_adc
 from undrift.calibration.reference import leave_one_out
-from undrift.io.mocap import read_broad
 from undrift.report.figures import DEVICE, ERROR, new_figure, save_figure
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.trial import TrialSettings

@@ -3,56 +3,30 @@
 import errno
 import gzip
 import hashlib
-import math
 import os
 import re
+import secrets
 import shutil
+import stat
 import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass
 from pathlib import Path
 
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import FileFormatError, InputError, UndriftError
 
 _HIDDEN, _LOCK = ".undrift-", ".lock"
 _GZIP = b"\x1f\x8b"
 _RATIO = 200  # A gzip that unpacks to more than so many times its size ...
 _SMALL = 10**8  # ... and to more bytes than these is no recording
 _BLOCK = 1 << 20
-_PARSED = 32  # times its bytes are the most that a text takes once it is parsed: a list of empty lists
+MOST_BYTES = 8 * 10**9  # of a file once it is unpacked
+MOST_TREE = 10**8  # bytes of a JSON or TOML file, which takes up to 32 times as much once it is parsed
 
 
-@dataclass(slots=True)
-class ReadLimits:
-    """What reading one file may take; one object, ``LIMITS``, for the whole process."""
-
-    memory_gb: float = 2.0  # Of its parser, and of the file unpacked
-    trust: bool = False  # No limits; parsers run in the caller's own process
-    start_s: float = 60.0  # Processor time of a parser for a file of any size ...
-    megabyte_s: float = 1.0  # ... and for each megabyte of it
-
-    @property
-    def room(self) -> float:
-        """Bytes that a file may take."""
-        return math.inf if self.trust else self.memory_gb * 1e9
-
-    def holds(self, size: int) -> bool:
-        """Tell whether a text of some bytes can be parsed within the memory, whatever it holds."""
-        return _PARSED * size <= self.room
-
-    def over(self, path: Path) -> str:
-        """Say that a file takes more memory than this."""
-        return (
-            f"{path}: wanted a file that reads within {self.memory_gb:g} GB of memory, got one that takes more; it is damaged, or "
-            f"read it with `memory_limit_gb` {2.0 * self.memory_gb:g}"
-        )
-
-
-LIMITS = ReadLimits()
 WATCH: ContextVar[Callable[[Path, float], None]] = ContextVar("WATCH")  # who is to hear how far a file is read
 
 
@@ -93,12 +67,12 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
     path = checked_file(path)
     try:
         if not is_gzip(path):
-            if limit < 0 and path.stat().st_size > LIMITS.room:
-                raise FileFormatError(LIMITS.over(path))
+            if limit < 0 and path.stat().st_size > MOST_BYTES:
+                raise too_large(path)
             with path.open("rb") as handle:
                 return handle.read(limit)
         with gzip.open(path, "rb") as packed:
-            content = packed.read(limit) if limit >= 0 or LIMITS.trust else _unpacked(packed, path)
+            content = packed.read(limit) if limit >= 0 else _unpacked(packed, path)
     except EOFError as error:
         raise FileFormatError(f"{path}: wanted a whole gzip file, got one that is cut off; copy it again") from error
     except (gzip.BadGzipFile, zlib.error) as error:
@@ -115,8 +89,8 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
 def read_tree(path: str | Path) -> bytes:
     """Return the content of a file of JSON or TOML, unless it may take too much memory once it is parsed."""
     content = read_bytes(path)
-    if not LIMITS.holds(len(content)):
-        raise FileFormatError(LIMITS.over(Path(path)))
+    if len(content) > MOST_TREE:
+        raise too_large(Path(path))
     return content
 
 
@@ -125,14 +99,40 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
     content, size = bytearray(), path.stat().st_size
     while block := packed.read(_BLOCK):
         content += block
-        if len(content) > LIMITS.room:
-            raise FileFormatError(LIMITS.over(path))
+        if len(content) > MOST_BYTES:
+            raise too_large(path)
         if len(content) > max(_RATIO * size, _SMALL):
             raise FileFormatError(
                 f"{path}: wanted a packed recording, got a file that unpacks to more than {_RATIO} times its size; it is no "
-                "recording, or read it with `trust`"
+                "recording"
             )
     return bytes(content)
+
+
+def too_large(path: Path) -> FileFormatError:
+    """Return the error of a file that takes too much memory."""
+    return FileFormatError(
+        f"{path}: larger than {MOST_BYTES / 1e9:g} GB once it is read; it is damaged, or cut it into parts"
+    )
+
+
+@contextmanager
+def sound(path: Path, kind: str = "") -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into one line."""
+    try:
+        yield
+    except MemoryError as error:
+        raise too_large(path) from error
+    except Exception as error:
+        if (
+            isinstance(error, UndriftError if kind else UndriftError | OSError)
+            or os.environ.get("UNDRIFT_TRACEBACK") == "1"
+        ):
+            raise
+        wanted, got, why = f"a sound {kind} file", "a damaged or cut one", first_line(error)
+        if not kind:
+            wanted, got, why = "a sound file", "a damaged one", f"{type(error).__name__}: {why}"
+        raise FileFormatError(f"{path}: wanted {wanted}, got {got} ({why}); copy it again") from error
 
 
 def bytes_in(path: Path) -> int:
@@ -176,12 +176,7 @@ def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
         for path, content in files.items():
             if content is None:
                 continue
-            try:
-                handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.", suffix=".part")
-            except OSError as error:
-                raise no_folder(path, error) from error
-            parts[path] = part = Path(name)
-            os.close(handle)
+            parts[path] = part = new_part(path)
             if callable(content):
                 call_writer(content, part)
             else:
@@ -190,13 +185,27 @@ def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
                 part.write_bytes(data)
             with part.open("r+b") as file:
                 os.fsync(file.fileno())
-            part.chmod(0o644)
         take_names(parts)
     except OSError as error:
         raise unwritten(path, error, size) from error
     finally:
         for part in filter(None, parts.values()):
             part.unlink(missing_ok=True)
+
+
+def new_part(path: Path) -> Path:
+    """Make an empty file next to a path, which takes the path's name once it is whole.
+
+    Its mode is the mode of the file that it replaces, or what the umask gives.
+    """
+    part = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
+    try:
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        if path.exists():
+            part.chmod(stat.S_IMODE(path.stat().st_mode))
+    except OSError as error:
+        raise no_folder(path, error) from error
+    return part
 
 
 def call_writer(write: Callable[[Path], object], path: Path) -> None:

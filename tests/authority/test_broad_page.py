@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
-from testkit.data import data_path, show
+from testkit.data import show
 from undrift.io.formats import read_record, read_reference
 from undrift.report.figures import trial_figure
 from undrift.validation.trial import TrialSettings, validate_trial
@@ -14,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("computed_once")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B"])
 def test_the_largest_pitch_error_of_the_table_is_drawn(name):
-    path = data_path("broad", f"{name}.hdf5")
+    path = broad_file(name)
     trial = validate_trial(read_record(path), read_reference(path), settings=TrialSettings(offset="rest"))
     drawn = {line.get_label(): line for line in trial_figure(trial).axes[1].lines}["pitch"]
     time, course = drawn.get_data()

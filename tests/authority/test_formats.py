@@ -5,15 +5,16 @@ Source of each figure: the SOURCE.md in the folder of the recording (origin, com
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import read_broad
 
 from testkit.data import DATA, data_path, show
+from testkit.npz import read_npz
 from undrift.errors import FileFormatError, InputError
-from undrift.io.arrays import read_npz
 from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
 from undrift.io.makers import DIALECTS, apdm_sensors, read_apdm
-from undrift.io.mocap import fit_cluster, read_broad, read_c3d, read_trc
+from undrift.io.mocap import fit_cluster, read_c3d, read_trc
 from undrift.io.reference import ReferenceMap
 from undrift.io.session import read_session
 from undrift.io.text import read_csv
@@ -88,7 +89,7 @@ def test_the_bicycle_board_reads_from_eleven_files():
     keys = {"time": "t_s", "time_unit": "s", "gyro": ("gyro_rad_s",), "gyro_unit": "rad/s", "accel": ("acc_raw",)}
     columns = ColumnMap(**keys, accel_unit="count", temp="temp_degC", temp_unit="degC")
     paths = sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz"))
-    records = [read_npz(path, columns).record for path in paths]
+    records = [read_npz(path, columns) for path in paths]
     lengths = [record.duration_s for record in records]
     show("files, shortest and longest s", (len(records), round(min(lengths)), round(max(lengths))), (11, 24, 90))
     assert len(records) == 11
@@ -104,7 +105,7 @@ def test_the_rate_table_files_hold_two_clocks():
     keys = {"gyro": ("gyro_bno_dps",), "gyro_unit": "dps", "accel": ("acc_bno_g",), "accel_unit": "g"}
     for name, seconds in (("giro_test_filt", 120.0), ("giro_test_non_filt", 120.0), ("slow_range_data", 75.0)):
         path = data_path("ratetable_jig", f"{name}.npz")
-        record = read_npz(path, ColumnMap(**keys, time="t_imu", time_unit="s")).record
+        record = read_npz(path, ColumnMap(**keys, time="t_imu", time_unit="s"))
         show(name, (record.sample_rate_hz, record.duration_s), (100, seconds))
         assert record.sample_rate_hz == pytest.approx(100.0)
         assert record.duration_s == pytest.approx(seconds, abs=0.05)
@@ -252,7 +253,7 @@ def test_the_axivity_arrays_read():
         "accel_unit": "g",
     }
     columns = ColumnMap(**keys, temp="temperature", temp_unit="degC")
-    record = read_record(data_path("wearable_formats", "skdh_ax6_data.npz"), columns)
+    record = read_npz(data_path("wearable_formats", "skdh_ax6_data.npz"), columns)
     show("rows, s", (len(record), record.duration_s), (10360, 105))
     assert len(record) == 10360
     assert record.duration_s == pytest.approx(105.0, abs=0.5)

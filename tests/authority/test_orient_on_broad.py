@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import read_broad
 
 from testkit.data import data_path, show
 from undrift.frames import quaternion_conjugate, quaternion_product
-from undrift.io.mocap import read_broad
 from undrift.orientation import inclination_of, initial_tilt
 from undrift.record import Still
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from benchmarks.broad_files import read_broad
 
 from testkit.data import DATA, data_path
 from testkit.demo_session import demo_session
@@ -19,7 +20,6 @@ from undrift.calibration.calibrate import calibrate, calibrate_to_references
 from undrift.calibration.noise import fit_noise
 from undrift.correction.correct import correct
 from undrift.drift.fit import DriftFit, fit_drift
-from undrift.io.mocap import read_broad
 from undrift.model import Calibration, TriadModel
 from undrift.orientation import orient
 from undrift.record import Record, Reference, Session, Still, Turn

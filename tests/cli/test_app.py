@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
-from testkit.data import data_path
 from undrift import __version__
 from undrift.cli import app as program
 from undrift.errors import InputError, LimitError, NotObservable, RigFault
@@ -125,7 +125,7 @@ def test_main_exits_with_the_code(undrift, monkeypatch):
 
 @pytest.mark.slow
 def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
-    path = data_path("broad", "02_undisturbed_slow_rotation_B.hdf5")
+    path = broad_file("02_undisturbed_slow_rotation_B")
     done = process("info", path, "--json")
     assert (done.returncode, errors_in(done.stderr)) == (0, "")
     assert json.loads(done.stdout)["rows"] == 53240

@@ -33,7 +33,6 @@ CALLS = (  # the command, and how many commands follow from it at least
     ("info 'two words/turns.csv'", 2),
     ("session new 'two words/turns.csv' -o 'my session' --turn-deg 360", 2),
     ("calibrate 'two words/turns.csv' --turn-deg 360 -o 'my calibration.json'", 1),
-    ("info multipos_mpu6050_bicycle/reference.npz", 2),
     ("info wearable_formats/opensim_apdm_imuData01.csv.gz", 1),
     ("info wearable_formats/ximu", 1),
     ("info c3d/squat.c3d.gz", 1),

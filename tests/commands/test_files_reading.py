@@ -6,7 +6,7 @@ import pytest
 import undrift
 from undrift.commands import part_of, reading
 from undrift.commands.correct import correct
-from undrift.files import LIMITS, read_so_far
+from undrift.files import read_so_far
 from undrift.io import log, text
 from undrift.sim.device.presets import preset
 
@@ -73,12 +73,9 @@ def test_correct_states_how_far_a_table_is_read_in_its_second_thread(table, tmp_
         shares.clear()
 
 
-@pytest.mark.parametrize("boxed", [False, True])
-def test_a_log_is_followed_in_a_box_too(tmp_path, shares, monkeypatch, boxed):
+def test_a_log_is_followed(tmp_path, shares):
     path = tmp_path / "serial.txt"
     path.write_text("".join(f"gyro x: {k} y: 2 z: 3 | acc x: 0.1 y: 0.2 z: 9.8\n" for k in range(500)))
-    monkeypatch.setattr(LIMITS, "memory_gb", 0.5 if boxed else 2.0)
-    monkeypatch.setattr(type(LIMITS), "holds", lambda limits, size: size < (1 if boxed else 1e9))
     with reading(lambda *said: shares.append(said), 1.0, path):
         assert len(log.read_readings(path).names) == 6
     assert rising(shares, path, 8) == 1.0

@@ -31,7 +31,7 @@ def test_how_a_container_was_read_is_a_note_not_a_problem(undrift):
 def test_a_missing_library_ends_in_one_line_and_exit_code_2(undrift, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     said = undrift.refused("info", data_path(*LOG))
-    assert "pip install 'undrift[io]'" in said
+    assert "pip install 'undrift[formats]'" in said
 
 
 def test_a_cut_file_ends_in_one_line_and_a_map_reads_the_rest(undrift, tmp_path):

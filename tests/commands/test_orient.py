@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
 from testkit.command_line import contents, warm_between
 from testkit.data import data_path, show
@@ -130,7 +131,7 @@ def test_quaternions_go_to_opensense_under_the_name_of_the_body(undrift, bench, 
 
 @pytest.mark.slow
 def test_the_drift_to_expect_is_said_and_every_rest_is_used_on_request(undrift, tmp_path):
-    trial = data_path("broad", "05_undisturbed_slow_rotation_with_breaks_B.hdf5")
+    trial = broad_file("05_undisturbed_slow_rotation_with_breaks_B")
     said = undrift.good("orient", trial, "-o", tmp_path / "o.csv").out
     assert "warning: Strapdown drift of 56 deg to expect: offset uncertain by 0.33 deg/s, 172 s from the rest" in said
     assert "use --offset rest" in said

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
+from benchmarks.broad_files import broad_file
 
-from testkit.data import data_path
 from testkit.pages import faults_of
 from undrift.cli.app import run
 from undrift.sim.device.model import read_device
@@ -17,7 +17,7 @@ KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
 
 @pytest.mark.slow
 def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
+    path = str(broad_file("32_disturbed_attached_magnet_1cm"))
     assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json", "--report", str(tmp_path / "t.html")]) == 0
     assert faults_of((tmp_path / "t.html").read_text()) == []
     said = json.loads(capsys.readouterr().out)

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
 from testkit.command_line import warm_between
 from testkit.data import data_path, show
@@ -28,8 +29,8 @@ from undrift.units import gravity_at
 pytestmark = pytest.mark.usefixtures("computed_once")
 
 B = [
-    "02_undisturbed_slow_rotation_B.hdf5", "05_undisturbed_slow_rotation_with_breaks_B.hdf5", "07_undisturbed_fast_rotation_B.hdf5",
-    "09_undisturbed_fast_rotation_with_breaks_B.hdf5",
+    "02_undisturbed_slow_rotation_B", "05_undisturbed_slow_rotation_with_breaks_B", "07_undisturbed_fast_rotation_B",
+    "09_undisturbed_fast_rotation_with_breaks_B",
 ]  # fmt: skip
 FIGURES = {
     "lag_ms", "rmse_total_deg", "rmse_inclination_deg", "rmse_heading_deg", "rmse_pitch_deg", "max_abs_pitch_deg", "end_total_deg",
@@ -38,7 +39,8 @@ FIGURES = {
 
 
 def broad(*names):
-    return [data_path("broad", name) for name in names]
+    data_path("broad")
+    return [broad_file(name) for name in names]
 
 
 def end(told):
@@ -54,7 +56,7 @@ def test_broad_by_each_way_of_taking_the_offset(undrift):
     }
     for key, one in told.items():
         show(f"BROAD B 02 05 07, offset and adc {key}: end error, deg", f"{end(one):.2f}")
-        assert [trial["recording"] for trial in one["trials"]] == [name.removesuffix(".hdf5") for name in B[:3]]
+        assert [trial["recording"] for trial in one["trials"]] == B[:3]
         assert all(trial.keys() >= FIGURES for trial in one["trials"])
         assert one["mean"].keys() == one["median"].keys() >= FIGURES
         assert (one["offset"], one["adc"]) == key

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
 import undrift as package
 from testkit.bench_and_commands import make_bench
@@ -89,7 +90,7 @@ def test_what_cannot_be_is_refused(undrift, trials, tmp_path):
 @pytest.mark.slow
 def test_trials_of_a_real_device_by_the_fit_to_the_others(undrift):
     files = [
-        data_path("broad", name) for name in ("03_undisturbed_slow_rotation_C.hdf5", "24_disturbed_tapping_A.hdf5")
+        broad_file(name) for name in ("03_undisturbed_slow_rotation_C", "24_disturbed_tapping_A") if data_path("broad")
     ]
     how = ["--calibrate-from", "reference", "--leave-one-out", "--compare", "--json"]
     found = undrift.good("validate", *files, *how).json()["compared"]

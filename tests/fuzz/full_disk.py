@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.broad_files import broad_file
+
 from testkit.disk import full_after, preloaded
 from testkit.talking_device import TalkingDevice
 
@@ -81,7 +83,7 @@ CALLS = {
     "orient .csv": Call(ORIENT + "x.csv"),
     "orient .sto": Call(ORIENT + "x.sto"),
     "validate": Call("validate {b}/corrected.parquet --reference {b}/reference.parquet -o {o}/v"),
-    "twin": Call("twin {b}/broad.hdf5 -o {o}/device.json", slow=True),
+    "twin": Call("twin {b}/broad.parquet -o {o}/device.json", slow=True),
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
     "export constants": Call("export {b}/calibration.json --target constants -o {o}/x.json"),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
@@ -109,7 +111,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from testkit.bench_and_commands import make_bench
     from testkit.command_line import at_rest
     from testkit.daily_use import DailyUseSettings, draw_day, simulate_daily_use
-    from testkit.data import data_path
     from testkit.walking import perfect_calibration, walk
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
@@ -131,7 +132,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     np.savetxt(folder / "foreign.csv", rows, "%.6f", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
     (folder / "study.toml").write_text(STUDY)
     first = read_calibration(folder / "calibration.json")
-    (folder / "broad.hdf5").symlink_to(data_path("broad", "32_disturbed_attached_magnet_1cm.hdf5"))
+    shutil.copyfile(broad_file("32_disturbed_attached_magnet_1cm"), folder / "broad.parquet")
     soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
     (folder / "people").mkdir()
     for name in ("trial.parquet", "reference.parquet", "calibration.json"):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 
 from testkit.data import data_path, show
 from testkit.findings import codes, only
@@ -202,7 +203,7 @@ def test_a_session_states_it_and_a_call_overrules_it(tmp_path) -> None:
 
 @pytest.mark.slow
 def test_a_format_with_a_clock_of_its_own_is_put_on_a_regular_one() -> None:
-    path = data_path("broad", "24_disturbed_tapping_A.hdf5")
+    path = broad_file("24_disturbed_tapping_A")
     read = read_counted(path, settings=ReadSettings(clock="regular"))
     assert read.clock is not None
     np.testing.assert_allclose(read.record.time, read_record(path).time, atol=1e-6)

@@ -1,13 +1,10 @@
 """XDF, ROS bags, PX4 ULog, NilsPod and Mobilise-D: example files with the figures of their SOURCE.md, and small ones."""
 
-import logging
 import struct
-import sys
 
 import numpy as np
 import pytest
 
-import undrift
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ColumnMap, ReadSettings
@@ -364,56 +361,12 @@ def test_random_bytes_are_no_nilspod(tmp_path):
 # ---- Mobilise-D: figures of makers/mobilised_mat/SOURCE.md
 
 
-@pytest.mark.parametrize("name", ["data_lab_HA001.mat", "data_lab_missing_sensor_HA001.mat"])
-def test_a_mobilised_sensor_is_chosen_by_the_end_of_its_path(name):
-    path = data_path("makers", "mobilised_mat", name)
-    read = read_counted(path, settings=sensor("Test5.Trial1.LowerBack"))
-    record = read.record
-    assert (detect(path), len(record), record.device) == ("mobilised", 1246, "TimeMeasure1.Test5.Trial1.LowerBack")
-    assert (record.accel_unit, record.gyro_unit, record.sample_rate_hz) == ("g", "dps", pytest.approx(100.0, abs=0.01))
-    assert median_size(record) == pytest.approx(0.981, abs=0.0005)
-    assert np.median(np.linalg.norm(record.gyro, axis=1)) == pytest.approx(19, abs=0.5)
-    assert read.notes[0] == "time 0 is 1607605064.733 s of the file's clock (Unix time)"
-
-
-def test_a_mobilised_file_lists_its_sensors_and_one_that_is_missing_is_not_among_them():
-    whole, lacking = (
-        data_path("makers", "mobilised_mat", n) for n in ("data_lab_HA001.mat", "data_lab_missing_sensor_HA001.mat")
-    )
-    assert describe(whole).columns[-1] == "TimeMeasure1.Test11.Trial1.LowerBack"
-    with pytest.raises(
-        InputError, match=r"wanted sensor 'Test11.Trial1.LowerBack', got a file with TimeMeasure1.Test5.Trial1"
-    ):
-        read_record(lacking, settings=sensor("Test11.Trial1.LowerBack"))
-    assert detect(data_path("makers", "mobilised_mat", "infoForAlgo.mat")) == "mat"
-
-
 def mobilised(path, **unit):
     from scipy.io import savemat
 
     trial = {"SU": {"LowerBack": unit}, "SU_INDIP": {"Wrist": {"Acc": np.ones((30, 3)), "Fs": {"Acc": 100.0}}}}
     savemat(path, {"data": {"TimeMeasure1": {"Test1": {"Trial1": trial}}}})
     return path
-
-
-def test_a_mobilised_sensor_of_two_rates_is_refused(tmp_path):
-    three = np.ones((30, 3))
-    path = mobilised(tmp_path / "a.mat", Acc=three, Gyr=three, Fs={"Acc": 100.0, "Gyr": 50.0})
-    with pytest.raises(
-        FileFormatError, match=r"wanted Acc, Gyr and Timestamp of .* at one rate, got rates \[50.0, 100.0\] Hz"
-    ):
-        read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.LowerBack"))
-    record = read_record(path, settings=sensor("TimeMeasure1.Test1.Trial1.SU_INDIP.Wrist"))
-    assert (len(record), record.gyro, record.sample_rate_hz) == (30, None, pytest.approx(100.0))
-
-
-@pytest.mark.parametrize(
-    "odd", [{"Acc": np.ones((30, 2)), "Fs": {"Acc": 100.0}}, {"Acc": np.ones((30, 3)), "Fs": {"Acc": []}}]
-)
-def test_a_mobilised_sensor_of_two_axes_or_without_a_rate_is_refused_and_not_called_damaged(tmp_path, odd):
-    path = mobilised(tmp_path / "a.mat", **odd)
-    with pytest.raises(FileFormatError, match=r"wanted Acc, Gyr and Timestamp of TimeMeasure1.Test1.* at one rate"):
-        read_record(path, settings=sensor("LowerBack"))
 
 
 # ---- all of them
@@ -456,27 +409,3 @@ def test_an_xdf_that_is_damaged_inside_is_not_read_in_part(tmp_path):
     (tmp_path / "a.xdf").write_bytes(content)
     with pytest.raises(FileFormatError, match=r"wanted a sound XDF file, got a damaged"):
         read_record(tmp_path / "a.xdf")
-
-
-@pytest.mark.parametrize(
-    ("name", "library", "extra"),
-    [
-        ("makers/xdf/minimal.xdf", "pyxdf", "io"),
-        ("makers/ros_bag_imu/test2.bag", "rosbags.typesys", "io"),
-        ("makers/px4_ulog/sample_log_small.ulg", "pyulog", "io"),
-        ("makers/nilspod_bin/NilsPodX-6F13_20210109_162824.bin", "nilspodlib", "nilspod"),
-    ],
-)
-def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch, name, library, extra):
-    monkeypatch.setitem(sys.modules, library, None)
-    words = rf"wanted {library.split('.')[0]} to read it, got no such library; run pip install 'undrift\[{extra}\]'"
-    with pytest.raises(InputError, match=words):
-        undrift.read_record(data_path(*name.split("/")))
-
-
-def test_the_log_of_the_xdf_library_is_left_as_it_was(caplog):
-
-    read_record(data_path("makers", "xdf", "minimal.xdf"), COUNTS)
-    assert caplog.records == []
-    assert logging.getLogger("pyxdf").propagate
-    assert logging.getLogger("pyxdf").handlers == []

@@ -46,13 +46,13 @@ def test_chunks_are_the_whole(tmp_path_factory, n, rows, ending):
     np.testing.assert_array_equal(np.concatenate([chunk.gyro for chunk in chunks]), ramp(n).gyro)
 
 
-def test_npz_and_native_names_without_time_take_the_stated_rate(tmp_path):
+def test_native_names_without_time_take_the_stated_rate(tmp_path):
     record = ramp()
     names, columns = native_columns(record)
-    np.savez(tmp_path / "r.npz", **dict(zip(names[1:], columns[1:], strict=True)))
+    np.savetxt(tmp_path / "r.csv", np.column_stack(columns[1:]), "%.17g", ",", header=",".join(names[1:]), comments="")
     with pytest.raises(InputError, match="the rate is never assumed"):
-        read_record(tmp_path / "r.npz")
-    assert_same(read_record(tmp_path / "r.npz", settings=ReadSettings(sample_rate_hz=100.0)), record)
+        read_record(tmp_path / "r.csv")
+    assert_same(read_record(tmp_path / "r.csv", settings=ReadSettings(sample_rate_hz=100.0)), record)
 
 
 def test_a_map_overrides_what_the_file_looks_like(tmp_path):
@@ -83,7 +83,7 @@ def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
     ("name", "content", "words"),
     [
         ("a.trc", trc(np.ones((3, 1, 3)), ("A",)), "got marker trajectories; read them as a reference"),
-        ("a.cwa", b"MD\x00\x01" * 50, "wanted a header of 1024 bytes and whole sectors of 512, got 200 bytes"),
+        ("a.cwa", b"MD\x00\x01" * 50, "damaged or cut file"),
         (
             "a.bin",
             bytes(np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)),

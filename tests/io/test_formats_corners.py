@@ -1,7 +1,5 @@
 """Corners of the readers: missing extras, folders told apart, files that end where they should begin."""
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -10,29 +8,14 @@ from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.io import mocap as c3d_module
-from undrift.io.arrays import read_mat
 from undrift.io.columns import ColumnMap, ReadSettings, two_rates
 from undrift.io.formats import detect, read_record
 from undrift.io.inspect import describe
-from undrift.io.mocap import read_broad, read_c3d
+from undrift.io.mocap import read_c3d
 from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
-
-
-@pytest.mark.parametrize(
-    ("module", "read", "content"),
-    [("h5py", read_broad, b"x"), ("pymatreader", read_mat, b"x"), ("ezc3d", read_c3d, b"\x02\x50" + b"\0" * 600)],
-)
-def test_a_reader_without_its_library_says_what_to_install(tmp_path, monkeypatch, module, read, content):
-    (tmp_path / "f").write_bytes(content)
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(
-        InputError, match=rf"wanted {module} to read it, got no such library; run pip install 'undrift\[io\]'"
-    ) as caught:
-        read(tmp_path / "f")
-    one_line(caught)
 
 
 def test_a_header_without_rows_or_line_end_is_refused(tmp_path):

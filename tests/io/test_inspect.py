@@ -107,19 +107,20 @@ def test_every_other_file_says_in_one_line_what_it_is_or_needs(tmp_path, name, c
 def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
     import pyarrow as pa
     import pyarrow.parquet as pq
+    from scipy.io import savemat
 
-    np.savez(tmp_path / "a.npz", t_s=np.arange(5.0), gyro_raw=np.zeros((5, 3)), acc_raw=np.zeros((5, 3)))
-    assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.npz").summary
-    assert describe(tmp_path / "a.npz").columns[1] == "gyro_raw (5, 3)"
-    np.savez(tmp_path / "c.npz", gyro=np.zeros((5, 3)), acc=np.full((5, 3), 16384 / 3**0.5))
-    units, _, why = describe(tmp_path / "c.npz").example[1].partition("  # ")
+    savemat(tmp_path / "a.mat", {"t_s": np.arange(5.0), "gyro_raw": np.zeros((5, 3)), "acc_raw": np.zeros((5, 3))})
+    assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.mat").summary
+    assert describe(tmp_path / "a.mat").columns[1] == "gyro_raw (5, 3)"
+    savemat(tmp_path / "c.mat", {"gyro": np.zeros((5, 3)), "acc": np.full((5, 3), 16384 / 3**0.5)})
+    units, _, why = describe(tmp_path / "c.mat").example[1].partition("  # ")
     assert units == 'units = { gyro = "count", accel = "count" }'
     assert why == "proposed: accel by the median |a| 1.638e+04; gyro by whole numbers up to 0"
     pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
     assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
-    np.savez(tmp_path / "b.npz", k=np.arange(5.0))
+    savemat(tmp_path / "b.mat", {"k": np.arange(5.0)})
     assert (
-        describe(tmp_path / "b.npz").summary == "arrays without three axes (k), not a recording of an inertial sensor"
+        describe(tmp_path / "b.mat").summary == "arrays without three axes (k), not a recording of an inertial sensor"
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import csv, parquet
+from scipy.io import savemat
 
 from undrift.base.codec import entry_name, line_of
 from undrift.errors import FileFormatError, InputError
@@ -118,7 +119,8 @@ def test_rows_that_do_not_parse_are_left_out_of_own_names_on_request(tmp_path):
 
 
 def test_a_repair_that_a_format_does_not_know_is_refused_rather_than_ignored(tmp_path):
-    np.savez(tmp_path / "r.npz", time_s=np.arange(5) / 100.0, **{f"gyro_{axis}_dps": np.arange(5.0) for axis in "xyz"})
-    assert len(read_record(tmp_path / "r.npz")) == 5
-    with pytest.raises(InputError, match=r"wanted a table of text or Parquet for repair_time .*, got npz"):
-        read_record(tmp_path / "r.npz", settings=ReadSettings(repair_time=True))
+    columns = {f"gyro_{axis}_dps": np.arange(5.0) for axis in "xyz"}
+    savemat(tmp_path / "r.mat", {"time_s": np.arange(5) / 100.0, **columns})
+    assert len(read_record(tmp_path / "r.mat")) == 5
+    with pytest.raises(InputError, match=r"wanted a table of text or Parquet for repair_time .*, got mat"):
+        read_record(tmp_path / "r.mat", settings=ReadSettings(repair_time=True))

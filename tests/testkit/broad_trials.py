@@ -5,8 +5,9 @@ D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust iner
 
 from functools import cache
 
+from benchmarks.broad_files import read_broad
+
 from testkit.data import data_path
-from undrift.io.mocap import read_broad
 from undrift.record import Record, Reference
 
 FILES = {

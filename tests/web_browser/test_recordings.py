@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.broad_files import broad_file
 from playwright.sync_api import Page, expect
 
 import undrift
@@ -76,7 +77,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
 def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[..., Page]) -> None:
     page = open_page("/check", width=390)
     page.set_default_timeout(COMMAND_MS)
-    page.get_by_label("Choose files").set_input_files(DATA / "broad" / "35_disturbed_attached_magnet_4cm.hdf5")
+    page.get_by_label("Choose files").set_input_files(broad_file("35_disturbed_attached_magnet_4cm"))
     page.get_by_role("heading", name="35_disturbed").wait_for()
     step(page, "Use")
     page.get_by_role("button", name="Validate").click()

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import LIMITS, read_tree, write_whole
+from undrift.files import MOST_TREE, read_tree, too_large, write_whole
 
 Value = TypeVar("Value")
 Result = TypeVar("Result")
@@ -474,8 +474,8 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
 
 def json_of(path: Path, cls: type) -> Any:
     """Return what a file of JSON holds; NaN and Infinity are no JSON."""
-    if path.is_file() and not LIMITS.holds(path.stat().st_size):
-        raise FileFormatError(LIMITS.over(path))
+    if path.is_file() and path.stat().st_size > MOST_TREE:
+        raise too_large(path)
     try:
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:

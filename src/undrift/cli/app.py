@@ -101,7 +101,7 @@ def _called(arguments: Sequence[str]) -> int:
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
-        code = app(_with_limits(arguments))
+        code = app(list(arguments))
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
@@ -205,30 +205,5 @@ def complain(message: str, *, code: int) -> int:
 def _help() -> str:
     rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
     lines = "\n".join(f"  {name:12}{text}" for name, text in rows)
-    end = (
-        "undrift COMMAND --help explains its options.\n"
-        "Every command takes --memory-limit-gb G, for reading one file (2 by default),\nand --trust, which reads without limits.\n"
-        "undrift --install-completion completes them in your shell."
-    )
+    end = "undrift COMMAND --help explains its options.\nundrift --install-completion completes them in your shell."
     return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\n{end}\n\n{examples('')}\n"
-
-
-def _with_limits(arguments: Sequence[str]) -> list[str]:
-    """Take from the arguments what reading a file may cost: --trust and --memory-limit-gb, of every command."""
-    from undrift.files import LIMITS
-
-    left, given = [word for word in arguments if word != "--trust"], ""
-    LIMITS.trust = len(left) < len(arguments)
-    for k, word in enumerate(left):
-        option, _, given = word.partition("=")
-        if option == "--memory-limit-gb":
-            given = given or " ".join(left[k + 1 : k + 2])
-            del left[k : k + 1 + ("=" not in word)]
-            break
-    else:
-        return left
-    with suppress(ValueError):
-        LIMITS.memory_gb = float(given)
-        if LIMITS.memory_gb > 0.0:
-            return left
-    raise InputError(f"--memory-limit-gb: wanted gigabytes above 0, got {given!r}; write it as --memory-limit-gb 4")

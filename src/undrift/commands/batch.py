@@ -178,8 +178,6 @@ class _Job:
 
     def run(self, folder: Path, progress: Progress) -> FolderTable:
         """Call the command on each file of a folder, or take the row that an earlier call made."""
-        from undrift.io.box import one_box
-
         command, output = self.function.__name__, self.output
         check_folder(output)
         if output is not None and (output.suffix or output.resolve() == folder.resolve()):
@@ -198,18 +196,17 @@ class _Job:
                 earlier = {
                     row["name"]: EMPTY | row for row in json.loads((output / "summary.json").read_bytes())["rows"]
                 }
-        with one_box():
-            for k, place in enumerate(places):
-                progress(str(place), k / len(files))
-                name = place.with_name(name_of(place))
-                name = name if names[name] == 1 else place
-                part = part_of(progress, k / len(files), (k + 1) / len(files))
-                rows.append(self.row(folder, place, name, earlier.get(place.as_posix(), EMPTY), part))
-                error = rows[-1]["error"]
-                if all(row["error"] for row in rows) and any(error.startswith(f"{path}: ") for path in shared):
-                    raise InputError(error)
-                if output is not None:
-                    save_json(output / "summary.json", {"kind": "undrift.batch", "command": command, "rows": rows})
+        for k, place in enumerate(places):
+            progress(str(place), k / len(files))
+            name = place.with_name(name_of(place))
+            name = name if names[name] == 1 else place
+            part = part_of(progress, k / len(files), (k + 1) / len(files))
+            rows.append(self.row(folder, place, name, earlier.get(place.as_posix(), EMPTY), part))
+            error = rows[-1]["error"]
+            if all(row["error"] for row in rows) and any(error.startswith(f"{path}: ") for path in shared):
+                raise InputError(error)
+            if output is not None:
+                save_json(output / "summary.json", {"kind": "undrift.batch", "command": command, "rows": rows})
         standing = sum(row is earlier.get(row["name"]) for row in rows)
         others = tuple(str(entry.relative_to(folder)) for entry in entries if entry not in files)
         table = FolderTable(

@@ -448,7 +448,7 @@ class Optics:
     Parameters
     ----------
     reference : Path
-        The reference of each recording, in the same order; a BROAD file holds its own.
+        The reference of each recording, in the same order; not needed for a recording with poses in it (time_s, q_w ... q_z).
     reference_map : Path or None
         Map of a table of orientations under other names than undrift's own, as `info` proposes it.
     markers : str or None
@@ -464,10 +464,10 @@ class Optics:
         self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
     ) -> list[tuple["Record", "Reference"]]:
         """Read recordings, unless a session holds them, and the reference of each."""
-        from undrift.io.formats import detect
+        from undrift.io.formats import holds_poses
 
         paths = self.reference
-        if not paths and all(detect(record) == "broad" for record in records):
+        if not paths and all(holds_poses(record) for record in records):
             paths = records
         if len(paths) != len(records):
             raise InputError(

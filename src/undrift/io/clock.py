@@ -25,6 +25,7 @@ _SEEN = 0.7  # of a sample: a smaller step is not called a loss
 _SURE = 1.5  # the same in the first round, whose rate is rough
 _BURSTS = 25  # of the longest usual step: samples on either side of a loss that show the least delay
 _STRETCHES = 100
+_GAP = 1.5  # usual steps between two readings; more is a drop-out
 _ROUNDS, _SLOPES = 12, 3
 _LONGEST_LOSS = 0.5  # of the recording: more lost samples than this are no recording
 
@@ -218,3 +219,16 @@ def unwrapped(counter: FloatArray) -> IntArray:
             f"data row {row + 1}; name a counter of samples, or leave it out"
         )
     return np.concatenate(([0], np.cumsum(steps // usual)))
+
+
+def onto_clock(time: FloatArray, own: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:
+    """Interpolate readings (M, K) at times ``own`` (M,) onto ``time`` (N,), and return how many samples are gaps.
+
+    A sample is a gap (NaN) if its two neighbours are more than 1.5 usual steps apart: nothing was read there.
+    """
+    out = np.stack([np.interp(time, own, column) for column in values.T], axis=1)
+    steps = np.diff(own)
+    after = np.clip(np.searchsorted(own, time), 1, len(steps))
+    inside = (steps[after - 1] > _GAP * np.median(steps)) & (time > own[after - 1]) & (time < own[after])
+    out[inside] = np.nan
+    return out, int(inside.sum())

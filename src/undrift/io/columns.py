@@ -9,7 +9,7 @@ Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own 
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,6 +33,7 @@ Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
+EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
 KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and beside CSV
 _SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
@@ -443,6 +444,7 @@ class ReadResult:
     repaired_rows: int = 0  # Rows whose time did not go forward
     notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
     clock: ClockFit | None = None  # Where a regular clock was fitted
+    epoch_s: float = 0.0  # Unix time that was taken off the clock, s
 
 
 def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
@@ -479,6 +481,44 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
     )
     repaired = 0 if keep is None else int((~keep).sum())
     return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired, clock=clock)
+
+
+def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
+    """Return the one that `sensor` names, by its whole name or an ending that only it has; the only one where none is named."""
+    if not names:
+        raise FileFormatError(f"{path}: wanted a {kind} with readings, got none; the file holds no recording")
+    hits = names if sensor is None else [name for name in names if name == sensor]
+    hits = hits or [name for name in names if name.endswith(f".{sensor}")]
+    if len(hits) == 1:
+        return hits[0]
+    wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
+    raise InputError(
+        f"{path}: wanted {wanted}, got a file with {', '.join(names)}; name one of them (`sensor`)",
+        missing="sensor",
+        names=names,
+    )
+
+
+def build(
+    path: Path,
+    time: FloatArray,
+    channels: Mapping[str, tuple[Any, str]],
+    settings: ReadSettings,
+    notes: Iterable[str] = (),
+    **more: Any,
+) -> ReadResult:
+    """Return the record of named channels with their units, every value checked; a Unix clock is counted from its start."""
+    notes, time = tuple(notes), np.asarray(time, dtype=np.float64)
+    if len(time) and time[0] > EPOCH_S:
+        notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]
+    held, columns = {"time_s": time}, dict(more)
+    for channel, (values, unit) in channels.items():
+        names = (channel,) if np.ndim(values) == 1 else tuple(f"{channel} {axis}" for axis in AXES)
+        held |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
+        columns |= {channel: names[0] if channel == "temp" else names, f"{channel}_unit": unit}
+    columns |= {"gaps": settings.gaps or "raise", "repair_time": settings.repair_time}
+    table = RawTable(source=str(path), names=tuple(held), columns=tuple(held.values()))
+    return replace(build_record(table, ColumnMap(time="time_s", time_unit="s", **columns)), notes=notes)
 
 
 def _never_back(time: FloatArray, columns: ColumnMap) -> BoolArray | None:

@@ -11,6 +11,7 @@ Its module is imported when a file is met that no built-in format recognises by 
 
 import json
 import re
+import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,25 +22,25 @@ from typing import Any
 import numpy as np
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, read_bytes, read_tree
-from undrift.io import containers, makers
-from undrift.io.arrays import hdf5_names, mat_arrays, mat_names, npz_arrays, read_mat, read_npz
-from undrift.io.box import sound
+from undrift.files import checked_file, read_bytes, read_tree, sound
+from undrift.io import makers
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.labelled import is_labelled, read_labelled
+from undrift.io.libraries import is_nilspod, mat_arrays, read_mat, reader
 from undrift.io.log import is_log, log_text, read_log
-from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_broad, read_c3d, read_trc
-from undrift.io.parquet import CHUNK_ROWS, iter_parquet, read_parquet
+from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_c3d, read_trc
+from undrift.io.parquet import CHUNK_ROWS, iter_parquet, parquet_names, read_parquet
 from undrift.io.reference import (
     ReferenceMap,
+    native_reference,
     poses_in,
     read_array_poses,
     read_parquet_poses,
     read_sto,
     read_text_poses,
 )
-from undrift.io.text import MARK, read_csv
+from undrift.io.text import MARK, open_text, read_csv
 from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
@@ -78,21 +79,16 @@ def _suffix(path: Path) -> str:
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
-def _is_npz(path: Path, head: bytes) -> bool:
-    if not head.startswith(b"PK\x03\x04"):
-        return False
-    with sound(path, "zip or npz"), zipfile.ZipFile(path) as held:
-        return bool(held.namelist()) and all(name.endswith(".npy") for name in held.namelist())
+def _is_zip_with(*names: str) -> Callable[[Path, bytes], bool]:
+    """Recognise a zip that has a file of one of some names."""
 
+    def recognised(path: Path, head: bytes) -> bool:
+        if not head.startswith(b"PK\x03\x04"):
+            return False
+        with sound(path, "zip"), zipfile.ZipFile(path) as held:
+            return not set(names).isdisjoint(held.namelist())
 
-def _is_broad(path: Path, head: bytes) -> bool:
-    matlab = head.startswith(b"MATLAB")
-    names = mat_names(path) if matlab else hdf5_names(path).keys() if head.startswith(_HDF5) else ()
-    return {"imu_gyr", "opt_quat"} <= set(names)
-
-
-def _is_mat(path: Path, head: bytes) -> bool:
-    return any(hdf5_names(path).values()) if head.startswith(_HDF5) else head.startswith(b"MATLAB")
+    return recognised
 
 
 def _is_json(path: Path, head: bytes) -> bool:
@@ -169,41 +165,33 @@ FORMATS: dict[str, Format] = {
         reference=read_parquet_poses,
         honours=_TABLE,
     ),
-    "npz": Format(
-        _is_npz, record=read_npz, reference=lambda p, c: read_array_poses(npz_arrays(p), p, c), honours=_ARRAYS
-    ),
-    "broad": Format(_is_broad, record=lambda p, *_: read_broad(p)[0], reference=lambda p, _: read_broad(p)[1]),
-    "mobilised": Format(
-        lambda _, head: head.startswith(b"MATLAB") and containers.is_mobilised(head),
-        record=containers.read_mobilised,
-        honours=_STREAMS,
-    ),
     "mat": Format(
-        _is_mat, record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), honours=_ARRAYS
+        _starts(b"MATLAB"),
+        record=read_mat,
+        reference=lambda p, c: read_array_poses(mat_arrays(p), p, c),
+        honours=_ARRAYS,
     ),
-    "hdf5": Format(_starts(_HDF5), instead="HDF5 of an unknown kind; only BROAD trials and MATLAB 7.3 files are read"),
+    "hdf5": Format(_starts(_HDF5), instead="HDF5; make a frame of its arrays in Python and use Record.from_frame"),
+    "npz": Format(
+        lambda path, head: head.startswith(b"PK\x03\x04") and _suffix(path) == ".npz",
+        instead="numpy arrays; make a frame of them in Python and use Record.from_frame",
+    ),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
-        record=containers.read_cwa,
+        record=reader("logger"),
         honours=_BLOCKS,
     ),
-    "geneactiv": Format(_starts(b"Device Identity"), record=containers.read_geneactiv, honours=_BLOCKS),
-    "gt3x": Format(
-        lambda path, head: head.startswith(b"PK\x03\x04") and containers.is_gt3x(path),
-        record=containers.read_gt3x,
-        honours=_STREAMS,
-    ),
-    "xdf": Format(_starts(b"XDF:"), record=containers.read_xdf, honours=_STREAMS | {"columns"}),
+    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger"), honours=_BLOCKS),
+    "gt3x": Format(_is_zip_with("info.txt"), record=reader("logger"), honours=_BLOCKS),
+    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), honours=_STREAMS | {"columns"}),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
-        record=containers.read_ros,
-        honours=_STREAMS,
+        record=reader("ros"),
+        honours=_STREAMS | {"drop_bad_rows"},
     ),
-    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=containers.read_ulog, honours=_STREAMS | {"drop_bad_rows"}),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog"), honours=_STREAMS | {"drop_bad_rows"}),
     "nilspod": Format(
-        lambda path, head: _suffix(path) == ".bin" and containers.is_nilspod(head),
-        record=containers.read_nilspod,
-        honours=_STREAMS,
+        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod"), honours=_STREAMS
     ),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
@@ -254,7 +242,7 @@ FORMATS: dict[str, Format] = {
     ),
     "binary": Format(
         lambda _, head: b"\0" in head,
-        instead="binary data of an unknown kind; export it to CSV, MAT or npz",
+        instead="binary data of an unknown kind; export it to CSV",
         generic=True,
     ),
     "labelled": Format(
@@ -270,12 +258,10 @@ def outside_formats() -> Mapping[str, Format]:
     """Return the formats that other packages add."""
     found: dict[str, Format] = {}
     for name in names_in({}, GROUP):
-        held = load_named(name, {}, GROUP)
-        if not isinstance(held, Format):
-            raise InputError(
-                f"{name}: wanted an undrift.io.formats.Format, got {type(held).__name__}; correct the package that adds it"
-            )
-        found[name] = held
+        try:
+            found[name] = load_named(name, {}, GROUP, Format)
+        except Exception as error:  # noqa: BLE001 - another package may raise anything while it is imported
+            warnings.warn(f"the format {name} of another package is not used: {error}", stacklevel=2)
     return found
 
 
@@ -311,8 +297,8 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Parameters
     ----------
     path : str or Path
-        Text table (plain or gzip), Parquet, npz, mat, BROAD, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X,
-        NilsPod, Mobilise-D, or an NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
+        Text table (plain or gzip), Parquet, mat, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X, NilsPod, or an
+        NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
     columns : ColumnMap or None
         Which column is what; None where the format or undrift's own names state it.
     settings : ReadSettings or None
@@ -363,7 +349,12 @@ def read_counted(
         )
     held = entry.record(path, columns, settings)
     found = held if isinstance(held, ReadResult) else ReadResult(record=held)
-    if settings.clock == "regular" and "clock" not in entry.honours:  # a format with a clock of its own
+    return settled(found, settings, clocked="clock" in entry.honours)
+
+
+def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
+    """Apply the clock, the stretches to leave out and the thermometer of the settings; ``clocked``: the reader did the clock."""
+    if settings.clock == "regular" and not clocked:
         clock = fit_clock(found.record.time)
         found = replace(found, record=replace(found.record, time=clock.time), clock=clock)
     if settings.leave_out:
@@ -457,7 +448,7 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        BROAD HDF5; CSV, Parquet, npz or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
+        CSV, Parquet or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
     columns : ReferenceMap or None
         For foreign names; None for undrift's own.
     labels : tuple of str or None
@@ -491,8 +482,15 @@ def read_reference(
             raise InputError(f"{path}: wanted the name of one body, got {', '.join(labels)}; name one")
         return entry.bodies(path, labels[0] if labels else None, up)
     if entry.reference is None:
-        raise FileFormatError(f"{path}: wanted poses (BROAD, C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
+        raise FileFormatError(f"{path}: wanted poses (C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
     return entry.reference(path, columns)
+
+
+def holds_poses(path: str | Path) -> bool:
+    """Return whether a recording with undrift's own names also has poses in it, in CSV or Parquet."""
+    name, _ = format_of(path)
+    names = parquet_names(path) if name == "parquet" else open_text(path).names if name == "csv" else ()
+    return is_native(names) and native_reference(names) is not None
 
 
 def read_markers(path: str | Path, *, up: Up | None = None) -> Markers:

@@ -18,9 +18,9 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
-from undrift.io.arrays import Arrays
 from undrift.io.columns import Column, TextLayout, is_date, is_number
 from undrift.io.labelled import is_unit, label_of, marks_of
+from undrift.io.libraries import Arrays
 from undrift.io.reference import NEARLY_UNIT
 from undrift.io.text import MARK, Text, open_text, parse_text
 
@@ -62,9 +62,9 @@ _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _NAMED = {
     "time": re.compile(
-        r"(?i)(time|ts?|timestamp|millis|micros|zeit|tempo|temps|tiempo|tijd)([ _\[(].*)?$|时间|時間|時刻"
+        r"(?i)(time|(?-i:t)|ts|timestamp|millis|micros|zeit|tempo|temps|tiempo|tijd)([ _\[(].*)?$|时间|時間|時刻"
     ),
-    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|温度)"),
+    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$|温度)"),
 }
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),

@@ -17,7 +17,6 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
-from undrift.io.arrays import mat_arrays, npz_arrays
 from undrift.io.clock import ClockFit, host_stamps
 from undrift.io.columns import (
     AXES,
@@ -33,6 +32,7 @@ from undrift.io.formats import Format, format_of, read_counted, read_markers, re
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
 from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
+from undrift.io.libraries import mat_arrays
 from undrift.io.log import log_sheet, log_text
 from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
@@ -305,10 +305,6 @@ def describe(
         if unread:
             left = finding("recording.other_columns", "info", names=unread[:12])
             found = replace(found, findings=(*found.findings, left))
-    if name == "broad":
-        seen = 100.0 * float(read_reference(path).valid.mean())
-        summary = f"{found.summary}, with optical poses ({seen:.1f} % seen, rest and motion together)"
-        found = replace(found, summary=summary)
     return found
 
 
@@ -378,7 +374,7 @@ def _text(path: Path, name: str) -> Text | None:
 
 def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
     """Return the names of a table, and its arrays where it holds arrays."""
-    arrays = npz_arrays(path) if name == "npz" else mat_arrays(path) if name == "mat" else ()
+    arrays = mat_arrays(path) if name == "mat" else ()
     names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
     return names, arrays
 
@@ -398,10 +394,10 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
         return None
     text = _text(path, name)
     names, arrays = _table_names(path, name, text)
-    if native_reference(names) is not None:
-        return _reference(path, name)
     if is_native(names):
         return None
+    if native_reference(names) is not None:
+        return _reference(path, name)
     if text is not None and (poses := reference_map(text, names)):
         of = "markers" if "markers = " in poses[0] else "orientations"
         what = f"a table of {of}, to be read as a reference; needs a map"
@@ -410,7 +406,7 @@ def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
     if foreign is not None:
         return _not_read(path, name, names, foreign)
     if (
-        name in ("npz", "mat")
+        name == "mat"
         and not any(array.ndim == 2 and array.shape[1] == 3 for _, array in arrays)
         and not triples_of(names)
     ):

@@ -21,6 +21,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.io.columns import (
     AXES,
+    EPOCH_S,
     QUANTITY,
     ChannelScale,
     ColumnMap,
@@ -37,7 +38,6 @@ from undrift.io.text import Text, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
-EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
 _TIME = "(time, s)"  # the column that holds the time in s once it is made
 _NUMERIC = 0.6  # of the filled cells of a row of readings
 
@@ -294,6 +294,8 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     if channel is None and axis and unit:
         fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other) and (other, unit) != ("mag", "g")]
         channel = fits[0] if len(fits) == 1 else None
+    if channel == "time" and stem.strip() == "T" and not unit:
+        return None  # a temperature as often as a time
     if channel == "time" and unit and not unit_for(unit, "time") and unit_for(unit, "temp"):
         channel = "temp"  # "T" in degC
     if channel is None or (not axis and channel not in ("time", "temp")):
@@ -370,7 +372,7 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
         listed = ", ".join(f"{rate:g} Hz" for rate in sorted(rate for rate in rates if rate))
         raise InputError(f"{sheet.path}: wanted one sample rate in one sensor, got {listed}; export them apart")
     positions = [k for columns in chosen.values() for k in columns] + ([] if temp is None else [temp])
-    time, parsed, clocked = _time(sheet, used[0], settings, positions)
+    time, parsed, clocked, epoch_s = _time(sheet, used[0], settings, positions)
     rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
     if time is None and rate is None:
         raise InputError(
@@ -389,7 +391,7 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
         **_channels(sheet, chosen, temp),
     )
     notes = (*sheet.notes, *clocked, *_notes(sheet, triples), *trimmed)
-    return replace(build_record(table, columns), notes=notes)
+    return replace(build_record(table, columns), notes=notes, epoch_s=epoch_s)
 
 
 def _check_readings(sheet: Sheet, triples: Triples) -> None:
@@ -401,6 +403,7 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
             f"{sheet.path}: wanted accelerometer readings with gravity, got {free[0]!r}, in which gravity is removed; record or "
             "export the acceleration with gravity",
             missing="readings",
+            gravity_removed=True,
         )
     held = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
@@ -443,8 +446,8 @@ def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
 
 def _time(
     sheet: Sheet, first: Label | None, settings: ReadSettings, positions: list[int]
-) -> tuple[FloatArray | None, RawTable, tuple[str, ...]]:
-    """Return the time in s, from 0 where the clock counts from 1970, the parsed columns, and what the clock noted."""
+) -> tuple[FloatArray | None, RawTable, tuple[str, ...], float]:
+    """Return the time in s, the parsed columns, the notes of the clock, and the Unix time that was taken off, s."""
     own = first.time if first else None
     stated = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
     at = own if own is not None else stated
@@ -453,15 +456,15 @@ def _time(
     table = sheet.columns(*positions, *more, drop_bad_rows=settings.drop_bad_rows)
     if sheet.clock is not None:
         time, notes = sheet.counted(table)
-        return time, table, notes
+        return time, table, notes, 0.0
     if at is None:
-        return None, table, ()
+        return None, table, (), 0.0
     label = sheet.labels[at]
     dated = label is not None and label.unit == "date"
     factor = si_factor(label.unit, "time") if label else 1.0
     cells = (in_seconds(table, at) if dated else table).numbers(at)
-    epoch = len(cells) > 0 and cells[0] * factor > EPOCH_S
-    return (cells - (cells[0] if epoch else 0.0)) * factor, table, ()
+    first_cell = float(cells[0]) if len(cells) and cells[0] * factor > EPOCH_S else 0.0
+    return (cells - first_cell) * factor, table, (), first_cell * factor
 
 
 def _timed(table: RawTable, time: FloatArray | None) -> RawTable:

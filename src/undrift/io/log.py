@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from undrift.errors import InputError
-from undrift.files import LIMITS, read_bytes, read_so_far
-from undrift.io.box import boxed
+from undrift.files import read_bytes, read_so_far
 from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, TextLayout, build_record, is_date, is_number
 from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, read_sheet, sheet_of, states_units
 from undrift.io.text import Text, parse_text
@@ -270,7 +269,7 @@ def is_log(path: Path, head: bytes) -> bool:
 
 
 def read_readings(path: Path) -> SerialLog:
-    """Return the readings of a log; in a box where it may take too much memory."""
+    """Return the readings of a log."""
     log = _readings_of(path, path.stat().st_size, path.stat().st_mtime_ns)
     if log is None:
         raise InputError(f"{path}: wanted lines of one shape with numbers, got none; log only what the readings print")
@@ -278,12 +277,7 @@ def read_readings(path: Path) -> SerialLog:
 
 
 @lru_cache(maxsize=1)  # a file is described, searched for labels and read
-def _readings_of(path: Path, size: int, _: int) -> SerialLog | None:
-    return find_readings(read_bytes(path), path) if LIMITS.holds(size) else _boxed_readings(path)
-
-
-@boxed()
-def _boxed_readings(path: Path) -> SerialLog | None:
+def _readings_of(path: Path, _size: int, _time: int) -> SerialLog | None:
     return find_readings(read_bytes(path), path)
 
 

@@ -42,8 +42,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import LIMITS, read_bytes
-from undrift.io.box import sound
+from undrift.files import MOST_BYTES, read_bytes, sound, too_large
+from undrift.io.clock import onto_clock
 from undrift.io.columns import (
     AXES,
     READ_SETTINGS,
@@ -53,11 +53,11 @@ from undrift.io.columns import (
     TempFile,
     TextLayout,
     build_record,
+    chosen,
     date_of,
     in_seconds,
     naming,
 )
-from undrift.io.containers import chosen
 from undrift.io.labelled import Label, Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet, unit_for, with_manual
 from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
 from undrift.io.text import Text, open_text, parse_text
@@ -279,20 +279,23 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
     found, start = one(gyro_file)
     try:
         held, later = one(accel_file)
-    except FileFormatError as error:  # without gravity: it is left out
+    except FileFormatError as error:
+        if not error.numbers.get("gravity_removed"):
+            raise
         return replace(found, notes=(*found.notes, str(error).removeprefix(f"{path}/")))
     gyro, accel = found.record, held.record
     if accel.accel is None or gyro.gyro is None:
         raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
-    accel_time = accel.time + (later - start) / np.timedelta64(10**9, "ns")
+    accel_time = accel.time + (later - start) / np.timedelta64(10**9, "ns") + held.epoch_s - found.epoch_s
     inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(
             f"{path}: wanted {name} and {other} of the same time, got two times apart; read one of them"
         )
     part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
-    values = np.stack([np.interp(part.time, accel_time, column) for column in accel.accel.T], axis=1)
+    values, missing = onto_clock(part.time, accel_time, accel.accel)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
+    notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
     record = replace(part, accel=values, accel_unit=accel.accel_unit)
     return replace(found, record=record, notes=tuple(dict.fromkeys((*found.notes, *held.notes, *notes))))
 
@@ -310,8 +313,8 @@ def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> R
     with sound(path, "zip"), zipfile.ZipFile(path) as held, TemporaryDirectory() as folder:
         for item in held.infolist():
             name = PurePosixPath(item.filename).name
-            if name in wanted and not LIMITS.holds(item.file_size):  # zipfile unpacks no more than is stated
-                raise FileFormatError(LIMITS.over(path))
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks no more than is stated
+                raise too_large(path)
             if name in wanted:
                 (Path(folder) / name).write_bytes(held.read(item))
         try:
@@ -688,7 +691,7 @@ DIALECTS: dict[str, Dialect] = {
         head=rb"accelerometerAcceleration[XYZ]\(G\)|gyroRotation[XYZ]\(rad/s\)", opposite=True, finish=(_one_gyroscope,)
     ),
     "physics_toolbox": Dialect(  # the g-force meter holds gravity, the linear accelerometer does not; time in s or of the day
-        head=rb"\Atime[,;](gFx[,;]gFy|ax[,;]ay[,;]az[,;](aT|wx|gFx))",
+        head=rb"\A\s*time[,;](gFx[,;]gFy|ax[,;]ay[,;]az[,;](aT|wx|gFx))",
         maker="Physics Toolbox",
         units={"time": "s", "accel": "g", "gyro": "rad/s", "mag": "uT"},
         finish=(_without_linear, _signed_by_rests),

@@ -1,4 +1,4 @@
-"""Optical motion capture: marker trajectories (C3D, TRC), the pose of a rigid cluster of markers, and BROAD trials.
+"""Optical motion capture: marker trajectories (C3D, TRC) and the pose of a rigid cluster of markers.
 
 Points are in n, the level frame with z up, in m; NaN is a gap. A cluster of three or more markers that do not lie on one line
 is a body with frame m: origin at the centroid of the cluster, axes parallel to n in the first frame in which all of its
@@ -18,12 +18,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes
+from undrift.files import checked_file, is_gzip, read_bytes, sound
 from undrift.frames import signed
-from undrift.io.arrays import mat_arrays, open_hdf5, read_array
-from undrift.io.box import boxed, load, sound
 from undrift.io.columns import naming
-from undrift.record import Record, Reference, check_time, sample_rate_of
+from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
 Up = Literal["y", "z"]
@@ -199,7 +197,6 @@ def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[Flo
 _MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 
 
-@boxed("ezc3d")
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a C3D file."""
     path = Path(path)
@@ -241,7 +238,8 @@ def is_c3d(head: bytes) -> bool:
 
 
 def _load(path: Path) -> Any:
-    ezc3d = load("ezc3d", path)
+    import ezc3d
+
     content = read_bytes(path)
     analogs, plain = _check_size(content, path), path
     with sound(path, "C3D"), tempfile.TemporaryDirectory() as folder:
@@ -341,46 +339,3 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
                 f"{path}: wanted numbers in line {number}, got text ({error}); repair the line"
             ) from error
     return out[:, 1], out[:, 2:], sum(len(cells) < width for _, cells in rows)
-
-
-# ---- BROAD trials: one HDF5 file holds the sensor and the optics on one clock
-
-# rad/s; m/s2, specific force; uT; w-x-y-z, body to east-north-up; m. Where the optics lost the body its pose is NaN.
-WIDTHS = (("imu_gyr", 3), ("imu_acc", 3), ("imu_mag", 3), ("opt_quat", 4), ("opt_pos", 3))
-
-
-@boxed("h5py")
-def read_broad(path: str | Path) -> tuple[Record, Reference]:
-    """Read one trial of the BROAD data set (D. Laidig et al., Data 6(7), 72, 2021)."""
-    path = Path(path)
-    sample_rate_hz, held = _broad_arrays(path)
-    for name, width in WIDTHS:
-        if held[name].ndim != 2 or held[name].shape[1] != width:
-            raise FileFormatError(f"{path}: {name}: wanted shape (N, {width}), got {held[name].shape}; time is axis 0")
-    moving = held["movement"]
-    if not sample_rate_hz > 0.0:
-        raise FileFormatError(f"{path}: wanted sampling_rate in Hz above 0, got {sample_rate_hz:g}")
-    time, quat = np.arange(len(held["imu_gyr"])) / sample_rate_hz, held["opt_quat"]
-    quat[np.isnan(quat).any(axis=1)] = np.nan
-    record = Record(time=time, gyro=held["imu_gyr"], accel=held["imu_acc"], mag_ut=held["imu_mag"])
-    reference = Reference(
-        time=time, q_nb=quat, position=held["opt_pos"], moving=(moving > 0.0).astype(float), name=path.name
-    )
-    return record, reference
-
-
-def _broad_arrays(path: Path) -> tuple[float, dict[str, FloatArray]]:
-    """Return the sample rate in Hz and the arrays of a trial, from HDF5 or from MATLAB's file."""
-    names = (*(name for name, _ in WIDTHS), "movement")
-    if read_bytes(path, 6) != b"MATLAB":
-        with open_hdf5(path) as handle:
-            if "sampling_rate" not in handle.attrs:
-                raise FileFormatError(
-                    f"{path}: wanted the attribute sampling_rate, got none; this is not a BROAD trial"
-                )
-            return float(handle.attrs["sampling_rate"]), {name: read_array(handle, name, path) for name in names}
-    held = dict(mat_arrays(path))
-    missing = [name for name in (*names, "sampling_rate") if name not in held]
-    if missing:
-        raise FileFormatError(f"{path}: wanted {', '.join(missing)}, got none; this is not a BROAD trial")
-    return float(held["sampling_rate"][0]), {name: np.array(held[name], dtype=np.float64) for name in names}

@@ -9,6 +9,7 @@ constant memory.
 """
 
 import json
+import os
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -18,8 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, first_line, unwritten
-from undrift.io.box import boxed, boxed_parts, sound
+from undrift.files import MOST_BYTES, checked_file, first_line, new_part, sound, too_large, unwritten
 from undrift.io.columns import (
     FORMAT,
     KIND,
@@ -41,7 +41,6 @@ _KEY, _CRC = b"undrift", b"undrift.crc32"
 _BUFFER = 1 << 20
 
 
-@boxed("pyarrow.parquet")
 def read_parquet(
     path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS
 ) -> ReadResult:
@@ -52,12 +51,11 @@ def read_parquet(
 
 
 def read_own_parquet(path: Path) -> Record:
-    """Read a record that undrift wrote and knows by its SHA-256: without a box."""
+    """Read a record that undrift wrote."""
     with _open(path) as handle:
         return build_record(_table(path, _whole(path, handle)), _native_map(path, handle, READ_SETTINGS)).record
 
 
-@boxed_parts("pyarrow.parquet")
 def iter_parquet(
     path: str | Path,
     columns: ColumnMap | None = None,
@@ -96,7 +94,7 @@ class ParquetWriter:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
+        self._part: Path | None = None
         self._writer: Any = None
         self._sink: Any = None
         self._schema: Any = None
@@ -113,13 +111,16 @@ class ParquetWriter:
                 with _room(self.path, 0) if kind is None else suppress(OSError):
                     self._writer.close()
                     self._sink.close()
-                    if kind is None:
+                    if kind is None and self._part is not None:
+                        with self._part.open("r+b") as file:
+                            os.fsync(file.fileno())
                         self._part.replace(self.path)
         finally:
             if self._sink is not None:  # a writer that fails leaves it open, and its room on the disk taken
                 with suppress(OSError):
                     self._sink.close()
-            self._part.unlink(missing_ok=True)
+            if self._part is not None:
+                self._part.unlink(missing_ok=True)
 
     def write(self, record: Record) -> None:
         """Append a chunk."""
@@ -134,6 +135,7 @@ class ParquetWriter:
         metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
+            self._part = new_part(self.path)
             with _room(self.path, 0):
                 self._sink = pa.OSFile(str(self._part), "wb")
                 how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # others look up rows by time alone
@@ -154,21 +156,18 @@ class ParquetWriter:
             self._writer.write_table(table)
 
 
-@boxed("pyarrow.parquet")
 def parquet_rows(path: str | Path) -> int:
     """Return the number of rows without reading them."""
     with _open(path) as handle:
         return int(handle.metadata.num_rows)
 
 
-@boxed("pyarrow.parquet")
 def parquet_names(path: str | Path) -> tuple[str, ...]:
     """Return the column names."""
     with _open(path) as handle:
         return tuple(handle.schema_arrow.names)
 
 
-@boxed("pyarrow.parquet")
 def read_parquet_table(path: str | Path) -> RawTable:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
@@ -199,6 +198,8 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
 
 
 def _whole(path: str | Path, handle: Any) -> Any:
+    if 8 * handle.metadata.num_rows * handle.metadata.num_columns > MOST_BYTES:
+        raise too_large(Path(path))
     with sound(Path(path), "Parquet"):
         return handle.read()
 

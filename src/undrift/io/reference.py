@@ -30,9 +30,9 @@ from undrift.base.codec import Key, read, stored, toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.io.arrays import Arrays, table_of_arrays
 from undrift.io.columns import Column, RawTable, TextLayout, naming
 from undrift.io.labelled import Sheet, as_utf8
+from undrift.io.libraries import Arrays, table_of_arrays
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import Text, open_text, parse_text, write_rows
@@ -199,7 +199,7 @@ def _trunk(markers: Markers) -> Body:
 
 # ---- tables of quaternions
 
-# undrift's own names, in CSV, Parquet, npz and mat: time_s, these, and optionally the position and moving.
+# undrift's own names, in CSV, Parquet and mat: time_s, these, and optionally the position and moving.
 QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
@@ -281,7 +281,7 @@ def read_parquet_poses(path: Path, columns: ReferenceMap | None = None) -> Refer
 
 
 def read_array_poses(arrays: Arrays, path: Path, columns: ReferenceMap | None = None) -> Reference:
-    """Return the poses that named arrays hold (npz, mat)."""
+    """Return the poses that named arrays hold (mat)."""
     columns = columns or _native_map(path, tuple(name for name, _ in arrays))
     return _poses(table_of_arrays(arrays, path, columns.wanted()), columns, path)
 

@@ -56,9 +56,8 @@ from undrift.arrays import FloatArray
 from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
-from undrift.io.box import one_box
 from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, naming
-from undrift.io.formats import read_record, without
+from undrift.io.formats import read_record, settled
 from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
 from undrift.record import (
@@ -354,7 +353,6 @@ class SessionFile:
     turn: tuple[TurnEntry, ...] = ()
 
 
-@one_box()
 def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     """Read a session from a folder with session.toml.
 
@@ -432,7 +430,6 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         )
 
 
-@one_box()
 def session_from_files(
     files: Sequence[str | Path],
     file_map: FileMap | None = None,
@@ -534,7 +531,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
     settings = _settings(entry, folder)
     settings = settings if clock is None else replace(settings, clock=clock)
     if not maps and (pair := phone_pair([folder / name for name in names])):
-        return without(read_phone_pair(*pair, settings).record, settings.leave_out)
+        return settled(read_phone_pair(*pair, settings), settings).record
     records = tuple(
         read_record(folder / name, columns, settings=settings if k == 0 else replace(settings, temp_file=None))
         for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))

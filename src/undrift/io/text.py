@@ -23,8 +23,17 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError
-from undrift.files import LIMITS, checked_file, is_gzip, read_bytes, read_so_far, read_tree, unwritten, write_together
-from undrift.io.box import boxed
+from undrift.files import (
+    MOST_BYTES,
+    checked_file,
+    is_gzip,
+    read_bytes,
+    read_so_far,
+    read_tree,
+    too_large,
+    unwritten,
+    write_together,
+)
 from undrift.io.columns import (
     FORMAT,
     KIND,
@@ -48,7 +57,8 @@ from undrift.record import Record
 MARK = b"# undrift "
 Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
-_HEAD, _TAIL = 1 << 20, 1 << 14  # bytes at the start and at the end
+_HEAD = 1 << 20  # bytes at the start
+_NO_LINE_END = "the last row has no line end: it may be cut"
 _PIECE = 1 << 24  # bytes that are parsed at a time
 _INK = re.compile(rb"\S")
 _NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
@@ -65,7 +75,17 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
             columns = stated(columns, marked, f"{path}: wanted {wanted}, got {text.mark[:60]!r}")
         else:
             columns = _read_sidecar(Path(path), text.names, columns, settings)
-    return build_record(parse_text(text, columns.numeric()), columns)
+    found = build_record(parse_text(text, columns.numeric()), columns)
+    return found if _ends_with_line(text) else replace(found, notes=(*found.notes, _NO_LINE_END))
+
+
+def _ends_with_line(text: "Text") -> bool:
+    """Return whether the last line of a text has its end."""
+    if text.content is not None:
+        return text.content.endswith(b"\n")
+    with text.path.open("rb") as handle:
+        handle.seek(-1, os.SEEK_END)
+        return handle.read() in (b"\n", b"\r")
 
 
 def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
@@ -248,7 +268,7 @@ def _is_row(names: tuple[str, ...], decimal: str) -> bool:
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    """Parse the rows of a text table: piece by piece, or row by row where they do not parse so, in a box if they are many."""
+    """Parse the rows of a text table: piece by piece, or row by row if they do not parse so."""
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
@@ -258,11 +278,10 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     size = text.path.stat().st_size if text.content is None else len(text.content)
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
-        if _without_cut_row(text) is text:
-            return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+        return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
     except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column beside that turns from numbers to words
         pass
-    return _parse_by_row(text, positions) if LIMITS.holds(size) else _parse_boxed(text.path, text, positions)
+    return _parse_by_row(text, positions)
 
 
 def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator[Any]:
@@ -271,7 +290,7 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
 
     taken = 0
     # one buffer for all: fresh memory costs as much as reading into it
-    buffer = bytearray(min(size, _PIECE if LIMITS.holds(_PIECE) else int(LIMITS.room) >> 6))
+    buffer = bytearray(min(size, _PIECE))
     with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
         handle.seek(start)
         while end := handle.readinto(buffer):
@@ -282,8 +301,8 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
             if _INK.search(buffer, 0, end):
                 yield (table := _parsed(text, pa.py_buffer(buffer).slice(0, end), positions))
                 taken += table.nbytes
-            if taken > LIMITS.room:
-                raise FileFormatError(LIMITS.over(text.path))
+            if taken > MOST_BYTES:
+                raise too_large(text.path)
             read_so_far(text.path, start / size)
 
 
@@ -308,28 +327,6 @@ def _with_closed_quotes(text: Text) -> Text:
     return replace(text, content=b"\n".join(lines)) if torn else text
 
 
-def _without_cut_row(text: Text) -> Text:
-    """Refuse a text that ends within its last number: no line end, and fewer decimals than all rows before, which have as many."""
-    if text.content is None:
-        with text.path.open("rb") as handle:
-            handle.seek(-min(_TAIL, text.path.stat().st_size), 2)
-            tail = handle.read()
-    else:
-        tail = text.content[-_TAIL:]
-    rows = [line.split(text.layout.delimiter.encode()) for line in tail.splitlines()[-9:]]
-    decimals = [len(row[-1].strip(b' "').partition(text.layout.decimal.encode())[2]) for row in rows]
-    alike = len(rows) == 9 and len({*map(len, rows)}) == 1 and len({*decimals[:-1]}) == 1
-    if tail.endswith(b"\n") or not alike or decimals[-1] >= decimals[0]:
-        return text
-    if not text.layout.drop_bad_rows:
-        raise FileFormatError(
-            f"{text.path}: wanted a whole last row, got {rows[-1][-1][:40].decode('utf-8', 'replace')!r} at its end, without the "
-            "decimals of the others: the file is cut; copy it again, or set drop_bad_rows = true in a map (`column_map` FILE)"
-        )
-    content = read_bytes(text.path) if text.content is None else text.content
-    return replace(text, content=content[: content.rfind(b"\n") + 1] + b"?")
-
-
 def _parsed(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
     """Parse rows of a text; cells of the columns ``numbers`` are numbers, without it all are bytes."""
     import pyarrow as pa
@@ -351,17 +348,12 @@ def _parsed(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = 
     )
 
 
-@boxed("pyarrow.csv")
-def _parse_boxed(_: Path, text: Text, positions: list[int]) -> RawTable:
-    return _parse_by_row(text, positions)
-
-
 def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     """Find the bad rows, and drop them or name the first."""
     import pyarrow as pa
     from pyarrow import compute as pc
 
-    text = _without_cut_row(_with_closed_quotes(text))
+    text = _with_closed_quotes(text)
     content = text.content if text.content is not None else read_bytes(text.path)
     content = content.decode("utf-8", "replace").encode()  # damaged bytes are named, not met by Arrow
     ragged: list[Any] = []  # rows with another number of columns
