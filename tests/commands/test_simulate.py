@@ -11,6 +11,7 @@ from undrift.cli.app import run
 from undrift.io.formats import read_record, read_reference
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session
+from undrift.record import Reference
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
 from undrift.sim.motion.poses import see
@@ -127,27 +128,37 @@ def test_what_cannot_be_simulated_is_refused_in_one_line(
     assert not (tmp_path / "r.csv").exists()
 
 
-def test_the_cut_off_of_poses_is_chosen_stated_or_left_out(undrift, bench, tmp_path):
+def test_the_cut_off_of_poses_is_stated_or_left_out(undrift, bench, tmp_path):
     found = {}
-    for word in ("auto", "8", "none"):
+    for word in ("8", "none"):
         out = tmp_path / f"{word}.parquet"
         call = ("simulate", bench / "reference.parquet", "--device", "bmi270", "--cutoff-hz", word, "-o", out)
         found[word] = undrift.good(*call, "--json").json()
         assert out.exists()
-    chosen = found["auto"]["cutoff"]
-    assert {"orientation", "position"} == set(chosen)
-    assert all(1.0 <= one["cutoff_hz"] <= 35.0 and one["method"] in ("rest", "residual") for one in chosen.values())
-    assert "cutoff" not in found["8"]
     strong, weak = (found[word]["gyro_rad_s"]["contribution_rms"] for word in ("none", "8"))
     assert strong != weak  # camera noise passes where nothing is filtered
 
 
 @pytest.mark.parametrize(
     ("motion", "word", "complaint"),
-    [("reference.parquet", "soft", "wanted a number in Hz, auto or none"), ("step", "auto", "wanted no --cutoff-hz")],
+    [("reference.parquet", "soft", "wanted a number in Hz or none"), ("step", "8", "wanted no --cutoff-hz")],
 )
 def test_a_cut_off_that_means_nothing_is_refused(undrift, bench, tmp_path, motion, word, complaint):
     motion = bench / motion if motion.endswith(".parquet") else motion
     call = ("simulate", motion, "--device", "bmi270", "--cutoff-hz", word, "-o", tmp_path / "x.csv")
     assert complaint in undrift.refused(*call)
     assert not (tmp_path / "x.csv").exists()
+
+
+def test_the_last_sample_of_poses_is_no_gap(undrift, tmp_path):
+    gaps = []
+    for begin in np.random.default_rng(0).uniform(
+        0.0, 5.0, 8
+    ):  # the last instant rounds to either side of the last pose
+        task = draw_task("step", rng=np.random.default_rng(1))
+        time = np.arange(round(task.duration_s * 120.0)) / 120.0
+        poses = Reference(time=begin + time, q_nb=task.at(time, 9.81).q_nb, position=task.position(time))
+        write_reference(poses, tmp_path / "poses.parquet")
+        words = ("simulate", tmp_path / "poses.parquet", "--device", "bmi270", "--sample-rate-hz", "120")
+        gaps.append(undrift.good(*words, "-o", tmp_path / "x.parquet", "--json").json()["gaps"])
+    assert gaps == [0] * 8
