@@ -3,8 +3,10 @@
 import re
 from html.parser import HTMLParser
 
+import pytest
+
 from undrift import __version__
-from undrift.base.summary import Section, Summary
+from undrift.base.summary import Section, Summary, sentence
 from undrift.findings import finding
 from undrift.model import Verdict
 from undrift.report.page import write_page
@@ -72,3 +74,18 @@ def test_the_verdict_stands_first_with_its_reasons(tmp_path):
 
 def test_a_page_fetches_nothing(tmp_path):
     assert not re.search(r"(src|href)=|https?:|@import|url\(", page(tmp_path, sections=(Section(title="t"),)))
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("record longer", "Record longer"),
+        ("undrift calibrate walk.csv", "undrift calibrate walk.csv"),
+        ("imu-17 was turned", "imu-17 was turned"),
+        ("a17: no rest", "a17: no rest"),
+        ("calibrate --from motion", "calibrate --from motion"),
+        ("walk.csv has no time", "walk.csv has no time"),
+    ],
+)
+def test_names_at_the_start_of_a_sentence_are_not_capitalised(text, shown):
+    assert sentence(text) == shown

@@ -55,6 +55,14 @@ def spoken(text: str, *, called: bool = False) -> str:
     return by_name if called or CALLED.get() else text
 
 
+def sentence(text: str) -> str:
+    """Return a text with a capital first letter, unless its first word is a name: a command, a serial number, a file, an option."""
+    first, _, rest = text.partition(" ")
+    word = first.rstrip(",.:;")
+    named = word == "undrift" or rest.startswith("--") or not (word.isalpha() and word.islower())
+    return text if named else text[:1].upper() + text[1:]
+
+
 def without_signed_zeros(text: str) -> str:
     """Return a text in which no zero has a sign: 0.000 for -0.000."""
     return _SIGNED_ZERO.sub(r"\1", text)

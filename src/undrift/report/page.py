@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from undrift import __version__
-from undrift.base.summary import Drawing, Origin, Section, Summary, at, spoken
+from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence, spoken
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
 
@@ -24,7 +24,9 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
     from jinja2 import Environment, PackageLoader
 
     style = Path(__file__).with_name("page.css").read_text()
-    template = Environment(loader=PackageLoader("undrift", "report"), autoescape=True).get_template("page.html.j2")
+    environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
+    environment.filters["sentence"] = sentence
+    template = environment.get_template("page.html.j2")
     sections = (*summary.sections, *summary.page(), Section(title="Notes", text=summary.notes))
     filled = [
         one for one in sections if one.on != "terminal" and (one.text or one.findings or one.rows or one.pictures)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from nicegui import Client, ui
 
-from undrift.base.summary import spoken
+from undrift.base.summary import sentence, spoken
 from undrift.commands.bench.library import Remark
 from undrift.errors import UndriftError
 
@@ -316,7 +316,7 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
                 text("strong", f"{texts()['levels'][one.level]}: ")
                 text("span", page_words(one.text).rstrip(".") + ".")
                 if action := page_words(one.action):
-                    text("p", f"{action[:1].upper()}{action[1:]}.", "soft")
+                    text("p", f"{sentence(action)}.", "soft")
     if len(remarks) > count:
         with folded(f"{len(remarks) - count} more"):
             for one in remarks[count:]:
