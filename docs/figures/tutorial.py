@@ -12,7 +12,7 @@ import numpy as np
 import undrift
 from undrift.cli.app import run
 
-COMMANDS = """data fetch sample
+COMMANDS = """sample
 calibrate sample/bench -o c.json --report calibration.html
 drift sample/thermal --calibration c.json -o t.json --report drift.html
 validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json -o after"""

@@ -79,6 +79,7 @@ from undrift.commands.drift import drift as drift
 from undrift.commands.export import export as export
 from undrift.commands.info import info as info
 from undrift.commands.noise import noise as noise
+from undrift.commands.sample import sample as sample
 from undrift.commands.simulate import simulate as simulate
 from undrift.commands.study import study as study
 from undrift.commands.twin import twin as twin

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import undrift
 from testkit.full_calibration import device, record
 from undrift.cli.app import run
 from undrift.errors import InputError
@@ -136,7 +137,8 @@ except InputError as error:
 
 
 def test_a_reader_that_has_seen_enough_is_no_failure():
-    words = [sys.executable, "-m", "undrift", "data", "list"]
+    rest = Path(undrift.__file__).with_name("sample_data") / "rest.parquet"
+    words = [sys.executable, "-m", "undrift", "info", str(rest)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         child.stdout.close()
         assert child.wait(timeout=60.0) == 0

@@ -35,8 +35,7 @@ GOOD = {  # a call of each command, and the kind of its answer
     "mount": ("mount {bench}/corrected.parquet --worn lower-back", "undrift.mount"),
     "record": ("record", "undrift.record"),
     "certificate": ("certificate {bench}/calibration.json -o {here}/c.html", "undrift.certificate"),
-    "data list": ("data list", "undrift.data_list"),
-    "data fetch": ("data fetch sample -o {here}/sample", "undrift.data_fetch"),
+    "sample": ("sample {here}/sample", "undrift.sample"),
     "simulate": ("simulate sit_to_stand --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
 }
 ELSEWHERE = {
@@ -60,8 +59,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "record": ("record tcp://127.0.0.1:9 -o {here}/a.xls", "undrift.record"),
     "twin": ("twin nowhere.csv --reference nowhere.csv", "undrift.twin"),
     "certificate": ("certificate nowhere.json -o {here}/c.html", "undrift.certificate"),
-    "data list": ("data list more", "undrift.data_list"),
-    "data fetch": ("data fetch nowhere", "undrift.data_fetch"),
+    "sample": ("sample {here}", "undrift.sample"),
     "export": ("export nowhere.json --target c -o {here}/c.h", "undrift.export"),
     "simulate": ("simulate nowhere --device mpu6050 -o {here}/s.parquet", "undrift.simulation"),
     "rig run": ("rig run nowhere.toml --rig manual: --device tcp://127.0.0.1:9 -o {here}/run", "undrift.rig_run"),

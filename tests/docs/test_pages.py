@@ -57,7 +57,7 @@ def test_the_line_that_makes_the_data_stands_in_the_tutorial_once() -> None:
         ("```sh\nls\n```", "unknown program"),
         ("```sh\nmake test\n```", "mark it as parsed"),
         ("```python\nprint(1)\n```\n```text\n2\n```", "prints"),
-        ("```sh\nundrift data fetch sample\n```\n```text\nWrote sample, from 2 packages\n```", "not printed"),
+        ("```sh\nundrift sample\n```\n```text\nWrote sample, from 2 packages\n```", "not printed"),
         ("<!-- quick: no command -->\n```sh\nundrift demo\n```", "quick wants"),
     ],
 )

@@ -96,7 +96,7 @@ CALLS = {
     "simulate .csv": Call("simulate sit_to_stand --device mpu6050 -o {o}/x.csv --truth {o}/t.parquet"),
     "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
     "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
-    "data": Call("data fetch sample -o {o}/sample", fresh=True, together=True),
+    "sample": Call("sample {o}/sample", fresh=True, together=True),
     "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
     "record .parquet": Call("record {device} -o {o}/x.parquet --duration-s 5", fresh=True, live=True),
     "demo": Call("demo --quick --out {o}/demo", fresh=True, slow=True),

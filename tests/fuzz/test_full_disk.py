@@ -10,6 +10,7 @@ import pytest
 from testkit.data import needs_data, show
 
 TESTS = Path(__file__).parents[1]
+REST = Path(__file__).parents[2] / "src" / "undrift" / "sample_data" / "rest.parquet"
 
 
 @pytest.mark.slow
@@ -29,7 +30,7 @@ def test_a_disk_that_is_full_at_any_write_is_one_clear_line_and_costs_nothing(fe
 def test_an_answer_that_does_not_fit_on_the_disk_is_one_line(more):
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "undrift", "data", "list", *more], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60,
+            [sys.executable, "-m", "undrift", "info", REST, *more], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60,
             check=False,
         )  # fmt: skip
     assert (done.returncode, done.stderr) == (2, "undrift: file: No space left on device; make room and run it again\n")

@@ -41,7 +41,7 @@ from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import BENCH, ThermalSettings
 from undrift.units import STANDARD_GRAVITY, si_factor
 
-SAMPLE = "undrift data fetch sample"  # the one line that says where the data of the pages come from
+SAMPLE = "undrift sample"  # the one line that says where the data of the pages come from
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
 RATES = (0.2, 1.0)  # rad/s, of a short session over temperature
 ELSEWHERE = ("cd", "gcc", "make", "pip", "python", "python3", "source")

@@ -11,11 +11,11 @@ from undrift.web.commands import CommandOutcome, outcome_of, remarks_of, run_com
 
 
 def test_a_command_answers_with_its_envelope(tmp_path: Path) -> None:
-    outcome = asyncio.run(run_command(["data", "list"], tmp_path, lambda line: None))
+    outcome = asyncio.run(run_command(["sample", "first"], tmp_path, lambda line: None))
     assert outcome.code == 0
     assert outcome.done
-    assert outcome.answer["kind"] == "undrift.data_list"
-    assert outcome.answer["sets"]
+    assert outcome.answer["kind"] == "undrift.sample"
+    assert outcome.answer["folder"] == "first"
 
 
 @pytest.mark.slow

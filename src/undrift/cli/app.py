@@ -43,7 +43,7 @@ COMMANDS = {  # one line of 80 columns each
     "rig": "Run a protocol on a rate table; check, stop, emulate; --json.",
     "study": "Find the calibration protocol that is enough for a task.",
     "bench": "The guided bench in a browser: from six faces to a certificate.",
-    "data": "Recordings to try: list them, fetch one by checksum; --json.",
+    "sample": "Recordings that come with undrift, to try it with.",
     "demo": "The whole flow on a small simulated session, as a report page.",
 }
 

@@ -25,10 +25,9 @@ from typing import Any, TypeAlias
 # Each a function in the module of its name
 VERBS = (
     "calibrate", "certificate", "correct", "demo", "drift", "export", "info", "mount", "noise", "orient",
-    "record", "simulate", "study", "twin", "validate",
+    "record", "sample", "simulate", "study", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
-    "data": {"list": "list_sets", "fetch": "fetch"},
     "rig": {name: name for name in ("run", "emulate", "stop", "check")},
     "session": {"new": "new"},
 }

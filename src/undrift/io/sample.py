@@ -15,7 +15,7 @@ def write_sample(folder: Path) -> None:
     if not folder.parent.is_dir():
         raise InputError(f"{folder}: wanted a folder that exists, got none named {folder.parent}; make it first")
     try:
-        with as_file(files("undrift").joinpath("sample")) as source, hidden_folder(folder.parent) as hidden:
+        with as_file(files("undrift").joinpath("sample_data")) as source, hidden_folder(folder.parent) as hidden:
             part = hidden / folder.name
             shutil.copytree(
                 source, part, ignore=shutil.ignore_patterns("*.pyc", "__pycache__"), copy_function=shutil.copyfile
