@@ -11,7 +11,7 @@ device's unit, named beside them. Time is axis 0: (N,), (N, 3), (N, 4). NaN mean
     corrected = matrix @ (raw - offset)            ``correction/correct.py`` is the only place that says so in code
 
 Stages are functions on values: ``correct(record, calibration)``. Commands are functions on files, with the names and options of
-the command line: ``undrift.info("walk.csv")``, ``undrift.session.new("walk.csv", output="session")``. Where a stage has the name
+the command line: ``undrift.info("walk.csv")``, ``undrift.info("walk.csv", write_session="session")``. Where a stage has the name
 of one, it is ``undrift.commands.correct``. Commands return what the command line shows.
 """
 

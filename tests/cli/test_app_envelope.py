@@ -14,15 +14,12 @@ from undrift.cli import EXAMPLES, common
 from undrift.cli import app as program
 from undrift.cli.common import ENVELOPE, ProgressBar
 from undrift.commands import part_of
-from undrift.io.formats import write_record
-from undrift.io.session import read_session
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 STUDY = "undrift.study"
 GOOD = {  # a call of each command, and the kind of its answer
     "info": ("info {bench}/trial.parquet", "recording"),
     "calibrate": ("calibrate {bench}/session", "undrift.calibration"),
-    "session new": ("session new {here}/bare.parquet -o {here}/made", "undrift.session"),
     "drift": ("drift {warm} --map {here}/warm.toml", "undrift.calibration"),
     "correct": (
         "correct {bench}/trial.parquet --calibration {bench}/calibration.json -o {here}/c.csv",
@@ -51,7 +48,6 @@ ELSEWHERE = {
 BAD = {  # a call that is refused, and the kind that a good answer would have
     **{name: (f"{name} nowhere.csv", f"undrift.{name}") for name in ("info", "noise")},
     **{name: (f"{name} nowhere.csv", "undrift.calibration") for name in ("calibrate", "drift")},
-    "session new": ("session new nowhere.csv -o {here}/made", "undrift.session"),
     "correct": ("correct a.csv --calibration nowhere.json -o {here}/c.csv", "undrift.correction"),
     "orient": ("orient nowhere.csv -o {here}/o.csv", "undrift.orientation"),
     "mount": ("mount nowhere.csv --worn thigh", "undrift.mount"),
@@ -83,7 +79,6 @@ def words(bench, tmp_path, monkeypatch):
     """The words of a call."""
     (tmp_path / "warm.toml").write_text(WARM)
     at_rest(tmp_path, "rest.csv")
-    write_record(read_session(bench / "session").records[0], tmp_path / "bare.parquet")
     names = {"bench": bench, "here": tmp_path, "warm": data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")}
     return lambda text: [*shlex.split(text.format(**names)), "--json"]
 
@@ -145,7 +140,7 @@ def test_the_usage_line_names_what_is_required(undrift, name):
     show(usage, required)
     for option in required:
         assert option in usage
-    if name in ("session new", "correct", "validate", "twin", "drift"):
+    if name in ("correct", "validate", "twin", "drift"):
         assert usage.endswith("S...")
 
 

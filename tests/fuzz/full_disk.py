@@ -69,7 +69,7 @@ CALLS = {
     ),
     "info --figure": Call("info {b}/trial.parquet --figure {o}/f.png", slow=True),
     "calibrate": Call("calibrate {b}/session -o {o}/c.json --report {o}/c.html --figure {o}/c.svg", slow=True),
-    "session new": Call("session new {b}/poses.parquet -o {o}/session", fresh=True),
+    "info --write-session": Call("info {b}/poses.parquet --write-session {o}/session", fresh=True),
     "drift": Call(
         "drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.html", slow=True
     ),

@@ -1,4 +1,4 @@
-"""Mistakes on the bench and in the chamber: calibrate, session new, drift, noise, info.
+"""Mistakes on the bench and in the chamber: calibrate, drift, noise, info.
 
 Acceleration of the opposite sign is not among those with unlabelled rests: directions turn alike under either sign, and no reading
 shows it. Faces, optics, a calibration with an offset, and the maker's statement do.
@@ -78,22 +78,23 @@ def labelled_turns() -> Case:
 @cache
 def new_session() -> Case:
     """Return bare recordings of six faces and turns, of which a session is to be written."""
-    return replace(turns_by_hand(), route="session new", wrong=session_error)
+    words = ("--turn-deg", 360, "--write-session", "{folder}/made")
+    return replace(turns_by_hand(), route="info", words=words, wrong=session_error)
 
 
 @cache
-def new_session_with_log() -> Case:
+def table_with_log() -> Case:
     """Return a bare recording of a rate table, and the log of the table's controller."""
     held = sound.counted_trial()
     session = sound.table_alone()
     return Case(
-        route="session new",
+        route="calibrate",
         recordings=(sound.recording_of(session.records[0]),),
         words=(*GRAVITY, "--rates", "{folder}/rates.csv"),
         edit=_log(1.0),
         later=held.recording,
         expected=held.right,
-        wrong=session_error,
+        wrong=later_error,
     )
 
 
@@ -136,7 +137,8 @@ def described() -> Case:
 
 def session_error(case: Case, folder: Path, told: Told) -> Wrong:
     """Return the error of a later recording, by the calibration that the written session gives."""
-    undrift.write_calibration(undrift.calibrate(undrift.read_session(folder / "made")), folder / "made.json")
+    session = replace(undrift.read_session(folder / "made"), gravity_m_s2=sound.GRAVITY, gravity_source="stated")
+    undrift.write_calibration(undrift.calibrate(session), folder / "made.json")
     return later_error(case, folder, told)
 
 
@@ -452,7 +454,7 @@ CALIBRATE = [
 SESSION = [
     planted(new_session, habits.RAD_FOR_DPS)[0],
     mistake(
-        new_session_with_log,
+        table_with_log,
         "has a log of rates in rad/s under the name of deg/s",
         lambda case: replace(case, edit=_log(np.radians(1.0))),
         causes.RATE_UNIT,

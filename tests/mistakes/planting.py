@@ -142,7 +142,7 @@ def words_of(case: Case, folder: Path) -> list[object]:
     if case.references:
         held += ["--reference", *written_references(case, folder)]
     made = {"calibrate": "made.json", "drift": "made.json", "correct": "made.parquet", "orient": "made.parquet"}
-    made |= {"validate": "made", "session new": "made"}
+    made |= {"validate": "made"}
     held += ["-o", folder / ("made" if case.together else made[case.route])] if case.route in made else []
     if case.edit is not None:
         case.edit(folder)

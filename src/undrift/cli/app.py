@@ -29,7 +29,6 @@ COMMANDS = {  # one line of 80 columns each
     "record": "What a device sends, to a file; a guide to its calibration.",
     "info": "What a recording, session, calibration, reference or device holds.",
     "calibrate": "Fit what a session allows, with verdict and findings.",
-    "session": "Write a session.toml of what bare recordings hold; --json.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",

@@ -209,7 +209,6 @@ KINDS = {  # of answers, where it is not the command's name
     "orient": "undrift.orientation",
     "validate": "undrift.validation",
     "simulate": "undrift.simulation",
-    "session new": "undrift.session",
 }
 
 

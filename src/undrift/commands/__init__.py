@@ -6,7 +6,7 @@ the stages, writes the files that were asked for, and returns its result. It pri
 
     orient(record, output=..., opening=Opening()) -> Oriented          a dataclass of values, with summary() and a short repr
 
-Parameters are the options of the command line (``base/options``): ``heading_deg`` is ``--heading-deg``, its help is the docstring.
+Parameters are the options of the command line (``base/options``): ``power_on_s`` is ``--power-on-s``, its help is the docstring.
 Settings that several verbs share are dataclasses marked ``@options``. A verb that takes long has a parameter ``progress``, which
 it calls with what is being done and the share of the whole that is done. Angles and rates of options are in the units that their
 names state; results hold SI.
@@ -29,7 +29,6 @@ VERBS = (
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
     "rig": {name: name for name in ("run", "emulate", "stop", "check")},
-    "session": {"new": "new"},
 }
 
 

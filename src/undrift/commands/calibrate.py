@@ -58,6 +58,7 @@ class Calibrated(Result):
     in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
     output: Path | None
     figure: Path | None
+    log: dict[str, Any] | None = None  # clocks and dwells of the log of a rate table
 
     @property
     def lacking(self) -> list[str]:
@@ -92,6 +93,11 @@ class Calibrated(Result):
             figures = _motion_figures(self, self.in_motion)
             shown = replace(shown, sections=(*shown.sections, _motion_section(figures), _field_section(figures)))
             more |= {"motion": figures}
+        if self.log is not None:
+            shown = replace(
+                shown, sections=(*shown.sections, Section(title="Rates of the log", text=_log_lines(self.log)))
+            )
+            more |= {"rates": self.log}
         return replace(
             shown,
             data=calibration_json(made) | {"lacking": lacking} | more,
@@ -114,6 +120,8 @@ def calibrate(
     place: Place = Place(),
     opening: Opening = Opening(),
     turn_deg: float | None = None,
+    rates: Path | None = None,
+    rates_offset_s: float | None = None,
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name=("--from", "--calibrate-from"))] = "pieces",
     prior: Path | None = None,
@@ -139,6 +147,11 @@ def calibrate(
         One folder with session.toml, or one or several recordings of one device: rests, faces and turns are found in them.
     turn_deg : float or None
         Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
+    rates : Path or None
+        Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s, turn_rate_rpm) or
+        angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings; its steady dwells become the turns.
+    rates_offset_s : float or None
+        Time of the recording minus time of the log, to a second, for a table that repeats itself.
     output : Path or None
         calibration.json to write.
     calibrate_from : str
@@ -168,10 +181,19 @@ def calibrate(
     from undrift.calibration.element_prior import PUBLISHED, ElementPrior
     from undrift.calibration.observe import CalibrateSettings
 
-    check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior))
+    check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior, rates))
+    if rates_offset_s is not None and (rates is None or len(files) > 1):
+        raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
     check_figure(figure, reads=files)
     if calibrate_from == "motion":
-        idle = {"accel": accel, "gyro": gyro, "mode": mode, "turn_deg": turn_deg, "keep_offset": keep_offset or None}
+        idle = {
+            "accel": accel,
+            "gyro": gyro,
+            "mode": mode,
+            "turn_deg": turn_deg,
+            "rates": rates,
+            "keep_offset": keep_offset or None,
+        }
         _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
     elif prior is not None or magnetometer:
         raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
@@ -181,6 +203,9 @@ def calibrate(
     with reading(progress, 0.5, *files):
         session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)
+    log: dict[str, Any] | None = None
+    if rates is not None:
+        session, log = _turns_of_log(session, rates, rates_offset_s, settings)
     if calibrate_from == "motion":
         part_prior = PUBLISHED if prior is None else read(ElementPrior, prior)
         made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer, prior=part_prior)
@@ -191,7 +216,7 @@ def calibrate(
     made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure)  # fmt: skip
+        figure=figure, log=log)  # fmt: skip
     if output is not None:
         at("undrift.io.store:write_calibration")(made, output)
     _draw(calibrated, figure)
@@ -200,6 +225,52 @@ def calibrate(
 
 def _of_part(session: "Session", kind: str | None) -> "Session":
     return session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
+
+
+def _turns_of_log(
+    session: "Session", path: Path, offset_s: float | None, settings: "CalibrateSettings"
+) -> tuple["Session", dict[str, Any]]:
+    """Return bare recordings with their rests and the dwells of a table's log, and how the clocks were aligned."""
+    from undrift.calibration.calibrate import find_pieces
+    from undrift.rate_log import LEAST_S, align_clocks, cut_dwells, read_rate_log
+
+    if session.turns or session.stills:
+        raise InputError(f"`rates`: wanted bare recordings, got a session that states pieces; leave {path} out")
+    log = read_rate_log(path)
+    clocks = [align_clocks(log, record, offset_s) for record in session.records]
+    turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)))
+    if not turns:
+        raise InputError(
+            f"{path}: wanted steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out); "
+            "check the log"
+        )
+    keys = ("offset_s", "offset_uncertainty_s", "drift", "drift_uncertainty", "correlation")
+    largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
+    figures = {
+        "dwells": len(turns),
+        "left_out": missed,
+        "largest_uncertainty_dps": largest_dps,
+        "clocks": [{key: getattr(each, key) for key in keys} for each in clocks],
+    }
+    return replace(find_pieces(session, settings)[0], turns=tuple(each.turn for each in turns)), figures
+
+
+NOTABLE_DRIFT = 1e-3  # of the clocks: a scale factor is wrong by as much if the clock of the table is the wrong one
+
+
+def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
+    lines = [
+        f"dwells from the log: {log['dwells']}, left out {log['left_out']}; standard uncertainty of rates up to "
+        f"{log['largest_uncertainty_dps']:.2g} deg/s"
+    ]
+    for each in log["clocks"]:
+        lines.append(
+            f"recording - log: {each['offset_s']:.3f} +- {each['offset_uncertainty_s']:.3f} s, drift "
+            f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
+        )
+        if abs(each["drift"]) > NOTABLE_DRIFT:
+            lines.append(f"the clocks differ by {abs(each['drift']):.2%}; rates are the table's: check both")
+    return tuple(lines)
 
 
 def _draw(calibrated: Calibrated, figure: Path | None) -> None:

@@ -5,11 +5,21 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.base.options import OptionalOutput, Picture, Up, options, verb
+from undrift.base.options import Files, OptionalOutput, Picture, Up, options, verb
 from undrift.base.summary import Drawing, Section, Summary, at, figure_of
 from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
-from undrift.commands.files import Opening, Rests, check_figure, check_output, name_of
+from undrift.commands.files import (
+    Opening,
+    Place,
+    Rests,
+    check_figure,
+    check_folder,
+    check_output,
+    name_of,
+    named_columns,
+    session_of,
+)
 from undrift.commands.mount import sides_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
@@ -71,14 +81,14 @@ POSES = 9  # still phases of a recording that may calibrate a device
 
 
 @verb
-@of_folder(None, alone=("figure", "write_map"))
+@of_folder(None, alone=("figure", "write_map", "write_session"))
 def info(
-    file: Path,
-    /,
-    *,
+    *files: Files,
     opening: Opening = Opening(),
     reference_up: Up = None,
     proposal: Proposal = Proposal(),
+    write_session: Picture = None,
+    turn_deg: float | None = None,
     rests: Rests = Rests(),
     figure: Picture = None,
     output: OptionalOutput = None,
@@ -88,10 +98,14 @@ def info(
 
     Parameters
     ----------
-    file : Path
-        Any file or folder.
+    files : Path
+        Any file or folder; with --write-session one or several recordings of one device.
     proposal : Proposal
         The map to write for a table with foreign columns.
+    write_session : Path or None
+        Folder to write session.toml into, with the rests, faces and turns of bare recordings, ready to edit.
+    turn_deg : float or None
+        With --write-session: angle of the turns between rests, deg: 360 for full turns.
     figure : Path or None
         Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     output : Path or None
@@ -100,6 +114,15 @@ def info(
     from undrift.correction.consistency import find_disagreement
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
+    if write_session is not None:
+        if figure is not None or proposal != Proposal():
+            raise InputError("`write_session`: expected neither `figure` nor `write_map` with it; run two commands")
+        return _write_session(files, write_session, opening, turn_deg, progress)
+    if turn_deg is not None:
+        raise InputError("`turn_deg` requires `write_session`: add the folder of the session, or omit `turn_deg`")
+    if len(files) > 1:
+        raise InputError(f"info: expected one file or folder without `write_session`, got {len(files)}; name one")
+    (file,) = files
     check_figure(figure, reads=(file, opening.column_map))
     if output is not None:
         raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
@@ -187,6 +210,54 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         sections=(Section(title="Map", text=tuple(lines)),),
         written=(path, other) if found.beside else (path,),
         next=("info", found.path, "--map", path) if complete else (),
+    )
+
+
+def _write_session(
+    files: tuple[Path, ...], path: Path, opening: Opening, turn_deg: float | None, progress: Progress
+) -> Summary:
+    """Write a session.toml with the rests, faces and turns of bare recordings."""
+    from undrift.calibration.calibrate import find_pieces
+    from undrift.calibration.observe import CalibrateSettings
+    from undrift.correction.consistency import check_triads
+    from undrift.files import write_whole
+    from undrift.io.proposal import session_text
+    from undrift.io.session import NAME
+
+    folder = path.parent if path.name == NAME else path
+    check_folder(folder)
+    if (folder / NAME).exists():
+        raise InputError(f"{folder / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
+    if any((file / NAME).is_file() or file.name == NAME for file in files):
+        raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
+    with reading(progress, 0.5, *files):
+        bare = session_of(files, Place(), opening)
+        for file, record in zip(files, bare.records, strict=False):
+            with named_columns(file):
+                check_triads(record)
+    progress("looking for rests and turns", 0.5)
+    found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
+    text = session_text(found, files, folder, file_map=opening.file_map(), steady=steady)
+    folder.mkdir(exist_ok=True)
+    write_whole(folder / NAME, text)
+    faces = list(dict.fromkeys(still.face for still in found.stills if still.face is not None))
+    lines = (
+        f"faces: {', '.join(faces) or 'not all six, free poses'}",
+        f"steady turns, their rate to be stated: {len(steady)}",
+        f"gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
+    )
+    counts = {"recordings": len(found.records), "faces": faces, "stills": len(found.stills), "turns": len(found.turns)}
+    gravity = {name: getattr(found, name) for name in ("gravity_m_s2", "gravity_source")}
+    return Summary(
+        title="A session of bare recordings",
+        answer=f"{len(found.stills)} still phases and {len(found.turns)} turns by a known angle were found.",
+        data={"kind": "session", "format": "session", "output": str(folder / NAME)}
+        | counts
+        | {"steady_turns": len(steady)}
+        | gravity,
+        sections=(Section(title="What was found", text=lines),),
+        written=(folder / NAME,),
+        next=("calibrate", folder, "-o", "calibration.json"),
     )
 
 

@@ -123,17 +123,13 @@ def session_text(
     *,
     file_map: FileMap | None,
     steady: Sequence[Turn] = (),
-    logged: Sequence[tuple[Turn, float]] = (),
 ) -> str:
-    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments.
-
-    Logged turns have the standard uncertainty of their rate beside them, rad/s.
-    """
+    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments."""
     width = len(files) // len(session.records)
     standard = session.gravity_source == "standard"
     head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
     blocks = [
-        "# Made by undrift session new from what was found; edit what is not so.\n"
+        "# Written by undrift info --write-session from what was found; edit what is not so.\n"
         + toml_text({"session": tree_of(head)})
     ]
     if standard:
@@ -147,9 +143,6 @@ def session_text(
     times = [record.time for record in session.records]
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     blocks += [piece_toml(stated_piece(piece, times[piece.recording])) for piece in pieces]
-    for turn, uncertainty in logged:
-        note = f"# by the table's log; standard uncertainty {uncertainty / RADIAN_PER_DEGREE:.2g} deg/s\n"
-        blocks.append(piece_toml(stated_piece(turn, times[turn.recording])) + note)
     for turn in steady:
         lines = piece_toml(stated_piece(turn, times[turn.recording])).splitlines()
         marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])

@@ -1,4 +1,4 @@
-"""undrift session new and undrift info --write-map: what is written by them is used by the next command as it is."""
+"""undrift info --write-session and --write-map: what is written by them is used by the next command as it is."""
 
 import tomllib
 
@@ -7,7 +7,6 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
-from testkit.rate_table_log import bench
 from undrift.io.formats import write_record
 from undrift.io.proposal import gyro_unit_of
 from undrift.io.session import read_session
@@ -54,6 +53,11 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
         (("--accel-unit", "g"), "--accel-unit: wanted --write-map beside it, got none"),
         (("--gyro-gain", 0.061), "--gyro-gain: wanted --write-map beside it, got none"),
         (("--accel-gain", 0.061), "--accel-gain: wanted --write-map beside it, got none"),
+        (("--turn-deg", 360), "--turn-deg requires --write-session"),
+        (
+            ("--write-session", "s.toml", "--figure", "f.svg"),
+            "--write-session: expected neither --figure nor --write-map",
+        ),
         (("--write-map", "m.toml", "--figure", "f.svg"), "--figure: wanted it without --write-map, got both"),
     ],
 )
@@ -65,11 +69,11 @@ def test_an_option_that_would_do_nothing_is_refused(undrift, tmp_path, words, wa
 
 @pytest.mark.slow
 def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrift, board):
-    words = (data_path(*LOG), "--map", board / "map.toml", "--serial", "imu0")
-    told = undrift.good("session", "new", *words, "-o", board / "s", "--json").json()
+    words = (data_path(*LOG), "--map", board / "map.toml")
+    told = undrift.good("info", *words, "--write-session", board / "s", "--json").json()
     session = read_session(board / "s")
     assert (told["stills"], told["faces"], told["turns"]) == (len(session.stills), [], 0)
-    assert (session.serial, session.gravity_m_s2, session.gravity_source) == ("imu0", 9.80665, "standard")
+    assert (session.gravity_m_s2, session.gravity_source) == (9.80665, "standard")
     assert "not stated: standard gravity is assumed" in (board / "s" / "session.toml").read_text()
     one = undrift.good("calibrate", board / "s", "--json").json()
     assert one["provenance"]["settings"]["gravity"] == "standard"
@@ -91,7 +95,7 @@ def test_steady_turns_stand_as_comments_whose_rate_a_person_states(undrift, tmp_
     device = random_device(np.random.default_rng(7))
     made = simulate_session("rate_table", device, rng=np.random.default_rng(8), labelled=False)
     write_record(made.records[0], tmp_path / "table.parquet")
-    told = undrift.good("session", "new", tmp_path / "table.parquet", "-o", tmp_path / "s", "--json").json()
+    told = undrift.good("info", tmp_path / "table.parquet", "--write-session", tmp_path / "s", "--json").json()
     text = (tmp_path / "s" / "session.toml").read_text()
     assert told["steady_turns"] == text.count("# [[turn]]") == text.count("# turn_rate_dps = ?")
     show("steady turns", told["steady_turns"], "6 or more")
@@ -101,21 +105,15 @@ def test_steady_turns_stand_as_comments_whose_rate_a_person_states(undrift, tmp_
 
 def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     words = (data_path(*LOG), "--map", board / "map.toml")
-    undrift.good("session", "new", *words, "-o", board / "s")
+    undrift.good("info", *words, "--write-session", board / "s")
     before = contents(board)
-    assert "wanted a new session, got one that exists" in undrift.refused("session", "new", *words, "-o", board / "s")
-    line = undrift.refused("session", "new", bench / "session", "-o", board / "t")
+    line = undrift.refused("info", *words, "--write-session", board / "s")
+    assert "wanted a new session, got one that exists" in line
+    line = undrift.refused("info", bench / "session", "--write-session", board / "t")
     assert "wanted bare recordings, got a session; edit its session.toml" in line
     assert contents(board) == before
 
 
-def test_the_options_of_a_log_are_refused_where_they_do_nothing(undrift, tmp_path):
-    record, _, path = bench(tmp_path)
-    write_record(record, tmp_path / "table.parquet")
-    words = ("session", "new", tmp_path / "table.parquet", "-o", tmp_path / "s")
-    assert "--rates-offset-s: wanted one recording and --rates" in undrift.refused(*words, "--rates-offset-s", 3)
-    still = Record(time=record.time, gyro=record.gyro * 0.0 + np.random.default_rng(1).normal(size=record.gyro.shape))
-    write_record(still, tmp_path / "still.parquet")
-    line = undrift.refused("session", "new", tmp_path / "still.parquet", "--rates", path, "-o", tmp_path / "s")
-    assert "wanted the log of the table that turned this device, got a correlation of 0." in line
-    assert not (tmp_path / "s").exists()
+def test_info_takes_several_files_with_write_session_only(undrift, bench):
+    line = undrift.refused("info", bench / "trial.parquet", bench / "corrected.parquet")
+    assert "expected one file or folder without --write-session, got 2" in line

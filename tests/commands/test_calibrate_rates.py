@@ -1,0 +1,35 @@
+"""undrift calibrate --rates: the log of a rate table's own controller gives the rates of its dwells."""
+
+import numpy as np
+
+from testkit.data import show
+from testkit.rate_table_log import GAIN, OFFSET, bench
+from undrift.io.formats import write_record
+from undrift.record import Record
+
+
+def test_calibrate_takes_the_rates_of_a_log(undrift, tmp_path):
+    record, dwells, path = bench(tmp_path)
+    write_record(record, tmp_path / "table.parquet")
+    words = ("calibrate", tmp_path / "table.parquet", "--rates", path, "--gravity-m-s2", 9.81, "--json")
+    told = undrift(*words).json()
+    matrix, offset = np.array(told["gyro"]["matrix"]), np.array(told["gyro"]["offset"])
+    rate = (np.eye(3) * 40.0) @ GAIN.T + OFFSET  # dps
+    off = np.degrees((rate - offset) @ matrix.T) - 40.0 * np.eye(3)
+    show("corrected rates off by", f"{np.abs(off).max():.4f}", "0.05 deg/s at 40 deg/s")
+    assert told["gyro"]["method"].startswith("rate-table")
+    assert np.abs(off).max() < 0.05
+    assert (told["rates"]["dwells"], told["rates"]["left_out"]) == (len(dwells), 0)
+    assert abs(told["rates"]["clocks"][0]["drift"] - 2e-4) < 1e-4
+
+
+def test_options_of_a_log_are_refused_if_they_do_nothing(undrift, tmp_path):
+    record, _, path = bench(tmp_path)
+    write_record(record, tmp_path / "table.parquet")
+    words = ("calibrate", tmp_path / "table.parquet", "-o", tmp_path / "c.json")
+    assert "--rates-offset-s: wanted one recording and --rates" in undrift.refused(*words, "--rates-offset-s", 3)
+    still = Record(time=record.time, gyro=record.gyro * 0.0 + np.random.default_rng(1).normal(size=record.gyro.shape))
+    write_record(still, tmp_path / "still.parquet")
+    line = undrift.refused("calibrate", tmp_path / "still.parquet", "--rates", path)
+    assert "wanted the log of the table that turned this device, got a correlation of 0." in line
+    assert not (tmp_path / "c.json").exists()
