@@ -124,31 +124,6 @@ def worn(*, drift=5e-5, rests=4, noise=1e-3, seed=5):
     return Record(time=time, gyro=gyro, accel=up + noise * rng.normal(size=up.shape)), q
 
 
-def test_the_offset_of_every_rest_follows_one_that_drifts():
-    record, truth = worn()
-    errors = {}
-    for offset in ("none", "rest", "still"):
-        found = orient(record, None, OrientSettings(offset=offset))
-        turned = quaternion_product(found.q_nb, quaternion_conjugate(truth))
-        errors[offset] = 2.0 * np.arctan2(np.linalg.norm(turned[:, 1:], axis=1), np.abs(turned[:, 0]))[-1]
-    show("error at the end of 50 s, rad", errors)
-    assert len(found.rests) == 4
-    assert errors["none"] > 0.08
-    assert errors["rest"] > 0.07
-    # linear between the rests is exact for a linear drift; what is left is noise: 1e-3 rad/s over 50 s at 100 Hz is 7e-4 rad,
-    # and the means of the rests, 1e-3 / sqrt(400) rad/s each, are off by up to 1e-3 rad after 20 s
-    assert errors["still"] < 0.005
-    np.testing.assert_allclose(found.offset, found.rest_offsets[0], atol=3e-4)  # rad/s, half a rest later
-
-
-def test_a_named_rest_counts_beside_those_that_are_found():
-    record, _ = worn()
-    found = orient(record, Still(start=20, stop=300), OrientSettings(offset="still"))
-    assert (found.still.start, found.still.stop) == (20, 300)
-    assert len(found.rests) == 4
-    assert found.rests[0] == found.still
-
-
 def test_the_drift_to_expect_is_the_rate_left_at_the_rests_times_the_time():
     record, _ = moved(noise=1e-4, offset=0.02)
     (item,) = orient(record).findings

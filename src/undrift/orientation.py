@@ -41,7 +41,6 @@ from undrift.correction.rest import (
     force_covariances,
     mean_variance,
     moved_by,
-    no_rest,
     rest_offset,
     rests_from_first,
 )
@@ -274,8 +273,8 @@ class OrientSettings:
     Parameters
     ----------
     offset : str
-        "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn; "still": the mean
-        rate of every still phase, linear in between; "motion": what gravity shows of it while the device moves, from that rest.
+        "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn;
+        "motion": what gravity shows of it while the device moves, from that rest.
     method : str
         "strapdown", or "vqf": a filter with accelerometers, over the whole record.
     magnetometer : bool
@@ -288,7 +287,7 @@ class OrientSettings:
         How the device is worn: orientation and angles are then those of the segment, and the axes above are the segment's.
     """
 
-    offset: Literal["none", "rest", "still", "motion"] = "none"
+    offset: Literal["none", "rest", "motion"] = "none"
     method: Literal["strapdown", "vqf"] = "strapdown"
     magnetometer: bool = False
     heading: float = 0.0
@@ -404,7 +403,7 @@ def orient(
     Raises
     ------
     InputError
-        No gyroscope, no still phase (in less than 20 s, or for the offsets "rest" and "still"), gaps, holes in time, a dead axis,
+        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis,
         or readings in counts.
     Implausible
         Columns, units or a sample rate that clearly are others than stated.
@@ -459,7 +458,9 @@ def orient_unchecked(
         offsets = np.zeros((len(record), 3))
         uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))
     else:
-        offsets = _offsets(record.time, rests, means, settings.offset, rests.index(still))
+        offsets = np.zeros((len(record), 3))
+        if settings.offset == "rest":
+            offsets += means[rests.index(still)]
         uncertainty = _offset_uncertainty(record, rests, means, offsets, gyro_model)
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
@@ -497,35 +498,16 @@ def _of_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> Floa
 
 
 def _rests(record: Record, named: Still | None, offset: str) -> tuple[Still, ...]:
-    """Return the still phases: those found and the named one, or that alone where no others are needed; none in motion."""
-    if named is not None and offset != "still":
-        return (named,)
-    if offset != "still":
-        try:
-            return rests_from_first(record, "orient")
-        except InputError as error:
-            missing = error.numbers.get("missing") == "rest" and record.accel is not None
-            if offset == "rest" or not missing or record.duration_s < LEAST_IN_MOTION_S:
-                raise
-            return ()
-    search = find_still(record, StillSettings())
-    search = search if search.stills else find_still(record)  # of a worn recording: adapts
-    stills = [one for one in search.stills if named is None or one.stop <= named.start or one.start >= named.stop]
+    """Return the named still phase, or those found; none in motion."""
     if named is not None:
-        return tuple(sorted((*stills, named), key=lambda one: one.start))
-    if not stills:
-        raise no_rest("orient", search.reason)
-    return tuple(stills)
-
-
-def _offsets(time: FloatArray, rests: Sequence[Still], means: FloatArray, offset: str, anchor: int) -> FloatArray:
-    """Return the rate to subtract from each sample, (N, 3): none, that of one rest, or linear between the rests."""
-    if offset == "none":
-        return np.zeros((len(time), 3))
-    if offset == "rest" or len(rests) == 1:
-        return np.tile(means[anchor], (len(time), 1))
-    middles = [0.5 * (time[one.start] + time[one.stop - 1]) for one in rests]
-    return np.stack([np.interp(time, middles, axis) for axis in means.T], axis=1)
+        return (named,)
+    try:
+        return rests_from_first(record, "orient")
+    except InputError as error:
+        missing = error.numbers.get("missing") == "rest" and record.accel is not None
+        if offset == "rest" or not missing or record.duration_s < LEAST_IN_MOTION_S:
+            raise
+        return ()
 
 
 def _offset_uncertainty(

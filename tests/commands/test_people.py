@@ -77,7 +77,5 @@ def test_a_study_of_files_or_without_a_table_is_refused(folder, tmp_path, capsys
     )
     assert run(["validate", "--study", str(folder), "--compare"]) == 2
     assert "--study judges every pipeline; leave --compare" in capsys.readouterr().err
-    assert run(["validate", "--study", str(folder), "--margin-deg", "0"]) == 2
-    assert "wanted more than 0 deg" in capsys.readouterr().err
     assert run(["validate", "--study", str(folder), "--calibration", str(folder / "a.json")]) == 2
     assert "--calibration and --study together say two things" in capsys.readouterr().err

@@ -1,14 +1,11 @@
 """undrift validate with levels of correction: what a person reads, JSON, the page, Python, and what is refused."""
 
-import json
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from benchmarks.broad_files import broad_file
 
-import undrift as package
 from testkit.bench_and_commands import make_bench
 from testkit.data import data_path, show
 from undrift.report.figures import draw_compared
@@ -26,7 +23,6 @@ def trials(tmp_path_factory):
         (folder / person).mkdir()
         for name in ("trial.parquet", "reference.parquet"):
             (folder / person / name).write_bytes((folder / name).read_bytes())
-    (folder / "labels.csv").write_text("recording,task,person\na/*,rise,Ann\nb/*,rise,Bea\nc/trial.parquet,step,Cleo\n")
     return folder
 
 
@@ -43,48 +39,6 @@ def test_one_trial_has_no_interval_and_no_verdict(undrift, trials):
     ]
     assert rest.split()[3] == "–"
     assert rest.rstrip().endswith("not decidable")
-
-
-def test_other_calibrations_stand_beside_the_own_one_with_the_paired_difference(undrift, trials, tmp_path):
-    (trials / "maker.params").write_text("1\t1\tCAL_ACC0_XOFF\t0.1\t9\n1\t1\tCAL_GYRO0_ZOFF\t0.004\t9\n")
-    own = package.read_calibration(trials / "calibration.json")
-    worse = replace(own, gyro=replace(own.gyro, offset=own.gyro.offset + np.array([0.0, 0.0, 12.0])))
-    package.write_calibration(worse, tmp_path / "older.json")
-    beside = ("--against", tmp_path / "older.json")
-    alone = undrift.good("validate", *words(trials), "--offset", "none", "--json").json()
-    answer = undrift.good("validate", *words(trials), "--offset", "none", *beside, "-o", tmp_path / "v")
-    told = json.loads((tmp_path / "v" / "validation.json").read_text())
-    assert [trial["rmse_total_deg"] for trial in told["trials"]] == [x["rmse_total_deg"] for x in alone["trials"]]
-    (other,) = told["against"]
-    assert other["calibration"] == "older.json"
-    totals = [trial["rmse_total_deg"] for trial in other["trials"]]
-    apart = np.mean(totals) - alone["mean"]["rmse_total_deg"]
-    assert other["decision"]["difference"] == pytest.approx(apart)
-    assert (other["decision"]["verdict"], apart > 0.15) == ("better", True)
-    said = f"In total older.json leaves {other['mean']['rmse_total_deg']:.2g} deg, calibration.json "
-    for text in (answer.out.replace("\n", " "), (tmp_path / "v" / "report.html").read_text()):
-        assert said in text
-        assert "Calibrations side by side" in text
-    judged = package.validate(
-        trials / "a" / "trial.parquet", reference=trials / "a" / "reference.parquet", against=str(tmp_path / "older.json"),
-        calibration=trials / "calibration.json", offset="none",
-    )  # fmt: skip
-    assert judged.rivals[0].decision is None  # one recording shows no scatter
-    assert judged.rivals[0].result.mean.rmse_total_deg == pytest.approx(totals[0])
-    wrong = undrift.refused("validate", *words(trials), "--offset", "none", "--against", trials / "maker.params")
-    assert f"{trials / 'maker.params'}: " in wrong
-
-
-def test_what_cannot_be_is_refused(undrift, trials, tmp_path):
-    short = tmp_path / "labels.csv"
-    short.write_text("recording,person\na/trial.parquet,Ann\n")
-    bad = undrift.refused("validate", *words(trials), "--compare", "--labels", short)
-    assert "wanted columns recording and task or person, with a row for each recording, got none for" in bad
-    assert f"{trials / 'b' / 'trial.parquet'}; add it" in bad
-    assert "want --compare" in undrift.refused("validate", *words(trials), "--margin-deg", "0.3")
-    assert "wanted more than 0 deg, got 0" in undrift.refused(
-        "validate", *words(trials), "--compare", "--margin-deg", "0"
-    )
 
 
 @pytest.mark.slow

@@ -131,12 +131,10 @@ def orient(
     calibration: Path | None = None,
     method: Literal["strapdown", "vqf"] = "strapdown",
     magnetometer: Flag = False,
-    offset: Literal["none", "rest", "still", "motion"] = "none",
+    offset: Literal["none", "rest", "motion"] = "none",
     named: NamedRest = NamedRest(),
-    heading_deg: float = 0.0,
     forward: Side | None = None,
     up: Side | None = None,
-    body: str = "sensor",
     applying: TableUse = TableUse(),
     opening: Opening = Opening(),
     progress: Progress = silent,
@@ -157,17 +155,13 @@ def orient(
     magnetometer : bool
         With vqf: takes the magnetic field too; heading is then relative to magnetic east.
     offset : str
-        "rest" subtracts the mean rate of the first still phase (or the named one), "still" that of every still phase, linear
-        between them; "motion" starts from that rest, where there is one, and adds what gravity shows while the device moves.
-    heading_deg : float
-        Heading at the still phase, deg; a magnetometer gives its own.
+        "rest" subtracts the mean rate of the first still phase (or the named one); "motion" starts
+        from that rest, where there is one, and adds what gravity shows while the device moves.
     forward : str or None
         Device axis that points forward on the upright segment: with up it defines the pitch. Without both they are +x and +z, or
         of the segment that wears the device, by the calibration's mounting: then orientation and angles are the segment's.
     up : str or None
         Device axis that points up on the upright segment.
-    body : str
-        Name of the body in .sto, of the OpenSim model: pelvis heads the column pelvis_imu.
     """
     from undrift.correction.rest import named_rest
     from undrift.findings import finding
@@ -183,7 +177,7 @@ def orient(
         readings = opening.like(model, calibration).read(record)
     progress("integrating", 0.4)
     settings = OrientSettings(
-        method=method, magnetometer=magnetometer, offset=offset, heading=math.radians(heading_deg), forward=forward or "+x",
+        method=method, magnetometer=magnetometer, offset=offset, forward=forward or "+x",
         up=up or "+z", mounting=worn_by(model, forward, up),
     )  # fmt: skip
     with named_columns(record):
@@ -196,7 +190,7 @@ def orient(
         rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
-    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output, body=body)
+    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
     return Oriented(
         record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier,
         notes=(*chosen.notes, *notes),

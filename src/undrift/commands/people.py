@@ -217,6 +217,7 @@ def _is_default(value: Any) -> bool:
 
 
 def _study(given: tuple[Any, ...], stated: dict[str, Any]) -> StudyOfPeople:
+    from undrift.study.figure3 import NOTE_APART_DEG
     from undrift.study.people import study_people
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
@@ -241,9 +242,7 @@ def _study(given: tuple[Any, ...], stated: dict[str, Any]) -> StudyOfPeople:
     for k, row in enumerate(rows):
         progress(f"reading {row['recording']}", 0.3 * k / len(rows))
         trials.append(_trial(folder, row, stated))
-    study = study_people(
-        trials, margin_deg=comparing.margin_deg, settings=settings, progress=part_of(progress, 0.3, 1.0)
-    )
+    study = study_people(trials, margin_deg=NOTE_APART_DEG, settings=settings, progress=part_of(progress, 0.3, 1.0))
     result = StudyOfPeople(folder=folder, study=study, output=output)
     if output is not None:
         output.mkdir(exist_ok=True)

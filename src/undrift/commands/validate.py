@@ -4,14 +4,11 @@ The summary has a table of errors, how far they exceed what follows from the cal
 trials, what was done, and the course of each trial; on request each level of correction, and what the device's twin predicts.
 """
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
 from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
@@ -33,7 +30,7 @@ from undrift.commands.files import (
     worn_by,
 )
 from undrift.commands.people import of_people
-from undrift.errors import InputError, UndriftError
+from undrift.errors import InputError
 from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -42,7 +39,6 @@ if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Record, Reference, Session
     from undrift.study.compare import LevelComparison
-    from undrift.study.statistics import Decision
     from undrift.validation.agreement import Coverage, Validation
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
@@ -94,16 +90,6 @@ PITCH_DEFINED = (
 OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RivalCalibration:
-    """Another calibration of the device, judged by the same recordings."""
-
-    source: str  # Its file
-    result: "Validation"
-    # Its total errors less those of the calibration that was validated, paired; None with fewer than three recordings
-    decision: "Decision | None"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Validated(Result):
     """Recordings compared with their references, and how."""
@@ -120,7 +106,6 @@ class Validated(Result):
     output: Path | None = None
     notes: tuple[str, ...] = ()  # which calibration was taken from a folder
     compared: "LevelComparison | None" = None  # Levels of correction, where asked for
-    rivals: tuple[RivalCalibration, ...] = ()  # Other calibrations, where they are named
 
     @property
     def name(self) -> str:
@@ -142,13 +127,7 @@ class Validated(Result):
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
-        rivals = [
-            {"calibration": one.source, "decision": one.decision and asdict(one.decision)}
-            | _validation_json(one.result)
-            for one in self.rivals
-        ]
         beside: dict[str, Any] = {"compared": asdict(self.compared)} if self.compared else {}
-        beside |= {"against": rivals} if rivals else {}
         return _validation_json(self.result) | named | asked | self.gravity | beside
 
     def summary(self) -> Summary:
@@ -168,7 +147,6 @@ class Validated(Result):
             data=self.data,
             pictures=(figure_of("figures:draw_compared", self), first) if self.compared else (first,),
             sections=(
-                *_rivals(self),
                 *_compared(self.compared),
                 errors_section(self),
                 *trials_sections(result.trials, means if many else ()),
@@ -197,34 +175,18 @@ class Comparing:
     compare : bool
         Also judge the recordings at each level of correction: uncalibrated, constants, static tables, all tables, and the offset of
         the rest and of the motion subtracted; and the readings that the twin of the device predicts for the same motion.
-    margin_deg : float
-        Smallest difference between two levels, or between two calibrations, that matters, deg.
-    against : Path
-        Other calibrations of the device, as the maker's or an older one: what each leaves on the same recordings.
-    labels : Path or None
-        With --compare: CSV table with columns recording (a file's name, or a pattern such as p1/*), task and person, or
-        one of both; the statistics are over people.
     study : bool
         The folder holds trials.csv, a row a recording with its person, task, device and reference: each pipeline from readings as
         they come to calibrated with tables, by gyroscopes alone and by VQF, over people, by task and by device.
     """
 
     compare: Flag = False
-    margin_deg: float = NOTE_APART_DEG
-    against: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()
-    labels: Path | None = None
     study: Flag = False
 
     def check(self) -> None:
-        """Refuse a margin that is none, and what says nothing without a comparison, or beside a study."""
-        if self.study and (self.compare or self.against or self.labels):
-            raise InputError("validate: `study` judges every pipeline; leave `compare`, `against` and `labels` out")
-        if not (self.compare or self.study) and (
-            self.labels or (self.margin_deg != Comparing.margin_deg and not self.against)
-        ):
-            raise InputError("validate: `labels` and `margin_deg` want `compare`; say both, or neither")
-        if not 0.0 < self.margin_deg < math.inf:
-            raise InputError(f"`margin_deg`: wanted more than 0 deg, got {self.margin_deg:g}; say what matters")
+        """Refuse a comparison together with a study."""
+        if self.study and self.compare:
+            raise InputError("validate: `study` judges every pipeline; leave `compare` out")
 
     def of(
         self, done: Validated, pairs: list[tuple["Record", "Reference"]], paths: Sequence[Path], progress: Progress
@@ -233,48 +195,9 @@ class Comparing:
         from undrift.study.compare import compare_levels
 
         fitted = [replace(done.calibration, gyro=h.fit.triad.model) for h in done.result.held_out if done.calibration]
-        labels = (tuple(map(name_of, paths)), *self._known(paths))
-        how: Any = {"settings": done.settings, "margin_deg": self.margin_deg, "progress": progress}
+        labels = (tuple(map(name_of, paths)), (), ())
+        how: Any = {"settings": done.settings, "margin_deg": NOTE_APART_DEG, "progress": progress}
         return compare_levels(pairs, fitted or [done.calibration] * len(pairs), labels, **how)
-
-    def rivals(self, done: Validated, pairs: list[tuple["Record", "Reference"]]) -> tuple[RivalCalibration, ...]:
-        """Judge the other calibrations by the same recordings and settings."""
-        import numpy as np
-
-        from undrift.io.store import read_calibration
-        from undrift.study.compare import LEAST_SUBJECTS
-        from undrift.study.statistics import decide_between
-        from undrift.validation.agreement import validate_trials
-
-        rivals = list[RivalCalibration]()
-        for path in self.against:
-            try:
-                result = validate_trials(pairs, calibrations=(read_calibration(path),), settings=done.settings)
-            except UndriftError as error:
-                raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
-            own, other = (np.array([x.figures.rmse_total_deg for x in one.trials]) for one in (done.result, result))
-            enough, tests = len(pairs) >= LEAST_SUBJECTS, len(self.against)
-            decision = decide_between(own, other, margin=self.margin_deg, tests=tests) if enough else None
-            rivals.append(RivalCalibration(source=path.name, result=result, decision=decision))
-        return tuple(rivals)
-
-    def _known(self, paths: Sequence[Path]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return tasks and people of recordings, empty where no labels say so."""
-        from undrift.files import read_bytes
-
-        if self.labels is None:
-            return (), ()
-        table = csv.DictReader(read_bytes(self.labels).decode("utf-8-sig", "replace").splitlines())
-        rows = [row for row in table if row.get("recording")]
-        found = [next((row for row in rows if path.resolve().match(row["recording"])), {}) for path in paths]
-        tasks, people = (tuple(row.get(key) or "" for row in found) for key in ("task", "person"))
-        if not all(tasks) and not all(people):
-            lacking = min(zip(tasks, people, paths, strict=True), key=lambda row: bool(row[0]) + bool(row[1]))[2]
-            raise InputError(
-                f"{self.labels}: wanted columns recording and task or person, with a row for each recording, got none for "
-                f"{lacking}; add it"
-            )
-        return tasks if all(tasks) else (), people if all(people) else ()
 
 
 def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[str, Any]:
@@ -380,10 +303,9 @@ def validate(
     validated = replace(validated, notes=chosen.notes)
     if comparing.compare:
         validated = replace(validated, compared=comparing.of(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
-    validated = replace(validated, rivals=comparing.rivals(validated, pairs))
     if output is None:
         return validated
-    return _write(validated, output, origin_of(*records, *optics.reference, calibration, *comparing.against))
+    return _write(validated, output, origin_of(*records, *optics.reference, calibration))
 
 
 def _check_asked(
@@ -500,22 +422,6 @@ def _judged(
 # ---- sections
 
 
-def _rivals(validated: Validated) -> tuple[Section, ...]:
-    """Return what each calibration leaves on the same recordings, and how the others differ from the validated one."""
-    if not validated.rivals:
-        return ()
-    rows, margin = list[tuple[str, ...]](), ""
-    for one in (None, *validated.rivals):
-        mean, judged = (one or validated).result.mean, one and one.decision
-        more = (number(judged.difference), interval(judged.interval, ".2f"), judged.verdict) if judged else ("–",) * 3
-        margin = f"; by a margin of {judged.margin:g} deg, at 5 %" if judged else margin
-        name = one.source if one else validated.name
-        rows.append((name, number(mean.rmse_total_deg), number(mean.rmse_inclination_deg), *more))
-    text = f"rms over the motion, mean over recordings; more: total, than with {validated.name}, paired, from three recordings on"
-    columns = ("calibration", "total (deg)", "inclination (deg)", "more (deg)", "95 %", f"{validated.name} is")
-    return (Section(title="Calibrations side by side", columns=columns, rows=tuple(rows), text=(text + margin,)),)
-
-
 def _compared(compared: "LevelComparison | None") -> tuple[Section, ...]:
     """Return the levels of correction: their errors, the twins' beside them, and those of each trial and task."""
     if compared is None:
@@ -573,12 +479,9 @@ def _answer(result: "Validation", method: Validated) -> str:
         done = method.settings.offset in removed and any(trial.rest for trial in result.trials)
         parts += [f"with {removed[method.settings.offset]}" if done else "uncorrected"]
     figures, over = result.median, f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
-    beside = [f"{one.source} leaves {one.result.median.rmse_total_deg:.2g} deg" for one in method.rivals]
-    beside += [f"{method.name} {figures.rmse_total_deg:.2g} deg"]
-    total = f" In total {', '.join(beside)}." if method.rivals else ""
     return (
         f"Orientation is wrong by {figures.rmse_total_deg:.2g} deg rms in total and {figures.rmse_inclination_deg:.2g} deg in "
-        f"inclination over the motion{over}, {', '.join(parts)}.{total}"
+        f"inclination over the motion{over}, {', '.join(parts)}."
     )
 
 
