@@ -147,11 +147,9 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     drift = SimpleNamespace(calibration=None, verdict=Verdict.of())
     trials = (SimpleNamespace(figures=figures, findings=()),) * 5
     monkeypatch.setattr(demo, "_judged", lambda *_: (SimpleNamespace(drift=drift), trials))
-    monkeypatch.setattr(demo, "_studied", lambda *_: None)
     monkeypatch.setattr(demo, "_worn", lambda _: Section(title="worn"))
     monkeypatch.setattr(demo, "_details", lambda *_: ())
-    monkeypatch.setattr(demo, "_behind", lambda *_: ())
-    monkeypatch.setattr(demo, "_more", lambda _: Section(title="more"))
+    monkeypatch.setattr(demo, "_tables", lambda _: None)
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")
     assert answer.code == 1
     assert "1 of 1 FAIL." in answer.out
