@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from undrift.base.codec import Key, stored
+from undrift.errors import InputError
 
 Level = Literal["info", "warn", "fail"]
 Status = Literal["good", "marginal", "bad"]
 Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
 
 _SENTENCES = Path(__file__).with_name("findings.toml")
-EARLIER = "earlier.text"  # code of a text that an earlier version wrote
 SHOWN_FIRST = 3  # findings that a person sees without asking for details
 _LEVELS = ("fail", "warn", "info")
 
@@ -67,12 +67,12 @@ _TEMPLATE = _Template()
 
 
 def _read(keys: dict[str, Any]) -> "Finding":
-    """Return a finding of a file by its code; by its text where this version knows no such code, or other values of it."""
+    """Return a finding of a file from its code and values."""
     made = finding(keys["code"], keys["level"], **_filled(keys["values"]))
     try:
         _ = made.text
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
-        return finding(EARLIER, keys["level"], text=keys["text"])
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"findings: {keys['code']} is not a finding of undrift, or lacks a value ({error})") from error
     return made
 
 

@@ -15,7 +15,7 @@ In symbols, for a reading u (3,) at temperature T::
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
@@ -24,7 +24,6 @@ from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import AnyNumber, Gap, Key, Named, TableRows, stored, tree_of
 from undrift.base.summary import Shown
 from undrift.errors import InputError
-from undrift.findings import EARLIER
 from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
 from undrift.findings import Verdict as Verdict
@@ -456,23 +455,7 @@ def versions_used() -> tuple[tuple[str, str], ...]:
     return tuple((name, version(name)) for name in ("undrift", "numpy", "scipy"))
 
 
-def _with_codes(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the tree of a calibration file whose reasons are findings: before these had codes, a reason was a text alone."""
-    verdict = tree.get("verdict")
-    reasons, notes = (
-        ([], []) if not isinstance(verdict, dict) else (verdict.get("reasons"), verdict.get("findings", []))
-    )
-    if not (isinstance(reasons, list) and isinstance(notes, list) and all(isinstance(item, dict) for item in notes)):
-        return tree  # not a verdict: refused by its keys
-    texts = [item.get("text") for item in notes]
-    bare = [text for text in reasons if isinstance(text, str) and text not in texts]
-    earlier = [
-        {"code": EARLIER, "level": "info", "values": {"text": text}, "text": text, "action": ""} for text in bare
-    ]
-    return tree | ({"verdict": verdict | {"findings": notes + earlier}} if isinstance(verdict, dict) and bare else {})
-
-
-@stored(kind="undrift.calibration", whole=True, upgrade=_with_codes)
+@stored(kind="undrift.calibration", whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration(Shown):
     """Everything that is needed to turn one device's readings into rad/s and m/s2.

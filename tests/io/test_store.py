@@ -142,7 +142,7 @@ calibrations = st.builds(
         Verdict,
         status=st.sampled_from(["good", "marginal", "bad"]),
         findings=st.lists(st.text(max_size=20), max_size=3, unique=True).map(
-            lambda texts: tuple(finding("earlier.text", "info", text=text) for text in texts)
+            lambda texts: tuple(finding("imported.uncertainty", "info", program=text) for text in texts)
         ),
     ),
     provenance=st.builds(

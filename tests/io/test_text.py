@@ -181,19 +181,6 @@ def test_a_json_of_another_program_beside_a_table_is_not_ours(tmp_path, content)
     assert read_csv(tmp_path / "r.csv").record.state == "raw"
 
 
-def test_the_first_line_of_earlier_versions_still_reads(tmp_path):
-    head = "# undrift record; frame=b; state=corrected; device=A, 1\n"
-    path = put(tmp_path, head + "time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
-    back = read_csv(path).record
-    assert (back.state, back.frame, back.device) == ("corrected", "b", "A, 1")
-
-
-def test_a_first_line_of_undrift_that_is_damaged_is_refused(tmp_path):
-    path = put(tmp_path, "# undrift record; state=cooked\ntime_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
-    with pytest.raises(FileFormatError, match="wanted '# undrift record; frame="):
-        read_csv(path)
-
-
 def test_units_and_scales_are_applied_as_the_map_says(tmp_path):
     path = put(tmp_path, "ms,a,b,c,T\n1000,16384,0,-16384,-8884\n1010,0,0,0,-2614\n")
     columns = ColumnMap(

@@ -37,7 +37,7 @@ METHOD = Validated(
     verdict=Verdict(),
     settings=TrialSettings(offset="none"),
 )
-WHY = finding("earlier.text", "warn", text="why so")
+WHY = finding("imported.uncertainty", "warn", program="imucal")
 MADE = true_calibration(random_device(np.random.default_rng(2)))
 
 

@@ -58,8 +58,10 @@ def test_what_users_named_is_escaped(tmp_path):
 
 
 def test_the_verdict_stands_first_with_its_reasons(tmp_path):
-    earlier = (finding("earlier.text", "warn", text=text) for text in ("too few poses", "the table slipped"))
-    verdict = Verdict(status="marginal", findings=tuple(earlier))
+    findings = (
+        finding("imported.uncertainty", "warn", program=text) for text in ("too few poses", "the table slipped")
+    )
+    verdict = Verdict(status="marginal", findings=tuple(findings))
     text = page(tmp_path, sections=(Section(title="Later", text=("more",)), Section(title="Empty")), verdict=verdict)
     assert (
         text.index("Verdict: marginal")

@@ -12,7 +12,7 @@
 A file has the keys of its fields; ``Key`` states another place (``units.gyro``), another unit (deg/s in the file, rad/s in the
 value), or that a key may be left out. Numbers read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf".
 An unknown key, a missing key and a value of another type are errors that name the key, what was wanted, what came and what to do.
-Files written by earlier versions are read: ``upgrade`` of ``@stored`` takes their tree and returns today's.
+``complete`` of ``@stored`` takes the tree of a file and returns it with what it implies.
 
 Open ``codec`` first; its docstring has a worked example. Nothing here knows a sensor, a frame or a unit but by its factor to SI.
 pydantic checks the types; it is imported when the first file is read, so that ``import undrift`` and ``--help`` stay quick.

@@ -51,7 +51,7 @@ class Stored:
     form: Any = None  # A type that stands in the file in place of the class, with the next two
     read: Callable[[Any], Any] | None = None  # From the checked keys, or the form, to the value
     write: Callable[[Any], Any] | None = None  # From the value to its tree
-    upgrade: Callable[[Tree], Tree] | None = None  # From the tree of an earlier version to today's
+    complete: Callable[[Tree], Tree] | None = None  # From the tree as stated to one with all that it implies
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,11 +284,11 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
                 f"{name}: wanted format {how.format}, got {version!r}; read it with the undrift that wrote it"
             )
     try:
-        tree = how.upgrade(tree) if how.upgrade and isinstance(tree, dict) else tree
+        tree = how.complete(tree) if how.complete and isinstance(tree, dict) else tree
         made: Value = _checked(cls, tree)
     except Refused as refused:
         raise FileFormatError(f"{name}: {refused.explained(how, text)}") from refused
-    except (InputError, OverflowError) as error:  # of an upgrade
+    except (InputError, OverflowError) as error:  # of `complete`
         raise FileFormatError(f"{name}: {error}") from error
     return made
 

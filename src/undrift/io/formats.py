@@ -40,7 +40,7 @@ from undrift.io.reference import (
     read_sto,
     read_text_poses,
 )
-from undrift.io.text import MARK, open_text, read_csv
+from undrift.io.text import open_text, read_csv
 from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
@@ -121,7 +121,7 @@ def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes]
     """Recognise a text that is not undrift's own."""
 
     def recognised(path: Path, head: bytes) -> bool:
-        own = is_native(_line(head, 0).replace('"', "").split(",")) or head.startswith(MARK)
+        own = is_native(_line(head, 0).replace('"', "").split(","))
         return not own and recognise(path, head)
 
     return recognised

@@ -22,7 +22,7 @@ from undrift.io.columns import Column, TextLayout, is_date, is_number
 from undrift.io.labelled import is_unit, label_of, marks_of
 from undrift.io.libraries import Arrays
 from undrift.io.reference import NEARLY_UNIT
-from undrift.io.text import MARK, Text, open_text, parse_text
+from undrift.io.text import Text, open_text, parse_text
 
 _FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
@@ -76,8 +76,6 @@ def sniff(path: object) -> Text:
     """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
     head = read_bytes(str(path), 1 << 16)
     raw = head.decode("utf-8", "replace").splitlines()[:64]
-    if head.startswith(MARK) and len(raw) > 1:  # undrift's own first line, which open_text passes over by itself
-        raw = raw[1:]
     at = [k for k, line in enumerate(raw) if line.strip()]
     lines = [raw[k] for k in at]
     body = lines[len(lines) // 2 :] or lines

@@ -87,7 +87,7 @@ class Sheet:
         """Parse the rows; the columns named hold numbers."""
         layout = replace(self.layout, drop_bad_rows=drop_bad_rows)
         head = self.rows[: 1 << 20]
-        text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0, mark="")
+        text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0)
         return parse_text(text, positions)
 
     def counted(self, table: RawTable) -> tuple[FloatArray, tuple[str, ...]]:

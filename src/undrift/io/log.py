@@ -285,9 +285,7 @@ def log_text(path: Path, log: SerialLog | None = None) -> Text:
     """Return the readings of a log as a text table, for a map."""
     log = log or read_readings(path)
     layout = TextLayout(header=not log.names[-1].isdecimal())
-    return Text(
-        path=path, content=log.content, head=log.content[: 1 << 20], names=log.names, layout=layout, skip=0, mark=""
-    )
+    return Text(path=path, content=log.content, head=log.content[: 1 << 20], names=log.names, layout=layout, skip=0)
 
 
 def log_sheet(path: Path, log: SerialLog | None = None) -> Sheet:

@@ -3,9 +3,6 @@
 Arrow parses the rows; they are checked one by one only where that fails. undrift writes the unit into every column name, and
 nothing before them. Frame, state and device stand in NAME.csv.json beside NAME.csv, only where they are not the usual ones (sensor
 axes, raw, no device), so that a corrected file is never corrected twice; the same file names columns, units and provenance.
-Earlier versions wrote a first line instead, which still reads::
-
-    # undrift record; frame=b; state=corrected; device=MTi-1
 """
 
 import csv
@@ -54,7 +51,6 @@ from undrift.io.columns import (
 )
 from undrift.record import Record
 
-MARK = b"# undrift "
 Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
@@ -69,12 +65,7 @@ def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadS
     text = open_text(path, TextLayout(drop_bad_rows=settings.drop_bad_rows) if columns is None else columns.layout)
     if columns is None:
         columns = replace(native_map(text.names, settings, source=str(path)), layout=text.layout)
-        if text.mark:
-            marked = dict(part.strip().split("=", 1) for part in text.mark.split(";")[1:] if "=" in part)
-            wanted = "'# undrift record; frame=...; state=...; device=...' in line 1"
-            columns = stated(columns, marked, f"{path}: wanted {wanted}, got {text.mark[:60]!r}")
-        else:
-            columns = _read_sidecar(Path(path), text.names, columns, settings)
+        columns = _read_sidecar(Path(path), text.names, columns, settings)
     found = build_record(parse_text(text, columns.numeric()), columns)
     return found if _ends_with_line(text) else replace(found, notes=(*found.notes, _NO_LINE_END))
 
@@ -222,7 +213,6 @@ class Text:
     names: tuple[str, ...]  # Header, or positions as text
     layout: TextLayout
     skip: int  # Lines before the first row
-    mark: str  # undrift's own first line, "" where there is none
 
 
 def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
@@ -235,8 +225,7 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
     head = content[:_HEAD] if content is not None else read_bytes(path, _HEAD)
     if b"\0" in head[:4096]:
         raise FileFormatError(f"{path}: wanted UTF-8 text, got binary data or UTF-16; save it as UTF-8 text")
-    mark = head.splitlines()[0].decode("utf-8", "replace") if head.startswith(MARK) else ""
-    skip = layout.skip_rows + bool(mark)
+    skip = layout.skip_rows
     lines = head.splitlines()[skip : skip + 64]
     if not lines:
         raise FileFormatError(f"{path}: wanted rows after {skip} skipped lines, got none; check skip_rows")
@@ -253,7 +242,7 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
     if not layout.header:  # positions, as many as most of the first rows have columns
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
-    return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header, mark=mark)
+    return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header)
 
 
 def packed(rows: bytes) -> bytes:

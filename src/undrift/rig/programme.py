@@ -64,7 +64,7 @@ def _tables(protocol: "Protocol") -> dict[str, Any]:
     return {name: table for name, table in tree_by_keys(protocol).items() if stated.get(name, True)}
 
 
-@stored(upgrade=_as_stated, write=_tables)
+@stored(complete=_as_stated, write=_tables)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Protocol:
     """What a calibration session is to do; its keys are those of protocol.toml."""

@@ -668,7 +668,7 @@ def _with_all(tree: dict[str, Any]) -> dict[str, Any]:
     return tree | {"study": study}
 
 
-@stored(upgrade=_with_all)
+@stored(complete=_with_all)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyFile:
     """The whole file."""
