@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import undrift
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import FileFormatError
 from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
 from undrift.io.formats import FORMATS, detect, iter_record, outside_formats
 from undrift.io.inspect import describe
@@ -109,11 +109,11 @@ def test_a_map_reads_a_text_file_of_another_format_as_a_table(site, tmp_path):
     assert undrift.read_record(tmp_path / "a.log", columns).gyro.tolist() == [[1.0, 2.0, 3.0]] * 4
 
 
-def test_an_entry_point_that_is_no_format_is_refused_by_name(site, tmp_path):
+def test_an_entry_point_that_is_no_format_is_skipped_with_a_warning(site, tmp_path):
     install(site, "[undrift.formats]\nbroken = their_logger:NO_FORMAT\n")
     (tmp_path / "a.log").write_text("a\n")
-    with pytest.raises(InputError, match=r"broken: wanted an undrift.io.formats.Format, got str; correct the package"):
-        detect(tmp_path / "a.log")
+    with pytest.warns(UserWarning, match="the format broken of another package is not used"):
+        assert detect(tmp_path / "a.log") == "text"
 
 
 def test_a_note_that_names_a_maker_is_prose(tmp_path):

@@ -320,7 +320,12 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     legacy = "error" if version == "0.17.255" else "resolve"  # conversion of older files ends in this version
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support=legacy)
+        try:
+            data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support=legacy)
+        except nilspodlib.exceptions.VersionError as error:
+            raise FileFormatError(
+                f"{path}: wanted a NilsPod's firmware that nilspodlib knows, got {version}; export the recording to CSV"
+            ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
         found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
