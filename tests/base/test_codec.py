@@ -44,7 +44,7 @@ def _renamed(tree: dict) -> dict:
     return {"temp_c" if key == "temperature" else key: held for key, held in tree.items()}
 
 
-@stored(kind="undrift.loop", format=3, upgrade=_renamed)
+@stored(kind="undrift.loop", format=3, complete=_renamed)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Loop:
     """A loop over temperature."""
