@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 from undrift.base.codec import Key, stored
+from undrift.base.spoken import spoken_template
 from undrift.errors import InputError
 
 Level = Literal["info", "warn", "fail"]
@@ -134,7 +135,7 @@ class Finding:
         return "; ".join(part for part in (head, self.action) if part)
 
     def _filled(self, template: str) -> str:
-        return _TEMPLATE.vformat(template, (), self.values)
+        return _TEMPLATE.vformat(spoken_template(template), (), self.values)
 
 
 def finding(code: str, level: Level, /, **values: Any) -> Finding:

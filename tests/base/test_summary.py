@@ -7,7 +7,6 @@ import pytest
 
 import undrift
 from undrift.base.summary import (
-    CALLED,
     DRAWN_BY,
     SUMMARISED_BY,
     Section,
@@ -16,7 +15,6 @@ from undrift.base.summary import (
     as_html,
     at,
     plain,
-    spoken,
     without_signed_zeros,
 )
 from undrift.errors import InputError
@@ -138,14 +136,6 @@ def test_what_has_nothing_to_draw_is_refused():
         Calibration(device="", reference_temp_c=25.0, gravity_m_s2=9.81).plot()
     with pytest.raises(InputError, match="plot: wanted offsets over temperature, got none"):
         at("undrift.report.drift:draw_drift")(type("Fit", (), {"gyro_summary": None, "accel_summary": None}))
-
-
-def test_a_text_names_arguments_and_the_command_line_names_its_options():
-    text = "widen `longest_lag_s`, or give `gravity_m_s2`"
-    assert spoken(text) == text
-    called = CALLED.set(("calibrate",))
-    assert spoken(text) == "widen --max-lag-s, or give --gravity-m-s2"
-    CALLED.reset(called)
 
 
 # ---- zeros

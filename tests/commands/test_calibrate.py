@@ -14,7 +14,7 @@ from testkit.stepper_jig import turned
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.io.formats import read_reference, write_record
 from undrift.io.session import write_session
-from undrift.io.store import read_calibration
+from undrift.io.store import content_hash, read_calibration
 from undrift.orientation import heading_of
 from undrift.record import Session
 from undrift.sim.device.presets import random_device
@@ -105,6 +105,8 @@ def test_recordings_in_motion_calibrate_both_triads_and_state_the_offset_of_each
     called = undrift("calibrate", *files, "--from", "motion", "-o", made, "--json")
     printed = called.json()
     assert (called.code, printed["verdict"]["status"]) == (0, "marginal")
+    (tmp_path / "printed.json").write_text(called.out)
+    assert content_hash(read_calibration(tmp_path / "printed.json")) == content_hash(read_calibration(made))
     assert printed["gyro"]["method"] == printed["accel"]["method"] == "motion"
     assert [one["recording"] for one in printed["motion"]] == ["0.csv", "1.csv"]
     show("offset of each recording, deg/s", [np.round(one["offset_dps"], 3).tolist() for one in printed["motion"]])

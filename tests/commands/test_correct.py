@@ -72,7 +72,7 @@ def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, benc
     assert [row["output"] for row in told["recordings"]] == [
         str(tmp_path / "out" / name) for name in ("walk.v1.parquet", "walk.v2.parquet", "sit.parquet")
     ]
-    assert all(set(row) >= {"recording", "samples", "samples_outside", "warnings"} for row in told["recordings"])
+    assert all(set(row) >= {"recording", "samples", "samples_outside", "findings"} for row in told["recordings"])
     assert {row["samples"] for row in told["recordings"]} == {len(raw)}
     assert all(read_record(row["output"]).state == "corrected" for row in told["recordings"])
     before = contents(tmp_path / "out")
@@ -183,28 +183,32 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
         rows.append(undrift.good("correct", tmp_path / name, *words, "-o", out, "--json").json()["recordings"][0])
         text = undrift.good("correct", tmp_path / name, *words, "-o", out).out
         assert [line for line in text.splitlines() if line.startswith(("  warning", "  note"))] == [
-            *(f"  warning: {said}" for said in rows[-1]["warnings"]),
+            *(f"  warning: {found['text']}" for found in rows[-1]["findings"]),
             *(f"  note: {said}" for said in rows[-1]["notes"]),
         ]
     for row in rows:
         assert row["seconds_outside"] == pytest.approx(lasts / 3.0, abs=0.05)  # 2.5 degC of 15 at either end
         assert row["seconds_extrapolated"] == pytest.approx(lasts / 3.0, abs=0.05)  # 20 to 25 degC
         assert row["samples_outside"] == pytest.approx(row["seconds_outside"] * tuned.sample_rate_hz)
-        assert f"{row['seconds_outside']:.1f} s outside the drift table: 17.5 to 32.5 degC" in row["warnings"][0]
-        assert f"{row['seconds_extrapolated']:.1f} s where the drift table is extrapolated" in row["warnings"][1]
+        assert [(one["code"], one["level"]) for one in row["findings"]] == [
+            ("correct.outside", "warn"), ("correct.extrapolated", "warn"),
+        ]  # fmt: skip
+        assert [one["values"]["seconds"] for one in row["findings"]] == [
+            row["seconds_outside"], row["seconds_extrapolated"],
+        ]  # fmt: skip
         assert row["notes"][0].startswith("Hysteresis is not corrected: half-width up to")
         assert row["notes"][1].startswith("No warm-up was subtracted: up to")
         assert len(row["notes"]) == 2
-    assert rows[0]["warnings"] == rows[1]["warnings"], "streamed and at once"
+    assert rows[0]["findings"] == rows[1]["findings"], "streamed and at once"
 
 
 def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):
     write_record(replace(tuned, gyro=None), tmp_path / "accel.parquet")
     words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold", "-o", tmp_path / "o.parquet", "--json"]
     told = undrift.good("correct", tmp_path / "accel.parquet", *words).json()
-    (found,) = told["findings"]
-    assert (found["code"], found["values"]["sensor"]) == ("correct.no_sensor", "gyroscope")
-    assert told["recordings"][0]["warnings"][0] == found["text"]
+    (found,) = (one for one in told["findings"] if one["code"] == "correct.no_sensor")
+    assert found["values"]["sensor"] == "gyroscope"
+    assert told["recordings"][0]["findings"] == told["findings"]
 
 
 def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(undrift, tuned, tmp_path):
@@ -223,8 +227,8 @@ def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(un
         row = undrift.good(*words, "--policy", policy, "--json").json()["recordings"][0]
         assert row["samples_without_temperature"] == 200
         assert row["seconds_without_temperature"] == pytest.approx(200 / tuned.sample_rate_hz, abs=1e-6)
-        assert "s without a temperature: the drift table cannot be evaluated there" in row["warnings"][0]
-        assert "  warning: " + row["warnings"][0] in undrift.good(*words, "--policy", policy).out
+        assert "s without a temperature: the drift table cannot be evaluated there" in row["findings"][0]["text"]
+        assert "  warning: " + row["findings"][0]["text"] in undrift.good(*words, "--policy", policy).out
         assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
 
 

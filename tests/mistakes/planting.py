@@ -234,7 +234,7 @@ async def _page(case: Case, folder: Path) -> Told:
 
 
 def texts_of(value: Any, *levels: str) -> list[str]:
-    """Return the texts of findings that warn or fail, or of other levels, and of lists called warnings, in an answer."""
+    """Return the texts of findings that warn or fail, or of other levels, in an answer."""
     wanted = levels or ("warn", "fail")
     if isinstance(value, Finding):
         return [value.text] if value.level in wanted else []
@@ -243,8 +243,7 @@ def texts_of(value: Any, *levels: str) -> list[str]:
             return [str(value["text"])] if value["level"] in wanted else []
         if "worst_finding" in value:  # a row of a folder
             return [] if levels else [text for text in (value["error"], value["worst_finding"]) if text]
-        plain = [] if levels else [text for text in value.get("warnings") or () if isinstance(text, str)]
-        return [*plain, *(text for key, item in value.items() if key != "warnings" for text in texts_of(item, *levels))]
+        return [text for item in value.values() for text in texts_of(item, *levels)]
     if is_dataclass(value) and not isinstance(value, type):
         return texts_of({one.name: getattr(value, one.name, None) for one in fields(value)}, *levels)
     if isinstance(value, list | tuple):

@@ -16,7 +16,6 @@ import os
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
@@ -40,19 +39,10 @@ SUMMARISED_BY = {  # values that a notebook shows as the command does that makes
 }
 NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 PICTURES = (".svg", ".png", ".pdf")  # endings of figures
-CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 _SIGNED_ZERO = re.compile(r"(?<![\w.+/-])-(0(?:\.0+)?)(?![\w.])")  # as a small negative value is rounded
-_ARGUMENT = re.compile(r"`([a-z]\w*)`")  # in the texts of findings and errors
-OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # where it is not the argument's name
 Item = TypeVar("Item")
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
 Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
-
-
-def spoken(text: str, *, called: bool = False) -> str:
-    """Return a text with the arguments that it names, such as `gravity_m_s2`, as options, if the command line called."""
-    by_name = _ARGUMENT.sub(lambda m: "--" + OPTIONS.get(m[1], m[1]).replace("_", "-"), text)
-    return by_name if called or CALLED.get() else text
 
 
 def sentence(text: str) -> str:
@@ -150,19 +140,33 @@ class Summary(Result):
     pictures: tuple[Drawing | str, ...] = ()
     sections: tuple[Section, ...] = ()
     page: Callable[[], Iterable[Section]] = tuple  # Sections after those, of a page alone: made when it is written
-    verdict: Verdict | None = None
+    verdict: Verdict | None = None  # A bad one ends a command with code 1
+    judged: str = ""  # What the verdict is about, where it is not the result: "the calibration"
     findings: tuple[Finding, ...] = ()  # Beside those of the verdict
     notes: tuple[str, ...] = ()
     written: tuple[Path | None, ...] = ()  # Files and folders
     sources: tuple[Path, ...] = ()  # Files made meanwhile that the page names beside those read
-    brief: bool = False  # A terminal shows verdict and findings on request: the sections have what matters
+    brief: bool = (
+        False  # A terminal shows findings, and a verdict that is not bad, on request: the sections have what matters
+    )
     after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
     next: tuple[object, ...] = ()  # Words of the command that follows
-    failed: bool = False  # The verdict is so bad that a script must stop
+    failed: bool = False  # A script must stop, whatever the verdict: a file of a folder could not be read
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "answer", without_signed_zeros(self.answer))
         object.__setattr__(self, "notes", tuple(map(without_signed_zeros, self.notes)))
+
+    @property
+    def headed(self) -> str:
+        """The verdict as a heading: "Verdict: good"; empty where there is none."""
+        about = f" of {self.judged}" if self.judged else ""
+        return f"Verdict{about}: {self.verdict.status}" if self.verdict else ""
+
+    @property
+    def stops(self) -> bool:
+        """Whether a script must stop: the exit code of the command is 1."""
+        return self.failed or (self.verdict is not None and self.verdict.status == "bad")
 
     def summary(self) -> "Summary":
         """Return itself."""
@@ -304,7 +308,7 @@ def as_html(summary: Summary) -> str:
             parts.append(f"<table><caption>{escape(section.title)}</caption><tr>{head}</tr>{''.join(body)}</table>")
         parts += (f"<p>{escape(line)}</p>" for line in section.text)
     if summary.verdict is not None:
-        parts.append(f"<p>Verdict: {summary.verdict.status}</p>")
+        parts.append(f"<p>{summary.headed}</p>")
     findings = (*(summary.verdict.findings if summary.verdict else ()), *summary.findings)
     items = (f"<li>{escape(item.text)}</li>" for item in most_consequential_first(findings)[:SHOWN_FIRST])
     return "".join((*parts, "<ul>", *items, "</ul>"))

@@ -96,7 +96,7 @@ def _called(arguments: Sequence[str]) -> int:
         if list(arguments) in (["--version"], ["-V"]):
             sys.stdout.write(__version__ + "\n")
             return 0
-        from undrift.base.summary import CALLED
+        from undrift.base.spoken import CALLED
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
@@ -184,18 +184,19 @@ def app(arguments: Sequence[str]) -> object:
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
     """Complain on stderr; with --json the envelope with the error stands on stdout too."""
     if "--json" in arguments:
+        from undrift.base.spoken import spoken
         from undrift.cli.common import write_json
 
         words = [word for word in arguments[:2] if word.isidentifier()]
         command = " ".join(words if words[:1] in ([group] for group in commands.GROUPS) else words[:1])
         with suppress(OSError):  # nobody reads it, or it is what is full
-            write_json({}, command, error={"kind": type(error).__name__, "text": " ".join(text.split())})
+            write_json({}, command, error={"kind": type(error).__name__, "text": spoken(" ".join(text.split()))})
     return complain(text, code=code)
 
 
 def complain(message: str, *, code: int) -> int:
     """Write one line to stderr (what was wanted, what came, what to do) and return the exit code."""
-    from undrift.base.summary import spoken
+    from undrift.base.spoken import spoken
 
     sys.stderr.write("undrift: " + spoken(" ".join(message.split())) + "\n")
     return code

@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
-from dataclasses import replace
+from dataclasses import Field, fields, is_dataclass, replace
 from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
@@ -26,7 +26,8 @@ from cyclopts import App, Parameter
 
 from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
-from undrift.base.summary import Result, findings_of, plain, spoken
+from undrift.base.spoken import NAMED, showing, spoken
+from undrift.base.summary import Result, findings_of, plain
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
 from undrift.commands import GROUPS, VERBS, Progress, Screen
@@ -68,8 +69,12 @@ def console(*, err: bool = False) -> "Console":
 
 def say(*lines: str, err: bool = False, style: str = "") -> None:
     """Print lines as they are, brackets in names are not markup; a terminal's width breaks them at spaces and nowhere else."""
+    _print(*map(spoken, lines), err=err, style=style)
+
+
+def _print(*lines: str, err: bool = False, style: str = "") -> None:
     out = console(err=err)
-    for line in (line for text in lines for line in spoken(text).split("\n")):
+    for line in (line for text in lines for line in text.split("\n")):
         for part in [line] if out.soft_wrap else _wrapped(line, out.width):
             out.print(part, markup=False, soft_wrap=True, style=style)
 
@@ -184,7 +189,7 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
         if len(rule) + 2 <= out.width:
             break
     else:
-        return say(*(_stacked(heads, row) for row in held))
+        return _print(*(_stacked(heads, row) for row in held))
 
     def laid(cells: Sequence[str]) -> str:
         placed = (" " * (most - cell_len(cell)) + cell for cell, most in zip(cells[1:], wide[1:], strict=True))
@@ -219,19 +224,18 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     """
     kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
     verdict = value.get("verdict")
-    findings = value.get("findings", verdict.get("findings") if isinstance(verdict, Mapping) else findings_of(value))
+    judged = verdict.get("findings", ()) if isinstance(verdict, Mapping) else ()
+    findings = value.get("findings", [*judged, *findings_of(value)])
     own = {key: item for key, item in value.items() if key not in ENVELOPE}
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
     rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
-    text = json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False)
-    # A document is that of its file, to the letter.
-    sys.stdout.write((text if "document" in own else spoken(text)) + "\n")
+    sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def show_verdict(verdict: "Verdict", *, details: bool) -> None:
-    """Show a verdict with its most consequential findings; all of them with details."""
+def show_verdict(verdict: "Verdict", heading: str, *, details: bool) -> None:
+    """Show a verdict under its heading with its most consequential findings; all of them with details."""
     colour = {"good": "green", "marginal": "yellow", "bad": "red"}[verdict.status]
-    console().print(f"[bold {colour}]verdict: {verdict.status}[/bold {colour}]")
+    say(heading[:1].lower() + heading[1:], style=f"bold {colour}")
     show_findings(verdict.findings, details=details)
 
 
@@ -251,8 +255,8 @@ def show(summary: "Summary", *, details: bool) -> None:
     for section in summary.sections:
         if details or (section.on != "page" and section.folded is not True):
             _show_section(section, details=details)
-    if summary.verdict is not None and (details or not summary.brief):
-        show_verdict(summary.verdict, details=details)
+    if summary.verdict is not None and (details or not summary.brief or summary.verdict.status == "bad"):
+        show_verdict(summary.verdict, summary.headed, details=details)
     if not summary.brief:
         say(*(f"  warning: {one.text}" for one in summary.findings if one.level != "info"))
     say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written if path))
@@ -290,14 +294,22 @@ def __getattr__(name: str) -> Callable[..., int] | App:
     return made
 
 
+def _fields(hint: Any) -> "tuple[Field[Any], ...]":
+    """Return the fields of settings, each an option; none of another parameter."""
+    settings = getattr(hint, "__origin__", hint)  # of Annotated[...]
+    return fields(settings) if is_dataclass(settings) else ()
+
+
 def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     """Return a command of the command line: the parameters of the verb, then those of showing; it returns the exit code."""
     hints, given = get_type_hints(verb, include_extras=True), inspect.signature(verb).parameters
     own = {key for key in given if hints[key] in (Progress, Screen)}
+    names = {name for key in given for name in (key, *(one.name for one in _fields(hints[key])))}
     kept = [one.replace(annotation=hints[key]) for key, one in given.items() if key not in own]
     read = [one.name for one in kept if WRITTEN not in getattr(one.annotation, "__metadata__", ())]
 
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
+        NAMED.set(frozenset(names))
         files = tuple(dict.fromkeys(files_in((*words, *(more.get(key) for key in read)))))
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads
@@ -317,12 +329,13 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
             if json:
                 write_json(summary.data, name)
             else:
-                show(summary, details=details)
+                with showing():
+                    show(summary, details=details)
                 say(*([] if report is None else [f"Wrote {report}"]))
             if lasting is not None:
                 sys.stdout.flush()
                 threading.Event().wait()
-        return int(summary.failed)
+        return int(summary.stops)
 
     added = [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=hint)

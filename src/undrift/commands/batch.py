@@ -21,17 +21,17 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from undrift import __version__
-from undrift.base.summary import Result, Section, Summary, at, findings_of, plain
+from undrift.base.summary import Result, Section, Summary, at, plain
 from undrift.commands import Progress, part_of, silent
 from undrift.commands.files import Opening, check_folder, files_in, is_recording, name_of, origin_of, save_json
 from undrift.errors import InputError, UndriftError
+from undrift.findings import Verdict
 
 if TYPE_CHECKING:
     from undrift.record import Record
 
 HEADS = {"name": "file", "verdict": "verdict", "sample_rate_hz": "rate (Hz)", "gaps": "gaps"}
 ENDS = ("csv", "parquet", "html", "json")  # of the table
-LEVELS = {"bad": "fail", "marginal": "warn"}  # of the finding that makes a verdict
 FOLDER = {"kind": "folder", "format": "folder", "gaps": 0} | dict.fromkeys(
     ("rows", "sample_rate_hz", "duration_s", "temp_c")
 )
@@ -108,7 +108,7 @@ class FolderTable(Result):
                 ),
             ),
             written=() if self.output is None else tuple(self.output / f"summary.{end}" for end in ENDS),
-            failed=bool(errors) and not info,
+            failed=not info and any(row["verdict"] in ("bad", "error") for row in self.rows),
         )
 
 
@@ -256,16 +256,11 @@ def _key(command: str, file: Path, stated: Row) -> str:
 
 
 def _judged(summary: Summary) -> Row:
-    """Return verdict, worst finding and answer of a summary."""
-    data, status = summary.data, "" if summary.verdict is None else summary.verdict.status
-    found = [*(data.get("findings") or ()), *findings_of(data)]
-    found += [
-        {"level": "warn", "text": text} for part in data.get("recordings", ()) for text in part.get("warnings", ())
-    ]
-    by_level = {name: [one["text"] for one in found if one["level"] == level] for name, level in LEVELS.items()}
-    verdict = next((name for name in LEVELS if by_level[name] or status == name), "good")
-    worst = next((text for texts in by_level.values() for text in texts), "")
-    return {"verdict": verdict, "worst_finding": worst, "summary": str(data.get("summary") or summary.answer)}
+    """Return verdict, worst finding and answer of a summary; the verdict is the worse one of the file and of its calibration."""
+    verdict = Verdict.of(*summary.findings).also(summary.verdict or Verdict())
+    worst = next((one.text for level in ("fail", "warn") for one in verdict.findings if one.level == level), "")
+    answer = str(summary.data.get("summary") or summary.answer)
+    return {"verdict": verdict.status, "worst_finding": worst, "summary": answer}
 
 
 def _cell(value: object) -> str:

@@ -351,7 +351,6 @@ def calibration_summary(made: "Calibration") -> Summary:
             *(replace(one, folded="page") for one in calibration_sections(made)),
         ),
         verdict=made.verdict,
-        failed=made.verdict.status == "bad",
     )
 
 

@@ -108,7 +108,6 @@ class Certified(Result):
             ),
             verdict=model.verdict,
             written=(self.output,),
-            failed=model.verdict.status == "bad",
         )
 
 

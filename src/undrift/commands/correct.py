@@ -49,10 +49,9 @@ class CorrectedFile:
     record: Path
     output: Path
     state: "CorrectorState"
-    warnings: tuple[str, ...]  # Where the calibration did not cover it, and signs that it was not read rightly
     notes: tuple[str, ...]
-    findings: "tuple[Finding, ...]"  # Signs of other columns or another unit; in the warnings too
-    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the warnings too
+    findings: "tuple[Finding, ...]"  # Where the calibration did not cover it, and signs that it was not read rightly
+    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the findings too
     rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
     # Of each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2); and the rms of |a| - g and of |w|
     rests: "list[FloatArray]"
@@ -77,7 +76,6 @@ class CorrectedFile:
             ],
             "rest": self.rest and self.rest.figures,
             "at_rest": self.at_rest,
-            "warnings": self.warnings,
             "notes": self.notes,
             "findings": findings_json(self.findings),
         }
@@ -106,6 +104,9 @@ class CorrectedFiles(Result):
 
     def summary(self) -> Summary:
         """Return how much of each recording the calibration covers, with warnings and notes."""
+        from undrift.io.store import findings_json, verdict_json
+
+        findings = tuple(item for file in self.files for item in file.findings)
         rows, several, verdict = [file.row() for file in self.files], len(self.files) > 1, self.model.verdict
         samples, far = (sum(row[key] for row in rows) for key in ("samples", "samples_extrapolated"))
         outside = sum(row["samples_outside"] + row["samples_without_temperature"] for row in rows)
@@ -117,7 +118,7 @@ class CorrectedFiles(Result):
         remarks = tuple(
             f"{file.record.name}, {what}: {text}" if several else f"{what}: {text}"
             for file in self.files
-            for what, texts in (("warning", file.warnings), ("note", file.notes))
+            for what, texts in (("warning", [one.text for one in file.findings]), ("note", file.notes))
             for text in texts
         )
         rests = figure_of("calibration:draw_rests", *self.files[0].rests, _gravity(self.model))
@@ -125,7 +126,8 @@ class CorrectedFiles(Result):
         return Summary(
             title=f"Corrected: {self.files[0].record.name}" + (f" and {len(rows) - 1} more" if several else ""),
             answer=f"{samples} samples are in rad/s and m/s2, {covered}.",
-            data={"calibration": str(self.calibration), "recordings": rows, "notes": self.notes},
+            data={"calibration": str(self.calibration), "recordings": rows, "notes": self.notes}
+            | {"verdict": verdict_json(verdict), "findings": findings_json(findings)},
             pictures=(rests, corrected) if self.files[0].at_rest["rests"] else (corrected,),
             sections=(
                 rows_section("Rests, raw -> corrected (rms)", [*map(_rests_row, self.files)], text=(RESTS,)),
@@ -138,8 +140,11 @@ class CorrectedFiles(Result):
                     ),
                 ),
                 Section(title="Warnings and notes", text=remarks),
-                Section(title=f"Calibration, verdict: {verdict.status}", findings=verdict.findings, folded=True),
             ),
+            verdict=verdict,
+            judged="the calibration",
+            findings=findings,
+            brief=True,
             notes=self.notes,
             written=tuple(file.output for file in self.files),
             next=() if several or self.model.gyro is None else self._next,
@@ -320,9 +325,9 @@ def _correct_one(
             progress(record.name, stream.state.samples / total if total else READ)
         written.result()
     suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
-    warnings = (*(one.text for one in suspicions), *stream.warnings, *(one.text for one in beyond if one.text))
+    findings = (*suspicions, *stream.findings, *(item for one in beyond for item in one.findings))
     return CorrectedFile(
-        record=record, output=part, state=stream.state, warnings=warnings, notes=tuple(notes), findings=suspicions,
+        record=record, output=part, state=stream.state, notes=tuple(notes), findings=findings,
         beyond=beyond, rest=rest, rests=rests, at_rest=at_rest,
     )  # fmt: skip
 

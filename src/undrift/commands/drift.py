@@ -105,7 +105,6 @@ def drift(
         written=(figure, output),
         after=() if output else (NOTHING_WRITTEN,),
         next=() if output is None else _next(recording_of(sessions), first, fit, output),
-        failed=fit.calibration.verdict.status == "bad",
     )
 
 

@@ -61,5 +61,4 @@ def export(
         verdict=model.verdict,
         notes=exported.notes,
         written=files,
-        failed=model.verdict.status == "bad",
     )

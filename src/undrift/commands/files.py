@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import WRITTEN, Flag, Policy, Up, options, stated, verb
-from undrift.base.summary import CALLED, PICTURES, Origin, plain
+from undrift.base.spoken import CALLED
+from undrift.base.summary import PICTURES, Origin, plain
 from undrift.errors import InputError
 
 if TYPE_CHECKING:

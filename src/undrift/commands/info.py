@@ -161,6 +161,8 @@ def info(
         pictures=(drawing,) if records or calibration else (),
         sections=(Section(title="What was found", text=lines),),
         verdict=verdict,
+        findings=found.findings,
+        brief=verdict is None,
         written=() if figure is None else (figure,),
         next=_next(found, len(stills), opening),
     )

@@ -79,7 +79,7 @@ def _mount_summary(
     about = Summary(
         title=f"Mounting by {', '.join(path.name for path in records)}",
         answer="How the device is worn is not shown whole; nothing was written.",
-        data=data | {"verdict": verdict_json(verdict)}, sections=(basis,), verdict=verdict, failed=verdict.status == "bad",
+        data=data | {"verdict": verdict_json(verdict)}, sections=(basis,), verdict=verdict,
     )  # fmt: skip
     if worn is None:
         return about

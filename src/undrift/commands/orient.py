@@ -77,6 +77,8 @@ class Oriented(Result):
 
     def summary(self) -> Summary:
         """Return angles, tilt and warnings."""
+        from undrift.io.store import verdict_json
+
         found, data = self.orientation, _data(self.orientation)
         angles = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
         rows = tuple((name, *(number(one) for one in _spread(angle))) for name, angle in angles)
@@ -97,6 +99,7 @@ class Oriented(Result):
         uncertainty = f"Offset: standard uncertainty {data['offset_uncertainty_dps']:.4f} deg/s, all axes together."
         # A page shows all findings
         offset = tuple(one.text for one in found.findings if one.code in _SHOWN)
+        warnings = tuple(f"warning: {one.text}" for one in found.findings if one.level != "info")
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
             Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
@@ -104,11 +107,10 @@ class Oriented(Result):
             Section(title="How it was found", text=lines),
             Section(title="Offset, north and mounting", text=offset, on="terminal"),
             rows_section("Rests", rests, text=(uncertainty,), folded=True),
+            Section(title="Warnings", text=warnings, on="terminal"),
         ]
-        if self.calibration is not None:
-            verdict = self.calibration.verdict
-            title = f"Calibration, verdict: {verdict.status}"
-            sections.append(Section(title=title, findings=verdict.findings, folded=True))
+        verdict = None if self.calibration is None else self.calibration.verdict
+        data |= {"verdict": verdict and verdict_json(verdict)}
         named = {"method": self.method, "recording": str(self.record), "output": str(self.output)}
         return Summary(
             title=f"Orientation of {self.record.name}",
@@ -117,6 +119,9 @@ class Oriented(Result):
             pictures=(figure_of("figures:draw_orientation", found, self.band),),
             sections=tuple(sections),
             findings=found.findings,
+            verdict=verdict,
+            judged="the calibration",
+            brief=True,
             notes=self.notes,
         )
 

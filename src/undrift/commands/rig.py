@@ -482,7 +482,6 @@ class Accepted(Result):
             answer=f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
             sections=(Section(title="Following error and servo", text=lines),),
             verdict=found.verdict,
-            failed=not found.passed,
             data={
                 "kind": "undrift.rig_check",
                 "format": 1,

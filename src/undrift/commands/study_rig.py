@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import Section, plain_words, spoken
+from undrift.base.summary import Section, plain_words
 
 if TYPE_CHECKING:
     from undrift.rig.programme import Protocol
@@ -81,8 +81,7 @@ def rig_sections(outcome: "StudyOutcome", folder: Path) -> tuple[Section, ...]:
                 f"File and commands have the level faces alone; errors above are with {', '.join(inclined)} too."
             )
         lines.append("undrift " + shlex.join(map(str, run_words(protocol, folder))))
-        lines.append(f"undrift calibrate {session} `mode` paper `output` {key}.json")
-        tables = f"`spline` not-a-knot `tables` scale+dynamic `output` {key}.json"
-        lines += [f"undrift drift {session} `calibration` {key}.json {tables}"] * oven
-    text = tuple(spoken(line, called=True) for line in lines)
-    return Section(title="Commands for the rate table", text=text), *plans
+        lines.append(f"undrift calibrate {session} --mode paper --output {key}.json")
+        tables = f"--spline not-a-knot --tables scale+dynamic --output {key}.json"
+        lines += [f"undrift drift {session} --calibration {key}.json {tables}"] * oven
+    return Section(title="Commands for the rate table", text=tuple(lines)), *plans

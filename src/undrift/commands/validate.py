@@ -122,13 +122,21 @@ class Validated(Result):
         return {"gravity_m_s2": self.calibration.gravity_m_s2, "gravity_source": source}
 
     @property
+    def judged(self) -> Verdict | None:
+        """The verdict, where recordings were corrected at all."""
+        return None if self.calibration is None else self.verdict
+
+    @property
     def data(self) -> dict[str, object]:
         """What JSON has, and validation.json."""
+        from undrift.io.store import verdict_json
+
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
         beside: dict[str, Any] = {"compared": asdict(self.compared)} if self.compared else {}
-        return _validation_json(self.result) | named | asked | self.gravity | beside
+        about = {"verdict": self.judged and verdict_json(self.judged)}
+        return _validation_json(self.result) | named | asked | self.gravity | beside | about
 
     def summary(self) -> Summary:
         """Return the errors of each recording, and what was done to get them."""
@@ -158,7 +166,8 @@ class Validated(Result):
                 *(courses if many else ()),
             ),
             findings=tuple(item for trial in result.trials for item in trial.findings),
-            verdict=None if self.calibration is None else self.verdict,
+            verdict=self.judged,
+            judged="the calibration",
             brief=True,
             notes=(*self.notes, *notes),
             written=(self.output,),

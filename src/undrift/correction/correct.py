@@ -522,10 +522,13 @@ class Corrector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
+        """Where the stream so far went beyond the calibration, as texts."""
+        return tuple(found.text for found in self.findings)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
         """Where the stream so far went beyond the calibration: what the batch would report, each once."""
-        return tuple(
-            found.text for found in coverage.coverage_findings(self.state.reach, self._calibration, self._span)
-        )
+        return coverage.coverage_findings(self.state.reach, self._calibration, self._span)
 
     def push(self, chunk: Record) -> Record:
         """Correct the next chunk.

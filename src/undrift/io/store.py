@@ -19,7 +19,7 @@ from undrift.record import FileMap
 
 KIND = "undrift.calibration"
 ANSWER_KEYS = frozenset({
-    "lacking", "version", "findings", "result", "error",
+    "lacking", "motion", "version", "findings", "result", "error",
 })  # fmt: skip
 # what ``undrift calibrate --json`` says beside the calibration
 codec.stored(form=KeptEntry, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)

@@ -12,7 +12,8 @@ from itertools import count
 from pathlib import Path
 
 from undrift import __version__
-from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence, spoken
+from undrift.base.spoken import showing, spoken
+from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
 
@@ -34,20 +35,24 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
     verdict = summary.verdict
     shown, number = [section for section in filled if not section.folded], count(1)
     lines = sum(4 + 2 * len(one.text) + len(one.rows) + 14 * len(one.pictures) for one in shown)
-    text = template.render(
-        summary=summary,
-        shown=shown,
-        folded=[section for section in filled if section.folded],
-        findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
-        contents=lines > SCREEN_LINES,
-        ordered=most_consequential_first,
-        first=SHOWN_FIRST,
-        style=style,
-        inlined=lambda picture: _inlined(_drawn(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
-        origin=origin or Origin(),
-        versions=_versions(),
-    )
-    write_whole(path, spoken(text.lstrip()))
+    with showing():
+        text = template.render(
+            summary=summary,
+            shown=shown,
+            folded=[section for section in filled if section.folded],
+            findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
+            contents=lines > SCREEN_LINES,
+            ordered=most_consequential_first,
+            first=SHOWN_FIRST,
+            style=style,
+            inlined=lambda picture: _inlined(
+                _drawn(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))
+            ),
+            origin=origin or Origin(),
+            spoken=spoken,
+            versions=_versions(),
+        )
+    write_whole(path, text.lstrip())
 
 
 def _drawn(picture: Drawing | str) -> str:

@@ -52,9 +52,9 @@ def _remarks(answer: Mapping[str, Any]) -> Iterator[tuple[str, Remark]]:
         action, whole = str(one.get("action") or ""), str(one["text"])
         text = whole.removesuffix(action).rstrip("; ")
         yield whole, Remark(level=one.get("level") or "info", text=text, action=action)
-    for key, level in (("warnings", "warn"), ("notes", "info"), ("problems", "info")):
+    for key in ("notes", "problems"):
         for whole in lists.get(key, ()):
-            yield str(whole), Remark(level=level, text=str(whole))
+            yield str(whole), Remark(level="info", text=str(whole))
     for part in (*(part for key, value in lists.items() if key != "findings" for part in value), answer.get("verdict")):
         if isinstance(part, Mapping):
             yield from _remarks(part)

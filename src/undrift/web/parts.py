@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from nicegui import Client, ui
 
-from undrift.base.summary import sentence, spoken
+from undrift.base.summary import sentence
 from undrift.commands.bench.library import Remark
 from undrift.errors import UndriftError
 
@@ -325,9 +325,9 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
 
 def page_words(words: str) -> str:
     """Return a text of a command or of the library with the options that a page offers called as they are there."""
-    words = spoken(words, called=True)
     for option, label in texts()["controls"].items():
-        words = re.sub(rf"{option}(?![\w-])", f"“{label}”", words)
+        argument = option.removeprefix("--").replace("-", "_")
+        words = re.sub(rf"{option}(?![\w-])|`{argument}`", f"“{label}”", words)
     return words
 
 

@@ -1,0 +1,54 @@
+"""The exit code follows from the verdict, and every surface shows the same one."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from undrift.findings import Verdict, finding
+from undrift.io.store import read_calibration, write_calibration
+
+BAD = finding("correct.gravity", "fail", median_g=0.5)
+
+
+@pytest.fixture
+def bad(bench, tmp_path):
+    """The calibration of the bench, with a verdict that is bad."""
+    write_calibration(
+        replace(read_calibration(bench / "calibration.json"), verdict=Verdict.of(BAD)), tmp_path / "bad.json"
+    )
+    return tmp_path / "bad.json"
+
+
+@pytest.mark.parametrize("command", ["correct", "orient", "validate", "info", "export", "certificate"])
+def test_what_a_bad_calibration_gives_is_there_and_ends_with_code_1(undrift, bench, bad, tmp_path, command):
+    trial = [command, bench / "trial.parquet", "--calibration", bad]
+    words = {
+        "correct": [*trial, "-o", tmp_path / "c.csv"],
+        "orient": [*trial, "-o", tmp_path / "o.csv"],
+        "validate": [*trial, "--reference", bench / "reference.parquet", "-o", tmp_path / "v"],
+        "info": [command, bad],
+        "export": [command, bad, "--target", "constants", "-o", tmp_path / "c.json"],
+        "certificate": [command, bad, "-o", tmp_path / "c.html"],
+    }[command]
+    answer = undrift(*words, "--report", tmp_path / "page.html")
+    about = " of the calibration" if command in ("correct", "orient", "validate") else ""
+    assert (answer.code, answer.err) == (1, "")
+    assert f"verdict{about}: bad\n  - {BAD.headline}" in answer.out
+    page = (tmp_path / "page.html").read_text()
+    assert f"<h2>Verdict{about}: bad</h2>" in page
+    assert page.count(f"<strong>{BAD.headline}</strong>") == 1
+    told = undrift(*words, "--json")
+    assert told.code == 1
+    assert told.json()["verdict"]["status"] == "bad"
+    if command == "validate":
+        assert json.loads((tmp_path / "v" / "validation.json").read_text())["verdict"]["status"] == "bad"
+        assert BAD.code in [one["code"] for one in told.json()["findings"]]
+
+
+def test_a_folder_corrected_by_a_bad_calibration_ends_with_code_1(undrift, bench, bad, tmp_path):
+    (tmp_path / "day").mkdir()
+    (tmp_path / "day" / "trial.parquet").write_bytes((bench / "trial.parquet").read_bytes())
+    answer = undrift("correct", tmp_path / "day", "--calibration", bad, "-o", tmp_path / "out", "--json")
+    (row,) = answer.json()["files"]
+    assert (answer.code, row["verdict"], row["error"], row["worst_finding"]) == (1, "bad", "", BAD.text)
