@@ -131,6 +131,8 @@ def test_turns_about_one_axis_are_named_with_the_movement_that_is_missing() -> N
     [
         ({"gyro": None}, "wanted gyroscopes and accelerometers"),
         ({"state": "corrected"}, "wanted raw readings"),
+        ({"gyro_unit": "count"}, "the gyroscopes are in count, and motion alone does not show what one is worth"),
+        ({"accel_unit": "V"}, "the accelerometers are in v, and motion alone does not show what one is worth"),
     ],
 )
 def test_recordings_that_motion_cannot_use_are_refused_in_one_line(change: dict[str, object], words: str) -> None:

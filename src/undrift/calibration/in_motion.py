@@ -7,8 +7,8 @@
 
 Nothing else is asked: no rest, no rig, no optics. Where a recording rests, its offset is the mean there, within what it moves by
 afterwards. Elements of M and A are near those of the identity, each kind within a size that the device itself widens: what the
-motion did not show keeps that prior, and is named with the movement that would show it. Readings in counts have a nominal scale and
-zero first (nominal.py), of which the prior knows nothing. How both triads lie to each other is seen, how they lie in the case is
+motion did not show keeps that prior, and is named with the movement that would show it. Readings in counts or volts are refused:
+their map states what one is worth. How both triads lie to each other is seen, how they lie in the case is
 not: axes are those that the readings have, within the prior. A magnetic field, corrected beforehand (calibration/magnetometer.py),
 is a second direction that R must keep: it shows turns about the vertical.
 
@@ -24,7 +24,6 @@ import numpy as np
 from undrift.arrays import FloatArray, bridged
 from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
 from undrift.calibration.magnetometer import FieldFit
-from undrift.calibration.nominal import Nominal, in_nominal_units, nominal_scales
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -43,7 +42,6 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
-ANY_SCALE, ANY_ZERO = 0.3, 3.0  # of a nominal scale and of a zero in m/s2, found from motion: no prior
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
 _OF_GYRO = np.r_[:9, 21:24]
@@ -148,7 +146,6 @@ class _Model:
     usual: FloatArray  # (3,), gyroscopes' offset over its recordings
     prior: ElementPrior
     sizes: FloatArray  # (7,), deviation of each kind of element
-    sought: tuple[bool, bool]  # whether scale and zero of a triad are but nominal: of counts
 
     @property
     def deviation(self) -> FloatArray:
@@ -164,14 +161,7 @@ class _Model:
 
     @property
     def _information(self) -> FloatArray:
-        information = np.diag(1.0 / np.repeat(self.sizes, 3) ** 2)
-        for first in np.flatnonzero(self.sought) * 6:  # what the three scale factors share says nothing
-            information[first : first + 3, first : first + 3] -= (
-                1.0 / self.sizes[first // 3] ** 2 - 1.0 / ANY_SCALE**2
-            ) / 3.0
-        if self.sought[1]:
-            information[18:, 18:] = np.eye(3) / ANY_ZERO**2
-        return information
+        return np.diag(1.0 / np.repeat(self.sizes, 3) ** 2)
 
     def move(self, step: FloatArray) -> None:
         """Take a step (24,) of M, A, p and the usual offset."""
@@ -180,13 +170,7 @@ class _Model:
 
     def widen(self, covariance: FloatArray) -> None:
         """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
-        deviation = self.deviation
-        for first in np.flatnonzero(self.sought) * 6:
-            deviation[first : first + 3] -= deviation[first : first + 3].mean()
-        square = deviation**2 + by_kinds(covariance)
-        if self.sought[1]:
-            square[18:] = self.sizes[6] ** 2
-        self.sizes = self.prior.sizes(square)
+        self.sizes = self.prior.sizes(self.deviation**2 + by_kinds(covariance))
 
 
 def fit_in_motion(
@@ -204,13 +188,12 @@ def fit_in_motion(
     Raises InputError for a triad that is missing, counts, gaps, short recordings or several units, NotObservable for a device that
     is not turned.
     """
-    scales = nominal_scales(_usable(records), gravity_m_s2)
-    units = _units([in_nominal_units(one, *scales) for one in records], gravity_m_s2 if field else None)
+    scales = _usable(records)
+    units = _units([one.in_units("rad/s", "m/s2") for one in records], gravity_m_s2 if field else None)
     rests = [one.rest.rate for one in units if one.rest is not None]
     model = _Model(
         gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
         usual=np.mean(rests, axis=0) if rests else np.zeros(3), prior=prior, sizes=prior.sizes(np.zeros((0, 21))),
-        sought=(scales[0].sought, scales[1].sought),
     )  # fmt: skip
     for one in units:
         one.offset = model.usual if one.rest is None else one.rest.rate
@@ -253,8 +236,8 @@ def without_gaps(record: Record) -> list[Record]:
     return [replace(one, gyro=x[:, :3], accel=x[:, 3:]) for one, x in zip(parts, lines, strict=True)] or [record]
 
 
-def _usable(records: Sequence[Record]) -> Sequence[Record]:
-    """Return the recordings, each with both triads, in one unit of each, without gaps and long enough; InputError otherwise."""
+def _usable(records: Sequence[Record]) -> tuple[float, float]:
+    """Return rad/s and m/s2 per unit of reading; InputError where recordings lack a triad, length or one unit, or have gaps."""
     if not records:
         raise InputError("motion: wanted one recording or more, got none; name them")
     kinds = {(record.gyro_unit, record.accel_unit) for record in records}
@@ -263,6 +246,14 @@ def _usable(records: Sequence[Record]) -> Sequence[Record]:
         raise InputError(
             f"motion: wanted all recordings in one unit of each triad, got {got}; state the scale of their columns"
         )
+    (units,) = kinds
+    for unit, name in zip(units, ("gyroscopes", "accelerometers"), strict=True):
+        if not is_physical(unit):
+            raise InputError(
+                f"motion: the {name} are in {unit}, and motion alone does not show what one is worth. State the gain of their "
+                "columns in the map, from the range that the device was set to: `undrift info --write-map` takes --gyro-gain and "
+                "--accel-gain."
+            )
     for number, record in enumerate(records):
         where = f"motion, recording {number + 1}"
         if record.gyro is None or record.accel is None:
@@ -271,7 +262,7 @@ def _usable(records: Sequence[Record]) -> Sequence[Record]:
         if gaps or record.duration_s < LEAST_S:
             got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
             raise InputError(f"{where}: wanted {LEAST_S:g} s or more without gaps, got {got}; cut it, or leave it out")
-    return records
+    return si_factor(units[0], "rate"), si_factor(units[1], "accel")
 
 
 def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
@@ -326,18 +317,18 @@ def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
 
 def _result(
     records: Sequence[Record],
-    scales: tuple[Nominal, Nominal],
+    scales: tuple[float, float],
     units: list[_Unit],
     model: _Model,
     covariance: FloatArray,
 ) -> InMotion:
     """Return the model in the units of the readings, judged."""
     unit_gyro, unit_accel = records[0].gyro_unit, records[0].accel_unit
-    verdict = Verdict.of(*_judged(model, covariance), *_scales_found(records[0], scales, model))
+    verdict = Verdict.of(*_judged(model, covariance))
     fits, force = [], np.concatenate([each.left for one in units for _, each, _ in one.stretches])
-    for matrix, offset, rows, (factor, zero), unit, out in (
-        (model.gyro, model.usual, _OF_GYRO, (scales[0].scale, scales[0].zero), unit_gyro, "rad/s"),
-        (model.accel, model.offset, np.r_[9:21], (scales[1].scale, scales[1].zero), unit_accel, "m/s2"),
+    for matrix, offset, rows, factor, unit, out in (
+        (model.gyro, model.usual, _OF_GYRO, scales[0], unit_gyro, "rad/s"),
+        (model.accel, model.offset, np.r_[9:21], scales[1], unit_accel, "m/s2"),
     ):
         scale = np.repeat((factor, 1.0 / factor), (9, 3))
         readings = [(one.rate - one.offset if out == "rad/s" else one.force - offset) @ matrix.T for one in units]
@@ -349,7 +340,7 @@ def _result(
                 unit_in=unit,
                 unit_out=out,
                 matrix=factor * matrix,
-                offset=zero + offset / factor,
+                offset=offset / factor,
                 parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
                 covariance=scale[:, None] * covariance[np.ix_(rows, rows)] * scale,
                 rank=12,
@@ -370,22 +361,11 @@ def _result(
     return InMotion(
         gyro=fits[0],
         accel=fits[1],
-        offsets=np.array([np.mean([units[k].offset for k in places], axis=0) for places in of_each]) / scales[0].scale
-        + scales[0].zero,
-        offset_uncertainty=np.array([spread[places].max(axis=0) for places in of_each]) / scales[0].scale,
+        offsets=np.array([np.mean([units[k].offset for k in places], axis=0) for places in of_each]) / scales[0],
+        offset_uncertainty=np.array([spread[places].max(axis=0) for places in of_each]) / scales[0],
         acceleration=left,
         rested=tuple(units[places[0]].rest is not None for places in of_each),
     )
-
-
-def _scales_found(record: Record, scales: tuple[Nominal, Nominal], model: _Model) -> Iterator[Finding]:
-    """Yield what the motion says counts or volts are worth: data sheets state it, and may be compared."""
-    if scales[0].sought:
-        per_dps = RADIAN_PER_DEGREE / scales[0].scale * 3.0 / float(np.trace(model.gyro))
-        yield finding("motion.gyro_unit", "info", unit=record.gyro_unit, per_dps=per_dps)
-    if scales[1].sought:
-        per_g = STANDARD_GRAVITY / scales[1].scale * 3.0 / float(np.trace(model.accel))
-        yield finding("motion.accel_unit", "info", unit=record.accel_unit, per_g=per_g)
 
 
 def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
@@ -406,10 +386,8 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
             alike = [0.5 * float(np.sqrt(covariance[np.ix_(pair, pair)].sum())) for pair in pairs]
             if (most := 100.0 * max(*alike, *spread[scale])) > 0.2:
                 yield finding("reference.uncertainty", "warn", uncertainty_percent=most)
-    for triad, matrix, sought in zip(
-        ("gyroscope", "accelerometer"), (model.gyro, model.accel), model.sought, strict=True
-    ):
-        if not sought and (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
+    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
+        if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
     after = np.sqrt(by_kinds(covariance).reshape(7, 3).mean(axis=1))
