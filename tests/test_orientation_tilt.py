@@ -35,6 +35,9 @@ from undrift.record import Record, Still
 G = 9.81
 
 
+RECORDED_S = 1.79e9  # Of a clock that counts from 1970
+
+
 def resting(force, n=200, **changes):
     return Record(**{"time": np.arange(n) * 0.01, "accel": np.tile(force, (n, 1)), **changes})
 
@@ -64,7 +67,8 @@ def corrected_by(m, record, **changes):
 
 
 def made_on(days_ago):
-    return Provenance(created=(datetime.now(UTC) - timedelta(days=days_ago)).isoformat())
+    """Return when a calibration was made, before RECORDED_S."""
+    return Provenance(created=(datetime.fromtimestamp(RECORDED_S, UTC) - timedelta(days=days_ago)).isoformat())
 
 
 @pytest.mark.parametrize(
@@ -226,11 +230,16 @@ def test_temperature_and_age_since_the_calibration_count_and_a_table_takes_the_t
     tabled = parts(drift=DriftTables(static=static))
     assert tabled["temperature"] == pytest.approx(per_k, rel=1e-3)  # 1 K beyond the last node
     assert tabled["calibration"] == pytest.approx(3e-3 * np.sqrt(2.0), rel=0.02)
-    assert parts()["ageing"] == pytest.approx(TURN_ON * np.sqrt(2.0))
-    year = parts(provenance=made_on(365.25))["ageing"]
-    assert year == pytest.approx(np.hypot(TURN_ON, AGEING) * np.sqrt(2.0), rel=2e-3)
-    assert parts(provenance=Provenance())["ageing"] == pytest.approx(year, rel=2e-3)  # a year where no date is stated
-    assert parts(provenance=made_on(-30.0))["ageing"] == pytest.approx(TURN_ON * np.sqrt(2.0))
+    dated = replace(warm, time=RECORDED_S + np.asarray(warm.time))
+    fresh = pytest.approx(TURN_ON * np.sqrt(2.0))
+    assert parts(dated)["ageing"] == fresh
+    year = parts(dated, provenance=made_on(365.25))["ageing"]
+    assert year == pytest.approx(np.hypot(TURN_ON, AGEING) * np.sqrt(2.0), rel=1e-6)
+    assert parts(dated, provenance=Provenance())["ageing"] == pytest.approx(year)  # a year where no date is stated
+    assert parts(dated, provenance=made_on(-30.0))["ageing"] == fresh
+    # a recording without a date is taken as made on the day of its calibration
+    assert parts(provenance=made_on(365.25))["ageing"] == fresh
+    assert parts(provenance=made_on(20.0 * 365.25))["ageing"] == fresh
 
 
 def test_coarse_codes_count_until_noise_averages_them_out():

@@ -62,7 +62,7 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
     session = Session(kind="calibration", serial=device.serial, gravity_m_s2=G, records=(record,), stills=motion.stills)
     made = calibrate(session)
     days, warmth = rng.uniform(0.0, 365.0), rng.uniform(-10.0, 10.0)
-    when = (datetime.now(UTC) - timedelta(days=days)).isoformat()
+    when = (datetime.fromtimestamp(RECORDED_S, UTC) - timedelta(days=days)).isoformat()
     made = replace(made, provenance=replace(made.provenance, created=when))
     moved = rng.normal(0.0, np.hypot(5e-4 * G, 0.03 * np.sqrt(days / 365.25)), 3)
     offset = replace(device.accel.offset, constant=device.accel.offset.constant + moved)
@@ -75,6 +75,7 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
     for worn in WORN:
         course, still = _lying(rng) if worn == "lying" else _standing(rng)
         readings = replace(simulate_device(later, course, rng=rng, temp_c=25.0 + warmth).record, gyro=None)
+        readings = replace(readings, time=RECORDED_S + np.asarray(readings.time))
         tilt = initial_tilt(correct_checked(readings, made, reference_span_c=100.0).record, still)
         up = frame @ rotate(quaternion_conjugate(course.q_nb[still.stop - 1]), np.array([0.0, 0.0, 1.0]))
         force = tilt.specific_force / np.linalg.norm(tilt.specific_force)
@@ -83,6 +84,9 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
             Seen(worn, *(float(a) / DEG for a in (off, dict(tilt.parts)["scatter"], tilt.expanded_uncertainty)))
         )
     return found
+
+
+RECORDED_S = 1.79e9  # When the later recordings begin, of a clock that counts from 1970
 
 
 def _lying(rng):

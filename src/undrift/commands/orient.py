@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from undrift.record import Still
 
 NORMAL_95 = 1.96  # standard uncertainties that hold 95 % of errors of one angle
-CLOCK_S = (1e9, 4e9)  # of seconds since 1970: a recording's time beyond says no date
 _SHOWN = ("correct.motion_offset", "orient.north", "orient.mounting")  # on a terminal, though no warnings
 
 

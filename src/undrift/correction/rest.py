@@ -254,6 +254,7 @@ def _head(record: Record, span_s: float) -> Record:
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
+CLOCK_S = (1e9, 4e9)  # of seconds since 1970: a recording whose time lies beyond states no date
 UNKNOWN_YEARS = 1.0  # since a calibration that states no date [assumed]
 _SWAY_S = 1.0  # means over it: shorter accelerations of a body are no tilt
 _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
@@ -279,7 +280,7 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
     return covariances | {
         "calibration": felt @ error.covariance @ felt.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
-        "ageing": np.eye(3) * ageing(error.calibrated) ** 2,
+        "ageing": np.eye(3) * ageing(error.calibrated, float(record.time[still.start])) ** 2,
         "codes": np.diag((error.step * steady) ** 2 / 12.0),
     }
 
@@ -290,9 +291,13 @@ def by_temperature(error: ForceUncertainty, temp_c: float) -> tuple[float, float
     return float(offset), float(scale)
 
 
-def ageing(calibrated: str) -> float:
-    """Return the standard uncertainty of an accelerometer's offset by the date of its calibration, ISO 8601, m/s2."""
-    return math.hypot(TURN_ON, AGEING * math.sqrt(_years_since(calibrated)))
+def ageing(calibrated: str, recorded_s: float) -> float:
+    """Return the standard uncertainty of an accelerometer's offset, m/s2, from its calibration (ISO 8601) to the recording.
+
+    A recording has a date if its clock counts seconds since 1970. A recording without one is taken as made on the day of its
+    calibration. If the calibration states no date, its age is taken as one year.
+    """
+    return math.hypot(TURN_ON, AGEING * math.sqrt(_years_between(calibrated, recorded_s)))
 
 
 def _beyond(temp_c: float, span: FloatArray) -> float:
@@ -301,9 +306,13 @@ def _beyond(temp_c: float, span: FloatArray) -> float:
     return UNKNOWN_K if np.isnan(beyond) else float(beyond)
 
 
-def _years_since(date: str) -> float:
+def _years_between(date: str, recorded_s: float) -> float:
+    """Return the years from a date, ISO 8601, to a moment of a recording."""
     try:
         when = datetime.fromisoformat(date)
     except ValueError:
         return UNKNOWN_YEARS
-    return max(0.0, (datetime.now(UTC) - (when if when.tzinfo else when.replace(tzinfo=UTC))).days / 365.25)
+    if not CLOCK_S[0] < recorded_s < CLOCK_S[1]:
+        return 0.0
+    since_1970 = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    return max(0.0, (recorded_s - since_1970) / (365.25 * 86400.0))
