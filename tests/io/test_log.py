@@ -186,3 +186,12 @@ def test_lines_of_json_are_a_log_by_any_name_and_a_document_is_none(tmp_path):
     (tmp_path / "one.json").write_text("{}\n")
     (tmp_path / "whole.json").write_text('{"a": {"b": 1},\n"c": 2}\n')
     assert {format_of(tmp_path / name)[0] for name in ("one.json", "whole.json")} == {"json"}
+
+
+def test_the_label_t_of_a_firmware_log_is_no_time(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(
+        "".join(f"gyro x: {k} y: 2 z: 3 dps | acc x: 0.1 y: 0.2 z: 9.8 m/s2 | T: 23.5\n" for k in range(60))
+    )
+    found = describe(path)
+    assert all('time = "T"' not in line for line in found.example)

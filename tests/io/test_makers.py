@@ -630,3 +630,29 @@ def test_gyroscope_and_accelerometer_of_a_phone_given_together_are_one_recording
     for name in ("time", "gyro", "accel"):
         np.testing.assert_array_equal(getattr(record, name), getattr(whole, name))
     assert [name for name, _ in session.inputs] == ["TotalAcceleration.csv", "Gyroscope.csv"]
+
+
+def test_a_damaged_accelerometer_of_a_phone_is_an_error(tmp_path):
+    folder = phone(tmp_path)
+    file = next(path for path in folder.iterdir() if path.name in ("TotalAcceleration.csv", "Accelerometer.csv"))
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:5], "1,2", *lines[5:]]) + "\n")
+    with pytest.raises(FileFormatError, match="columns in every row"):
+        read_record(folder)
+
+
+def test_drop_outs_of_a_phones_accelerometer_are_gaps(tmp_path):
+    folder = phone(tmp_path)
+    file = next(path for path in folder.iterdir() if path.name in ("TotalAcceleration.csv", "Accelerometer.csv"))
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(lines[: len(lines) // 3] + lines[2 * len(lines) // 3 :]) + "\n")
+    read = read_counted(folder)
+    assert 0 < np.isnan(read.record.accel[:, 0]).sum() < len(read.record)
+    assert any("in drop-outs of" in note for note in read.notes)
+
+
+def test_physics_toolbox_may_begin_with_an_empty_line(tmp_path):
+    rows = "".join(f"{k / 100:.2f},0.0,0.0,1.0,0.1,0.2,0.3\n" for k in range(50))
+    (tmp_path / "a.csv").write_text(f"\ntime,gFx,gFy,gFz,wx,wy,wz\n{rows}")
+    record = read_record(tmp_path / "a.csv")
+    assert (record.accel_unit, record.gyro_unit, len(record)) == ("g", "rad/s", 50)

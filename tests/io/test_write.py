@@ -138,3 +138,20 @@ def test_a_name_that_opensense_cannot_have_as_a_column_is_refused(tmp_path):
     with pytest.raises(InputError, match="wanted letters, digits and _ for a column"):
         write_orientation(*orientation(), tmp_path / "o.sto", body="my pelvis")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_has_the_mode_that_the_umask_gives_and_keeps_its_own(tmp_path):
+    import os
+
+    time, q, angles = orientation()
+    before = os.umask(0o077)
+    try:
+        for name in ("a.csv", "a.parquet"):
+            write_orientation(time, q, angles, tmp_path / name)
+        write_record(recording(), tmp_path / "r.parquet")
+    finally:
+        os.umask(before)
+    assert {path.stat().st_mode & 0o777 for path in tmp_path.glob("*.*")} == {0o600}
+    (tmp_path / "a.csv").chmod(0o640)
+    write_orientation(time, q, angles, tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").stat().st_mode & 0o777 == 0o640
