@@ -215,18 +215,11 @@ def test_constraints_hold_names_and_versions_only() -> None:
         assert re.fullmatch(r"[A-Za-z0-9_.\-]+==[A-Za-z0-9_.]+", line), line
 
 
-def test_the_extras_of_io_name_what_the_readers_import() -> None:
-
+def test_the_extra_formats_names_what_the_readers_import() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    named = {re.split(r"[<>=\[]", d)[0] for d in project["optional-dependencies"]["io"]}
-    imported = {
-        alias.name.split(".")[0]
-        for path in (PACKAGE / "io").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Import)
-        for alias in node.names
-    }
-    assert imported & {"ezc3d", "h5py", "pymatreader"} <= named
+    named = {re.split(r"[<>=\[]", d)[0] for d in project["optional-dependencies"]["formats"]}
+    imported = set(re.findall(r'_library\("(\w+)', (PACKAGE / "io" / "libraries.py").read_text()))
+    assert imported == named
 
 
 def test_a_stage_that_a_page_may_import_is_a_type_of_what_it_shows() -> None:
