@@ -46,8 +46,8 @@ def mount() -> Case:
 
 @cache
 def from_motion() -> Case:
-    """Return a recording in counts in which the device is turned, and a later one."""
-    held = sound.counted_trial()
+    """Return a recording in which the device is turned, and a later one."""
+    held = trial()
     return Case(
         route="calibrate", recordings=(held.recording,), words=("--from", "motion"), later=held.recording,
         expected=held.right, wrong=later_error,

@@ -28,11 +28,6 @@ UNNAMED = {
         "warned",
         "slow steps are those of a patient; the error is within what is stated",
     ),
-    ("calibrate", "from_motion", "maps the accelerometer as gyroscope and the gyroscope as accelerometer"): (
-        "refused",
-        "in counts neither has a size; one does not turn the other",
-    ),
-    ("calibrate", "from_motion", "declares 50 samples a second of a file with 100"): ("warned", NO_SENSITIVITY),
     ("correct", "correct_by_table", "records at 4 degC and states degC of a temperature in degF"): (
         "warned",
         "39 degC is a temperature of a device, and 4 degC is outside the table; the offset left at rest speaks against both",
