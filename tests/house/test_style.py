@@ -184,10 +184,7 @@ def findings_made() -> Iterator[tuple[Path, str, set[str] | None]]:
 def test_every_finding_has_its_sentences_and_every_sentence_its_finding() -> None:
     made = list(findings_made())
     wrong = [f"{where(path, code)}: not in findings.toml" for path, code, _ in made if code not in catalogue()]
-    wrong += [
-        f"findings.toml: no fit makes {code}"
-        for code in catalogue().keys() - {code for _, code, _ in made}
-    ]
+    wrong += [f"findings.toml: no fit makes {code}" for code in catalogue().keys() - {code for _, code, _ in made}]
     for path, code, names in made:
         if code in catalogue() and names is not None:
             entry = catalogue()[code]
