@@ -2,7 +2,7 @@
 
 ``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Those that take minutes are run
 by their names alone (``study-note`` for ``long_study_note.py``). Gates hold for an idle machine of two cores; a busy one breaks
-some. ``python -m benchmarks.demo_under_load`` is a tool of its own: the quick demo beside busy processes, run after run.
+some.
 """
 
 import importlib

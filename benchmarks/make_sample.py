@@ -1,7 +1,7 @@
 """Record the sample session of the package anew: ``python -m benchmarks.make_sample FOLDER``; about 20 s on an idle machine.
 
-Table, chamber and device are emulated behind sockets, as in ``undrift demo``; the drivers that drive hardware record. The device
-and the person are drawn by fixed seeds. A host's clock is its own, so a new recording differs in its last digits.
+Table, chamber and device are simulated, as in ``undrift demo``, and the device and the person are drawn by fixed seeds, so a new
+recording is the same.
 """
 
 import shutil

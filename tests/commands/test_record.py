@@ -24,8 +24,7 @@ from undrift.io.store import read_calibration
 from undrift.live import transports
 from undrift.record import Face
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.rig.hand_held import HandHeld, start_hand_held
-from undrift.sim.rig.stream import StreamSettings
+from undrift.sim.hands import HandHeld, start_hand_held
 
 HELD_SPEED = 4.0  # with the device, the person and the program in one process; a pseudo-terminal holds 45 lines
 
@@ -196,16 +195,23 @@ class Operator(Screen):
 
 @pytest.fixture
 def held() -> Iterator[tuple[PrintingBoard, Operator]]:
-    hands = start_hand_held(seed=3, stream=StreamSettings(seed=3), speed=HELD_SPEED)
-    with PrintingBoard(patience_s=1.0) as board:
-        hands.stream._send = lambda counts, rows: board.write(
-            b"".join(
-                sketch_line(int(k), round(k * 1e4), row[:3], row[3:6], row[6])
-                for k, row in zip(counts, rows, strict=True)
-            )
-        )
+    ended = threading.Event()
+    with start_hand_held(seed=3, speed=HELD_SPEED) as hands, PrintingBoard(patience_s=1.0) as board:
+
+        def send() -> None:
+            while not ended.wait(0.02):
+                counts, rows = hands.read()
+                lines = (
+                    sketch_line(int(k), round(k * 1e4), row[:3], row[3:6], row[6])
+                    for k, row in zip(counts, rows, strict=True)
+                )
+                board.write(b"".join(lines))
+
+        sender = threading.Thread(target=send)
+        sender.start()
         yield board, Operator(hands)
-        hands.close()
+        ended.set()
+        sender.join()
 
 
 @pytest.mark.slow

@@ -1,78 +1,30 @@
-"""``undrift rig``: a whole calibration over sockets, refusals in one line, a stop from another shell."""
+"""``undrift rig``: a whole calibration on the simulated bench, refusals in one line, a stop from another shell."""
 
 import io
 import json
-import socket
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 
+from testkit.emulated.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
 from undrift.errors import InputError
 from undrift.io.store import read_calibration
-from undrift.live.recorder import Recorder
-from undrift.live.transports import source_at
-from undrift.sim.device.model import read_device
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 
 
-@pytest.fixture(scope="module")
-def emulated(tmp_path_factory):
-    """Start `undrift rig emulate` in a process of its own; yield its addresses and the file of its device."""
-    device = tmp_path_factory.mktemp("emulated") / "device.json"
-    calls = ["rig", "emulate", "--speed", "15", "--seed", "3", "--save-device", str(device), "--json"]
-    code = f"from undrift.cli.app import main; main({calls!r})"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        yield json.loads(process.stdout.readline()) | {"file": device}
-        process.terminate()
-        assert process.wait(20.0) == 0
-    finally:
-        process.kill()
-        process.communicate()
+SIMULATED = ("--rig", "simulated:?clock_speed=1e6", "--device", "simulated:?seed=3", "--chamber", "simulated:")
 
 
-def test_a_device_in_an_operators_hands_is_laid_and_turned_over_its_port(tmp_path, capsys):
-    assert run(["rig", "emulate", "--hand-held", "--pty"]) == 2
-    assert capsys.readouterr().err == (
-        "undrift: --hand-held: wanted no table, got options of one; leave --kind, --port, --pty and --fault out\n"
-    )
-    calls = ["rig", "emulate", "--hand-held", "--device", "xsens_mti1", "--speed", "10", "--room-c", "20", "--json"]
-    calls += ["--save-device", str(tmp_path / "device.json")]
-    code = f"from undrift.cli.app import main; main({calls!r})"
-    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        addresses = json.loads(process.stdout.readline())
-        host, port = addresses["operator"].removeprefix("tcp://").split(":")
-        with Recorder(source_at(addresses["device"])) as recorder, socket.create_connection((host, int(port))) as link:
-            link.sendall(b"face -y\n")
-            start, state = recorder.now(), link.makefile()
-            assert state.readline() == "OK -y\n"
-            time.sleep(0.6)  # of the host: 6 s of the device, a move takes 2
-            record = recorder.between(start, recorder.now())
-        process.terminate()
-        assert process.wait(20.0) == 0
-    finally:
-        process.kill()
-        process.communicate()
-    device = read_device(tmp_path / "device.json")
-    assert record.device == device.serial
-    assert record.accel[-1, 1] == pytest.approx(-9.80665, rel=0.02)
-    assert record.temp_c.mean() == pytest.approx(20.0, abs=2.0)
-
-
-def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, tmp_path, capsys):
+def test_run_and_calibrate_find_the_devices_hidden_parameters(tmp_path, capsys):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    words = [word for name in ("rig", "device", "operator") for word in (f"--{name}", emulated[name])]
     page = ["--report", str(tmp_path / "run.html")]
     assert (
         run(
@@ -80,7 +32,7 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
                 "rig",
                 "run",
                 str(tmp_path / "protocol.toml"),
-                *words,
+                *SIMULATED,
                 "-o",
                 str(tmp_path / "run"),
                 "--yes",
@@ -99,12 +51,12 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
     assert (said["dwells"], len(said["turns"])) == (30, 18)
     assert "30 dwells, 0:0" in err
     assert " left  +30 deg/s about x, dwelling  gyro_x" in err
-    assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
+    assert run(["rig", "stop", "--rig", "simulated:"]) == 0
     assert "at rest, motor off" in capsys.readouterr().out
     assert run(["calibrate", str(tmp_path / "run"), "-o", str(tmp_path / "calibration.json")]) == 0
     capsys.readouterr()
     found = read_calibration(tmp_path / "calibration.json")
-    true = true_calibration(read_device(emulated["file"]))
+    true = true_calibration(random_device(np.random.default_rng(3), grade="consumer"))
     with capsys.disabled():
         for name in ("gyro", "accel"):
             ratio = getattr(found, name).matrix @ np.linalg.inv(getattr(true, name).matrix)
@@ -112,9 +64,8 @@ def test_emulate_run_and_calibrate_find_the_devices_hidden_parameters(emulated, 
             np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
 
 
-@pytest.mark.slow
-def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emulated, capsys):
-    call = ["rig", "check", "--rig", emulated["rig"], "--seconds", "4", "--json"]
+def test_check_accepts_a_table_by_its_limit(capsys):
+    call = ["rig", "check", "--rig", "simulated:?clock_speed=1e6", "--seconds", "4", "--json"]
     assert run(call) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["kind"], found["wave"]["seconds"]) == ("undrift.rig_check", 4.0)
@@ -138,11 +89,25 @@ def test_check_accepts_a_table_by_its_limit_and_leaves_the_motor_as_it_was(emula
         (["check", "--rig", "manual:"], "rig check: wanted a table with a motor, got manual:", 2),
         (["check", "--rig", NOBODY, "--seconds", "0"], "rig check: wanted duration_s above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
-        (["emulate", "--device", "gold"], "device: wanted a device.json or one of", 2),
+        (
+            ["run", "p.toml", *SIMULATED, "--device", "tcp://h:1", "-o", "x"],
+            "wanted a whole bench simulated or none",
+            2,
+        ),
+        (["run", "p.toml", *SIMULATED[:3], "simulated:?device=gold", "-o", "x"], "wanted a device.json or one of", 2),
+        (
+            ["run", "p.toml", *SIMULATED[:3], "simulated:?seed=one", "-o", "x"],
+            "wanted numbers for seed and tilt_deg",
+            2,
+        ),
+        (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "wanted options out of seed, device", 2),
+        (["check", "--rig", "simulated:?clock_speed=0"], "wanted a clock_speed above 0", 2),
+        (["check", "--rig", "simulated:one"], "wanted the address 'simulated:'", 2),
     ],
 )
 def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROTOCOL)
     assert run(["rig", *words]) == code
     out, err = capsys.readouterr()
     assert out == ""
@@ -151,24 +116,33 @@ def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code,
 
 
 @pytest.mark.slow
-def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_again(emulated, tmp_path, capsys):
+def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_again(tmp_path):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    words = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", emulated["rig"], "--device", emulated["device"]]
-    code = f"from undrift.cli.app import main; main({[*words, '-o', str(tmp_path / 'run'), '--yes']!r})"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdin is not None
-        assert process.stderr is not None
-        shown = ""
-        while "press Enter" not in shown:
-            said = process.stderr.read(1)
-            assert said, shown
-            shown += said
-        assert run(["rig", "stop", "--rig", emulated["rig"]]) == 0
-        _, err = process.communicate(timeout=20.0)
-        assert process.returncode == 130
-    assert "stopped; nothing was left half written" in err
+    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=15.0))) as bench:
+        words = [
+            "rig",
+            "run",
+            str(tmp_path / "protocol.toml"),
+            "--rig",
+            bench.rig_address,
+            "--device",
+            bench.device_address,
+        ]
+        code = f"from undrift.cli.app import main; main({[*words, '-o', str(tmp_path / 'run'), '--yes']!r})"
+        with subprocess.Popen(
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdin is not None
+            assert process.stderr is not None
+            shown = ""
+            while "press Enter" not in shown:
+                said = process.stderr.read(1)
+                assert said, shown
+                shown += said
+            assert run(["rig", "stop", "--rig", bench.rig_address]) == 0
+            _, err = process.communicate(timeout=20.0)
+            assert process.returncode == 130
+        assert "stopped; nothing was left half written" in err
 
 
 def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
@@ -180,24 +154,14 @@ def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
         assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
 
 
-def test_faults_are_listed_and_an_unknown_one_is_refused(capsys):
-    assert run(["rig", "emulate", "--fault", "list"]) == 0
-    assert "open_door" in (listed := capsys.readouterr().out)
-    assert "power_cut" in listed
-    for text in ("no_such", "stall:soon", "stall:-1", "stall:1:0", "stall:1:2:3"):
-        assert run(["rig", "emulate", "--fault", text]) == 2
-        assert f"got '{text}'; --fault list explains them" in capsys.readouterr().err
-
-
 def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path, monkeypatch):
     import undrift.rig.check
     import undrift.rig.run
 
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    with undrift.rig.emulate(speed=20.0) as bench:
-        rig, device = bench.addresses["rig"], bench.addresses["device"]
-        assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().failed
-        monkeypatch.setattr("builtins.input", lambda line: "n")
-        with pytest.raises(InputError, match="wanted a yes to start"):
-            undrift.rig.run(tmp_path / "protocol.toml", rig=rig, device=device, output=tmp_path / "run")
-        assert undrift.rig.stop(rig=rig).data["stopped"]
+    rig = "simulated:?clock_speed=1e6"
+    assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().failed
+    monkeypatch.setattr("builtins.input", lambda line: "n")
+    with pytest.raises(InputError, match="wanted a yes to start"):
+        undrift.rig.run(tmp_path / "protocol.toml", rig=rig, device="simulated:", output=tmp_path / "run")
+    assert undrift.rig.stop(rig=rig).data["stopped"]

@@ -1,4 +1,4 @@
-"""``undrift rig run`` with several devices on one table, over sockets."""
+"""``undrift rig run`` with several devices on one table."""
 
 from dataclasses import replace
 
@@ -10,28 +10,27 @@ from undrift.calibration.calibrate import calibrate
 from undrift.commands.rig import run
 from undrift.errors import InputError
 from undrift.io.session import read_session
+from undrift.sim.device.model import write_device
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 
 
-@pytest.mark.slow
 def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp_path, capsys):
     first, second = (
         replace(random_device(np.random.default_rng(seed), grade="consumer"), serial=f"unit-{seed}") for seed in (3, 4)
     )
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    rig, minutes = EmulatorSettings(speed=15.0), []
-    for others in ((), (second,)):
-        with EmulatedBench(EmulatedBenchSettings(rig=rig, device=first, others=others)) as bench:
-            ran = run(
-                tmp_path / "protocol.toml",
-                rig=bench.rig_address,
-                device=tuple(bench.device_addresses),
-                operator=bench.hands_address,
-                output=tmp_path / f"with-{len(others)}",
-                yes=True,
-            )
+    minutes, addresses = [], []
+    for number, one in ((3, first), (4, second)):
+        write_device(one, tmp_path / f"{number}.json")
+        addresses.append(f"simulated:?seed={number}&device={tmp_path / f'{number}.json'}")
+        ran = run(
+            tmp_path / "protocol.toml",
+            rig="simulated:?clock_speed=1e6",
+            device=tuple(addresses),
+            output=tmp_path / f"with-{number}",
+            yes=True,
+        )
         minutes.append(ran.result.duration_s / 60.0)
     assert (ran.output.name, [path.name for path in ran.others]) == ("device-1", ["device-2"])
     summary = ran.summary()
@@ -52,9 +51,8 @@ def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp
         assert max(off) < 3e-3  # as one device alone: tests/commands/test_rig.py
     with capsys.disabled():
         print(f"one device {minutes[0]:.1f} min, two at once {minutes[1]:.1f} min of the table")
-    assert (
-        ran.result.added == beside["dwells"] == 30
-    )  # one course of the table for both; its minutes hang on the machine too
+    assert ran.result.added == beside["dwells"] == 30
+    assert minutes[1] == pytest.approx(minutes[0], rel=0.01)  # one course of the table for both
 
 
 def test_devices_without_addresses_or_a_serial_of_their_own_are_refused(tmp_path):

@@ -1,7 +1,6 @@
-"""What is damaged and what reads it: recordings, sessions, settings, and lines for the emulated machines."""
+"""What is damaged and what reads it: recordings, sessions and settings."""
 
 import contextlib
-import gc
 import gzip
 import io
 import os
@@ -9,7 +8,7 @@ import random
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ import undrift
 from fuzz import oracle
 from testkit.data import DATA
 from testkit.full_calibration import device, tables
-from undrift.base.clock import Clock
 from undrift.cli.app import run
 from undrift.errors import UndriftError
 from undrift.io.session import read_file_map, read_session
@@ -28,11 +26,6 @@ from undrift.rate_log import read_rate_log
 from undrift.rig.programme import read_protocol
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
-from undrift.sim.rig.axes import ServoSettings
-from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
-from undrift.sim.rig.galil_card import CardSettings
-from undrift.sim.rig.galil_language import GalilMachine
-from undrift.sim.rig.grbl import GrblMachine, GrblSettings
 from undrift.study.plan import read_study
 
 BAD = ("crash", "hang", "over 1 GB", "unforeseen", "partial file", oracle.KINDS[-1])
@@ -149,47 +142,8 @@ def by_function(read: Callable[[Path], object]) -> Callable[[Path], Outcome]:
     return call
 
 
-def by_machine(kind: str) -> Callable[[Path], Outcome]:
-    """Say bytes to an emulated machine, in pieces, and look whether it still answers."""
-
-    def call(path: Path) -> Outcome:
-        session = _machines()[kind]().open_session(serial=kind == "grbl")
-        content = path.read_bytes()
-        try:
-            for start in range(0, len(content), 7):
-                for answer in session.feed(content[start : start + 7]):
-                    assert isinstance(answer, bytes)
-                session.unasked()
-        except Exception as error:  # noqa: BLE001 - what the run looks for
-            return Outcome("unforeseen", f"{type(error).__name__}: {error}")
-        finally:
-            del session
-            gc.collect()  # a machine holds itself, and 30 MB of its course
-        return Outcome("read")
-
-    return call
-
-
-@cache
-def _machines() -> dict[str, Callable[[], object]]:
-    clock = Clock.started()
-    with EmulatedChamber(AirSettings(), clock) as chamber:
-        pass  # its thread and socket end: sessions are fed by hand
-    return {
-        "galil": lambda: GalilMachine(ServoSettings(), CardSettings(), clock),
-        "grbl": lambda: GrblMachine(GrblSettings(), clock),
-        "chamber": lambda: chamber,
-    }
-
-
 # ---- sound inputs
 
-LINES = {
-    "galil": b"SH;KP 6;JG 1000;BGX;TPX;TVX;MG _TPX,@ABS[-3];ST;TC1;DM A[20];RA A[];RD _TPX;RC 1;PR 100;AC 5000\r"
-    b"DL\n#A;JG 5;WT 2;JP #A;EN\n\\\rXQ #A\rLS\rAB\rMO\r^R^V\r",
-    "grbl": b"$$\n?\nG91\n$J=G91 X10 F100\nG1 X5 F20\n!~\n$110=500\n$X\n$I\n",
-    "chamber": b"*IDN?\nTEMP:SET 40\nTEMP?\nSYST:ERR?\nTEMP:SET?\nOUTP ON\n",
-}
 MAP = b"""sample_rate_hz = 100.0
 columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }
 units = { time = "s", gyro = "dps", accel = "g", temp = "degC" }
@@ -275,7 +229,6 @@ def seeds() -> list[Seed]:
     }
     made += [Seed(name, content, by_function(read)) for name, (content, read) in settings.items()]
     made.append(Seed("session.toml", SESSION, by_function(lambda path: read_session(path.parent)), {"r.csv": row}))
-    made += [Seed(f"{kind}.txt", content, by_machine(kind)) for kind, content in LINES.items()]
     return made
 
 

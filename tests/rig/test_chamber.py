@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.emulated.emulator import AirSettings, EmulatedChamber
 from testkit.scripted_server import Scripted
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.chamber import ChamberSetup, ScpiChamber, SoakSettings, Steadiness, open_chamber
-from undrift.sim.rig.emulator import AirSettings, EmulatedChamber
 
 SPEED = 200.0
 SOAK = SoakSettings(window_s=60.0)

@@ -7,6 +7,14 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.emulated.emulator import (
+    AirSettings,
+    BenchHands,
+    EmulatedBench,
+    EmulatedBenchSettings,
+    EmulatedChamber,
+    EmulatorSettings,
+)
 from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
 from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
@@ -16,13 +24,6 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.programme import programme_of
 from undrift.rig.run import RigBench, run_programme
-from undrift.sim.rig.emulator import (
-    AirSettings,
-    EmulatedBench,
-    EmulatedBenchSettings,
-    EmulatedChamber,
-    EmulatorSettings,
-)
 from undrift.units import STANDARD_GRAVITY
 
 SPEED = 40.0
@@ -101,7 +102,8 @@ def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):
         "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
     )
     with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
-        places = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]
+        monkeypatch.setattr("undrift.rig.manual.AskedOperator", lambda ask: BenchHands(bench.hands_address))
+        places = ["--rig", bench.rig_address, "--device", bench.device_address]
         words = ["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]
         assert run([*words, "--chamber", "manual:"]) == 3
         assert at_rest(bench.rig)

@@ -9,6 +9,8 @@ from dataclasses import replace
 import pytest
 
 from testkit.data import show
+from testkit.emulated.axes import ServoSettings
+from testkit.emulated.emulator import Emulator, EmulatorSettings
 from testkit.emulated_axis import axis_rate
 from testkit.galil_bench import GalilBench
 from undrift.base.clock import Clock, VirtualClock
@@ -16,8 +18,6 @@ from undrift.errors import InputError, LimitError, LinkError
 from undrift.rig.check import CheckSettings, check_rig
 from undrift.rig.galil import GalilRig
 from undrift.rig.rig import Limits, RigSettings, ServoReport, open_rig
-from undrift.sim.rig.axes import ServoSettings
-from undrift.sim.rig.emulator import Emulator, EmulatorSettings
 
 DEGREE = math.pi / 180.0
 LIMITS = Limits(turn_rate=100.0 * DEGREE, acceleration=2300.0 * DEGREE)

@@ -12,12 +12,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from testkit.emulated.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from testkit.rig_bench import PROTOCOL, on_host, opened
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
 from undrift.io.session import read_session
 from undrift.rig.lock import check_free, one_run, place_of, stop_rig
-from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 

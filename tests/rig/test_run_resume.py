@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.emulated.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from testkit.emulated_axis import axis_rate
 from testkit.rig_bench import SHORT, at_rest, emulated, run
 from testkit.waiting import eventually
@@ -24,7 +25,6 @@ from undrift.io.session import read_session
 from undrift.rig import folder as folder_file
 from undrift.rig.folder import JOURNAL, RunFolder, read_journal
 from undrift.rig.programme import Protocol, write_protocol
-from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 SPEED = 10.0
@@ -37,13 +37,21 @@ LIMIT_FILES = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (6000,
 
 
 def words(bench, protocol, path, *more):
-    addresses = ("--rig", bench.rig_address, "--device", bench.device_address, "--hands", bench.hands_address)
-    return ["rig", "run", str(protocol), *addresses, "-o", str(path), "--yes", *more]
+    addresses = ("--rig", bench.rig_address, "--device", bench.device_address)
+    return bench.hands_address, ["rig", "run", str(protocol), *addresses, "-o", str(path), "--yes", *more]
 
 
-def started(calls, before=""):
-    code = before + f"from undrift.cli.app import main; main({calls!r})"
-    return subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def started(called, before=""):
+    hands, calls = called
+    mounted = (
+        "import undrift.rig.manual as m; from testkit.emulated.emulator import BenchHands; "
+        f"m.AskedOperator = lambda ask: BenchHands({hands!r}); "
+    )
+    code = before + mounted * bool(hands) + f"from undrift.cli.app import main; main({calls!r})"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(
+        [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def killed_at_random(bench, folder, protocol, kills, rng, tell=lambda line: None):
@@ -283,7 +291,7 @@ def test_two_programs_never_write_into_one_folder(tmp_path):
             ):
                 RunFolder(path, SHORT, resume=resume)
         process = started(
-            ["rig", "run", "none"],
+            ("", ["rig", "run", "none"]),
             f"from pathlib import Path; from undrift.rig.folder import Journal; Journal(Path({str(path / JOURNAL)!r})); ",
         )
         assert "no other program writes to" in process.communicate(timeout=120.0)[1]

@@ -2,11 +2,11 @@
 
 import math
 
+from testkit.emulated.axes import ServoSettings
+from testkit.emulated.galil_card import CardSettings
+from testkit.emulated.galil_language import GalilMachine
 from testkit.emulated_axis import present
 from undrift.base.clock import VirtualClock
-from undrift.sim.rig.axes import ServoSettings
-from undrift.sim.rig.galil_card import CardSettings
-from undrift.sim.rig.galil_language import GalilMachine
 
 
 class GalilBench:

@@ -9,9 +9,8 @@ from scipy.stats import chi2
 from undrift.base.clock import VirtualClock
 from undrift.commands.bench.guides import ORDER
 from undrift.record import FACES, Record
+from undrift.sim.hands import start_hand_held
 from undrift.sim.motion.motion import facing, unit_vector
-from undrift.sim.rig.hand_held import start_hand_held
-from undrift.sim.rig.stream import StreamSettings
 from undrift.units import STANDARD_GRAVITY
 
 STEP_S = 0.2  # between two looks of the page
@@ -24,12 +23,8 @@ class HandFeed:
     def __init__(self, seed=3, device=None, lossy=0.0, **settings):
         self.clock = VirtualClock()
         self.lost = np.random.default_rng(seed).random(100_000) < lossy  # readings that the link loses
-        stream = StreamSettings(seed=seed, **settings)
-        self.held = start_hand_held(seed=seed, device=device, stream=stream, clock=self.clock)
+        self.held = start_hand_held(seed=seed, device=device, clock=self.clock, **settings)
         self.rows, self.moves = [], set()
-        self.held.stream._send = lambda counts, rows: self.rows.append(
-            np.column_stack((counts / self.held.stream.rate, rows))
-        )
 
     def __enter__(self):
         return self
@@ -38,17 +33,17 @@ class HandFeed:
         self.held.close()
 
     def go(self, duration_s=STEP_S):
-        with self.held.stream.lock:
-            self.clock.wait(duration_s)
-            self.held.stream._go_on()
-            self.moves |= {(move.start, move.stop) for move in self.held.stream._moves if move.stop > 0.0}
+        self.clock.wait(duration_s)
+        counts, rows = self.held.read()
+        self.rows.append(np.column_stack((counts / self.held.rate, rows)))
+        self.moves |= {(move.start, move.stop) for move in self.held.moves if move.stop > 0.0}
 
     def recent(self, seconds=1.0, drop=None):
         """Return the newest readings; those in the span ``drop``, s, were lost."""
         rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
         if drop is not None:
             rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
-        gone = self.lost[np.round(rows[:, 0] * self.held.stream.rate).astype(int)]
+        gone = self.lost[np.round(rows[:, 0] * self.held.rate).astype(int)]
         rows[gone, 1:] = np.nan  # as a recorder marks them
         if len(rows) < 2:
             return None
@@ -91,7 +86,7 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
         read = {}
         for face in FACES:
             up = unit_vector(face)
-            feed.held.stream._moves[-1] = replace(feed.held.stream._moves[-1], q=facing(np.array([1.0, 0, 0, 0]), up))
+            feed.held.moves[-1] = replace(feed.held.moves[-1], q=facing(np.array([1.0, 0, 0, 0]), up))
             feed.go()
             read[face] = feed.rows[-1][-1, 4:7]
     forward = np.column_stack([0.5 * (read[f"+{a}"] - read[f"-{a}"]) / gravity_m_s2 for a in "xyz"])

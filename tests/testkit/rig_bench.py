@@ -6,6 +6,8 @@ import time
 
 import numpy as np
 
+from testkit.emulated.emulator import Emulator, EmulatorSettings
+from testkit.emulated.stream import EmulatedDevice, StreamSettings
 from testkit.emulated_axis import axis_rate
 from undrift.base.clock import VirtualClock
 from undrift.record import Record
@@ -17,8 +19,6 @@ from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import RigBench, run_programme
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.rig.emulator import Emulator, EmulatorSettings
-from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE

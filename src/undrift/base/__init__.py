@@ -7,7 +7,7 @@
 ``summary``
     What a command has to say, once: the terminal, a page, JSON and a notebook show it.
 ``clock``
-    The time of rigs and emulators: the host's, faster, or virtual.
+    The time of rigs and simulated benches: the host's, faster, or virtual.
 
 A file has the keys of its fields; ``Key`` states another place (``units.gyro``), another unit (deg/s in the file, rad/s in the
 value), or that a key may be left out. Numbers read back to the last bit. NaN is null; infinity, which JSON does not know, is "inf".

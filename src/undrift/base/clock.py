@@ -1,4 +1,4 @@
-"""Time: the host's clock, faster by a factor beside an emulator, and a virtual one that jumps to what happens next.
+"""Time: the host's clock, and virtual ones that jump to what happens next, as fast as the host can or at a pace.
 
 Whoever waits asks a clock: drivers, links, emulators and runs. On the host's clock a wait sleeps and what goes on beside
 it has threads. On a virtual clock one thread does everything: a wait carries out what is due meanwhile, in the order of its time,
@@ -11,6 +11,7 @@ and then it is later. So a soak of hours takes as long as its computing does, an
 
 import heapq
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -212,3 +213,17 @@ class VirtualClock(Clock):
 
     def _later(self, pause_s: float, repeat: Any) -> None:
         heapq.heappush(self._due, (self._now + pause_s, next(self._number), repeat))
+
+
+class PacedClock(VirtualClock):
+    """The time of a simulation: it passes while someone waits alone, and no faster than so many seconds in one of the host's."""
+
+    def __init__(self, pace: float = math.inf) -> None:
+        super().__init__()
+        self._pace = pace
+
+    def wait(self, duration_s: float) -> None:
+        """Let it be later, and have the host wait as long."""
+        if duration_s > 0.0:
+            time.sleep(duration_s / self._pace)
+        super().wait(duration_s)

@@ -28,7 +28,7 @@ VERBS = (
     "record", "sample", "simulate", "study", "twin", "validate",
 )  # fmt: skip
 GROUPS = {  # of commands in one module: the function of each
-    "rig": {name: name for name in ("run", "emulate", "stop", "check")},
+    "rig": {name: name for name in ("run", "stop", "check")},
 }
 
 

@@ -1,7 +1,7 @@
-"""``undrift demo``: the note's method on an emulated bench over real sockets, a page and a summary.
+"""``undrift demo``: the note's method on a simulated bench, a page and a summary.
 
-Table, chamber and device are emulated, the rest is not: what they say goes over TCP into run folders and is read back, and
-nothing that fits or corrects knows the truth. The truth serves the checks at the end alone.
+Table, chamber and device are simulated, the rest is not: what they say goes into run folders and is read back, and nothing
+that fits or corrects knows the truth. The truth serves the checks at the end alone.
 """
 
 import json
@@ -37,7 +37,7 @@ REST_HOST_S = {False: 6.0, True: 3.0}  # forecast of what follows the runs, host
 
 @verb
 def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, progress: Progress = silent) -> Summary:
-    """Calibrate a device on an emulated bench, correct a worn sit-to-stand.
+    """Calibrate a device on a simulated bench, correct a worn sit-to-stand.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", ch
     run, fit, trials = made
     none, _, full, rest, both = (f"{trial.figures.max_abs_pitch_deg:.2f} deg" for trial in trials)
     return Summary(
-        title="undrift demo: the note's method on a virtual bench",
+        title="undrift demo: the note's method on a simulated bench",
         answer=f"Largest pitch error over the {trials[0].figures.motion_s:.1f} s of a sit-to-stand: {none} with a constant "
         f"calibration, {rest} re-zeroed at a rest before the motion, {full} with tuning tables, {both} with both.",
         data={
@@ -191,7 +191,7 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
     return Section(
         title="A sit-to-stand with the device warmed by its wearer",
         text=(
-            f"A wearable device is calibrated on an emulated rate table and in an emulated chamber, over sockets, and worn. {NOTE}",
+            f"A wearable device is calibrated on a simulated rate table and in a simulated chamber, and worn. {NOTE}",
             f"Simulated with the same device after half an hour on a person, {EXCURSION_K:g} K above the bench. While the person "
             f"moves, the tables remove {largest[0] - largest[2]:.2f} deg of the largest pitch error against simulated optics (the "
             f"note, Figure 3: more than 3.2). The offset re-zeroed at the rest before leaves {largest[3]:.2f} deg: scale and "
@@ -203,7 +203,7 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
 
 
 def _bench(run: "BenchRun") -> Section:
-    """Show what was emulated, and how it differs from a real bench."""
+    """Show what was simulated, and how it differs from a real bench."""
     from undrift.study.virtual_bench import SOAK
 
     plan = run.plan
@@ -217,13 +217,15 @@ def _bench(run: "BenchRun") -> Section:
     )
     text = (
         "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits, an LM335-like thermometer: the note's, "
-        "whose offset drifts by 0.1 deg/s per kelvin. Table: a servo card of Galil's language with its control loop, encoder and "
-        "amplifier. Device, table, chamber and mounting are reached over TCP by the drivers for hardware.",
-        f"Emulated time ran {plan.speed:g} times as fast as the host's, {run.host_s:.0f} s in all. The chamber heats by 10 K a "
+        "whose offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and amplifier. "
+        "A run drives them as it drives hardware.",
+        f"It took {run.host_s:.0f} s of this computer: simulated time does not wait. The chamber heats by 10 K a "
         f"second and the board follows within seconds. A set-point counts as reached after {SOAK.window_s:g} s within "
         f"{SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min; a real one needs 0.1 K/min over five minutes.",
     )
-    return table_section("The virtual bench", ((plan.bench, run.bench), (plan.thermal, run.thermal)), cells, text=text)
+    return table_section(
+        "The simulated bench", ((plan.bench, run.bench), (plan.thermal, run.thermal)), cells, text=text
+    )
 
 
 def _rates(run: "BenchRun") -> Section:
@@ -234,8 +236,8 @@ def _rates(run: "BenchRun") -> Section:
     return Section(
         title="Rates that the encoder showed",
         text=(
-            "Calibration uses the achieved rates: the slope of the encoder's positions over each dwell, by the card's own clock. "
-            "Standard uncertainties behind +- come from the steps of the encoder and of that clock, 1/1024 s.",
+            "Calibration uses the achieved rates: the slope of the encoder's positions over each dwell. "
+            "Standard uncertainties behind +- come from the steps of the encoder.",
         ),
         columns=("nominal (deg/s)", *(f"about {axis} (deg/s)" for axis in axes)),
         rows=tuple(

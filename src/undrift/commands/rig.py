@@ -1,21 +1,16 @@
-"""``undrift rig run | emulate | stop | check``: a protocol on a rate table, and the table itself.
+"""``undrift rig run | stop | check``: a protocol on a rate table, and the table itself.
 
-A run shows where it is, and asks its operator, on a ``Screen``. An emulated bench goes on until it is closed.
+A run shows where it is, and asks its operator, on a ``Screen``.
 """
 
-import math
-import os
-import signal
-import threading
-import time
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.base.options import WRITTEN, Flag, Gravity, Output, options, verb
+from undrift.base.options import WRITTEN, Output, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, plus_minus, table_section
 from undrift.commands import Screen
 from undrift.commands.files import device_at
@@ -29,8 +24,7 @@ if TYPE_CHECKING:
     from undrift.rig.programme import Forecast, Programme
     from undrift.rig.rig import RigSettings
     from undrift.rig.run import Mounted, Progress, RigBench, RunResult
-    from undrift.sim.rig.emulator import EmulatedBench
-    from undrift.sim.rig.hand_held import HandHeld
+    from undrift.sim.bench import SimulatedBench
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
@@ -120,7 +114,6 @@ def run(
     device: tuple[str, ...],
     output: Output,
     chamber: str | None = None,
-    operator: str | None = None,
     serial: str = "",
     gravity_m_s2: float | None = None,
     highest_turn_rate_dps: float = HIGHEST_DPS,
@@ -139,7 +132,9 @@ def run(
     protocol : Path
         protocol.toml.
     rig : str
-        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual:
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual: (a person). All
+        of the bench is simulated with simulated: or, faster, simulated:?clock_speed=100, where `device` and `chamber` are
+        simulated: too. `device` may say seed, device (a preset or device.json) and tilt_deg of the mounting there.
     device : tuple of str
         Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name. Several
         devices that are mounted alike on one table are read in the same dwells: state it for each.
@@ -148,8 +143,6 @@ def run(
     chamber : str or None
         Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0; manual:
         asks a person to set it, and the device's thermometer shows when it has soaked.
-    operator : str or None
-        Address of an emulated operator, who mounts the device; a person is asked where not given.
     serial : str
         Of the device; what its address says where not given.
     gravity_m_s2 : float or None
@@ -177,8 +170,9 @@ def run(
 
     asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
     shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
-    settings = replace(settings, ask=shown.ask)
-    options, limits, by_hand = parse_address(rig, settings)[2], settings.limits, rig.startswith("manual:")
+    kind, _, options = parse_address(rig, replace(settings, ask=shown.ask))
+    settings, limits, by_hand = replace(settings, ask=shown.ask, clock=options.clock), settings.limits, kind == "manual"
+    simulated = _simulated(device, (rig, chamber), options, gravity_m_s2)
     programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
@@ -190,9 +184,12 @@ def run(
         check_programme(programme, limits, done, by_hand=by_hand)
         shown.plan(programme, done, yes, options.clock_speed)
         stack.enter_context(stopping_on_signals())
-        first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
+        if simulated is None:
+            first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
+            bench = _bench(stack, first.readings, (rig, chamber), settings, shown, programme, resume=resume)
+        else:
+            bench, (first, *others) = _on_simulated(simulated, folders, with_chamber=chamber is not None)
         first.serial = serial or first.serial
-        bench = _bench(stack, first.readings, (rig, chamber, operator), settings, shown, programme, resume=resume)
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
     return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
@@ -220,6 +217,53 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
     return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
 
 
+def _simulated(
+    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
+) -> "SimulatedBench | None":
+    """Make a simulated bench, where the table is simulated; all of a bench is, or nothing."""
+    import numpy as np
+
+    from undrift.plugins import split_address
+    from undrift.sim.bench import SimulatedBench, SimulatedSettings
+    from undrift.sim.device.presets import PRESETS, random_device
+
+    devices = (device,) if isinstance(device, str) else device
+    named = [text for text in (*addresses, *devices) if text is not None]
+    alike = [text.startswith("simulated:") for text in named]
+    if not any(alike):
+        return None
+    if not all(alike):
+        raise InputError(
+            f"rig run: wanted a whole bench simulated or none of it, got {', '.join(named)}; say simulated: for each"
+        )
+    models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
+    for text in devices:
+        told = dict(split_address(text, "device", {"simulated": ""}, "", "name how it is connected")[2])
+        try:
+            seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
+        except ValueError as error:
+            raise InputError(f"device: wanted numbers for seed and tilt_deg, got '{text}'; mend the address") from error
+        name = told.pop("device", "")
+        if told:
+            raise InputError(f"device: wanted options out of seed, device, tilt_deg, got '{text}'; mend the address")
+        rng = np.random.default_rng(seed)
+        models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
+        settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * RADIAN_PER_DEGREE)
+    return SimulatedBench(models, settings, options.timing)
+
+
+def _on_simulated(
+    made: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
+) -> "tuple[RigBench, list[Mounted]]":
+    """Return what a run works with on a simulated bench, and its devices with their folders."""
+    from undrift.rig.run import Mounted, RigBench
+
+    chamber = made.chamber if with_chamber else None
+    bench = RigBench(rig=made.table, readings=made.readings[0], mounting=made, chamber=chamber, clock=made.clock)
+    each = zip(made.devices, made.readings, folders, strict=True)
+    return bench, [Mounted(readings=readings, folder=folder, serial=one.model.serial) for one, readings, folder in each]
+
+
 def _mounted(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
     """Connect a device."""
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
@@ -237,7 +281,7 @@ def _mounted(stack: ExitStack, address: str, folder: "RunFolder", programme: "Pr
 def _bench(
     stack: ExitStack,
     readings: "Readings",
-    addresses: tuple[str, str | None, str | None],
+    addresses: tuple[str, str | None],
     settings: "RigSettings",
     shown: "_Shown",
     programme: "Programme",
@@ -251,9 +295,8 @@ def _bench(
     from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import RigBench
-    from undrift.sim.rig.emulator import BenchHands
 
-    rig, chamber, operator = addresses
+    rig, chamber = addresses
     clock = parse_address(rig, settings)[2].timing
     oven = None
     if chamber is not None:
@@ -261,7 +304,7 @@ def _bench(
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
         oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=shown.ask)
         stack.callback(oven.close)
-    mounting = AskedOperator(shown.ask) if operator is None else BenchHands(operator)
+    mounting = AskedOperator(shown.ask)
     check_free(rig, motor_on=resume)  # a run that was killed leaves its motor on
     table = open_rig(rig, settings)
     stack.callback(table.close)
@@ -304,145 +347,6 @@ class _Shown:
         logged = bool(progress.live) or progress.phase in ("mounting", "closing")
         step = progress.number if logged else None
         self._screen.over(f"{line}  {progress.live}".rstrip(), step=step, last=progress.phase == "closing")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Emulated(Result):
-    """An emulated bench on loopback ports; a context manager that closes it, as signals that end a program do."""
-
-    bench: "EmulatedBench | HandHeld"
-    addresses: dict[str, str]  # As `run` takes them
-    _entered: ExitStack = field(default_factory=ExitStack)
-
-    def summary(self) -> Summary:
-        """Return the addresses."""
-        earlier = {"hands": self.addresses["operator"]} if "rig" in self.addresses else {}  # of earlier releases
-        return Summary(
-            title="An emulated bench",
-            answer="\n".join(f"`{name}` '{address}'" for name, address in self.addresses.items()),
-            data=self.addresses | earlier,
-        )
-
-    def __enter__(self) -> "Emulated":
-        from undrift.rig.lock import stopping_on_signals
-
-        self._entered.enter_context(stopping_on_signals())
-        self._entered.enter_context(self.bench)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._entered.close()
-
-
-@verb
-def emulate(
-    *,
-    device: str = "",
-    kind: Literal["galil", "grbl"] = "galil",
-    speed: float = 1.0,
-    port: int = 0,
-    hand_held: Flag = False,
-    sample_rate_hz: float = 100.0,
-    room_c: float = 25.0,
-    mount_tilt_deg: float | None = None,
-    heating_c_per_min: float = 3.0,
-    gravity_m_s2: Gravity = STANDARD_GRAVITY,
-    fault: tuple[str, ...] = (),
-    pty: Flag = False,
-    save_device: Annotated[Path | None, WRITTEN] = None,
-    seed: int = 0,
-    idle_s: float = math.inf,
-) -> Emulated | Summary:
-    """Emulate a table, a chamber, a device and an operator on loopback ports; print their addresses and go on until Ctrl-C.
-
-    Parameters
-    ----------
-    device : str
-        A preset, such as mpu6050 or enc03j_3031, or a device.json; a device of consumer grade drawn by the seed where not
-        given.
-    kind : str
-        Servo card or stepper board.
-    speed : float
-        Emulated seconds in one of the host's.
-    port : int
-        Of the table; 0 takes a free one.
-    hand_held : bool
-        A device in an operator's hands instead, without a table: the operator's port takes lines such as "face +x" and
-        "turn z 360".
-    sample_rate_hz : float
-        Readings of the device a second.
-    room_c : float
-        Temperature around, degC.
-    mount_tilt_deg : float or None
-        Mounting error of the operator: standard deviation about each axis, deg; 0 where not given, 0.3 if hand-held.
-    heating_c_per_min : float
-        How fast the chamber changes its temperature, K/min.
-    fault : tuple of str
-        NAME, NAME:AFTER_S or NAME:AFTER_S:FOR_S, seconds of the emulated clock: a part of the link, the table or the chamber
-        breaks then and for so long; any number of them. "list" names them.
-    pty : bool
-        Open a pseudo terminal too, for clients that speak over a serial port; --rig of it is printed as pty.
-    save_device : Path or None
-        Write the device there, as device.json: the truth that a calibration should find.
-    seed : int
-        Of every random draw.
-    idle_s : float
-        End so long after the last client of the table has left, or after the program that started this one, s.
-    """
-    import numpy as np
-
-    from undrift.sim.device.model import write_device
-    from undrift.sim.device.presets import PRESETS
-    from undrift.sim.rig import emulator
-    from undrift.sim.rig.hand_held import HandSettings, start_hand_held
-    from undrift.sim.rig.stream import StreamSettings
-
-    faults = [emulator.planned_fault(text) for text in fault if text != "list"]
-    if "list" in fault:
-        lines = "\n".join(f"{name:22}{what}" for name, what in emulator.ALL_FAULTS.items())
-        return Summary(title="Faults of an emulated bench", answer=lines, data={"faults": emulator.ALL_FAULTS})
-    if hand_held and (faults or pty or port or kind != "galil"):
-        raise InputError(
-            "`hand_held`: wanted no table, got options of one; leave `kind`, `port`, `pty` and `fault` out"
-        )
-    tilt = (0.3 * hand_held if mount_tilt_deg is None else mount_tilt_deg) * RADIAN_PER_DEGREE
-    stream = StreamSettings(sample_rate_hz=sample_rate_hz, mount_tilt_sd=tilt, gravity_m_s2=gravity_m_s2, seed=seed)
-    drawn = device_at(device, np.random.default_rng(seed), draw=device in PRESETS) if device else None
-    bench: EmulatedBench | HandHeld
-    if hand_held:
-        hands = HandSettings(tilt_sd=tilt, temp_c=room_c)
-        bench = held = start_hand_held(seed=seed, device=drawn, hands=hands, stream=stream, speed=speed)
-        addresses = {"device": held.address, "operator": held.operator_address}
-    else:
-        settings = emulator.EmulatedBenchSettings(
-            rig=emulator.EmulatorSettings(kind=kind, speed=speed, port=port, with_pty=pty),
-            air=emulator.AirSettings(room_c=room_c, ramp_c_per_min=heating_c_per_min),
-            stream=stream,
-            device=drawn,
-        )
-        bench = table = emulator.EmulatedBench(settings)
-        addresses = {"rig": table.rig_address, "device": table.device_address}
-        addresses |= {"chamber": table.chamber_address, "operator": table.hands_address}
-        addresses |= {} if table.pty_address is None else {"pty": table.pty_address}
-        threading.Thread(target=_end_when_idle, args=(table, idle_s), name="idle", daemon=True).start()
-        for one in faults:
-            threading.Thread(target=table.break_as, args=(one,), name=one.name, daemon=True).start()
-    if save_device is not None:
-        write_device(bench.device, save_device)
-    return Emulated(bench=bench, addresses=addresses)
-
-
-def _end_when_idle(table: "EmulatedBench", idle_s: float) -> None:
-    """End this process, as Ctrl-C does, so long after the last client of its table, or the process that started it, is gone."""
-    if math.isinf(idle_s):
-        return
-    parent, last, used = os.getppid(), time.monotonic(), False
-    while time.monotonic() - last < idle_s:
-        time.sleep(min(0.5, 0.2 * idle_s))
-        used = used or table.rig.clients > 0
-        if table.rig.clients or not (used or os.getppid() != parent):
-            last = time.monotonic()
-    os.kill(os.getpid(), signal.SIGTERM)
 
 
 @verb
@@ -512,7 +416,7 @@ def check(
     Parameters
     ----------
     rig : str
-        Address of the table: galil:tcp://host:port?encoder_lines=10000
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, or simulated:
     seconds : float
         Length of the step wave, s of the table.
     turn_rate_dps : float
@@ -533,7 +437,8 @@ def check(
         acceleration=asked.limits.acceleration,
         limit=limit_deg * RADIAN_PER_DEGREE,
     )
-    if parse_address(rig, asked)[0] == "manual":
+    kind, _, asked = parse_address(rig, asked)
+    if kind == "manual":
         raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
@@ -541,7 +446,7 @@ def check(
         check_free(rig, motor_on=True)
         table = open_rig(rig, asked)
         stack.callback(table.close)
-        found = check_rig(table, parse_address(rig)[2].timing, settings, screen.over)
+        found = check_rig(table, asked.timing, settings, screen.over)
     return Accepted(rig=rig, settings=settings, found=found)
 
 

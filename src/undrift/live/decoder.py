@@ -76,7 +76,7 @@ class StreamDescription:
     sync: str = "aa55"  # First bytes of a frame, hex
     # Fields of a frame as Python's struct writes them, one for each channel, little (<) or big (>) end first
     pack: str = ""
-    clock_speed: float = 1.0  # Device seconds per host second: 1 for hardware, an emulator's speed otherwise
+    clock_speed: float = 1.0  # Device seconds per host second: 1 for hardware, that of a simulated device otherwise
     device: str = ""  # Serial number or name
 
     def __post_init__(self) -> None:

@@ -40,7 +40,8 @@ BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A
 LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a person wrote
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
-    kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")
+    **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
+    "simulated": "undrift.sim.hands:source_of",
 }
 GROUP = "undrift.sources"
 

@@ -11,7 +11,7 @@ one that the encoder shows, not the one that was asked for.
 ``lock``        one run for one table, and a run that signals end at rest; ``check``: acceptance of a table with a servo
 
 Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are
-those of the table's clock (base/clock.py): the host's, an emulator's that runs faster, or a virtual one in tests. deg, deg/s and
+those of the table's clock (base/clock.py): the host's, or that of a simulated bench. deg, deg/s and
 degC appear in messages and files alone. Numbers are rounded as the controller rounds them, before a byte is sent, and read back.
 Whatever ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported.
 Open ``run`` first; a new controller is a file like ``grbl`` and a row in ``rig.CONTROLLERS``.

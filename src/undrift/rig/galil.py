@@ -177,7 +177,7 @@ class GalilAxis:
         if self.last is not None and abs(counts - self.last) > reach:
             raise LinkError(
                 f"{self.name}: wanted a position within {reach:.0f} counts of {self.last}, got {counts}; "
-                "the card was restarted, the answer is garbled, or an emulator runs faster than clock_speed says",
+                "the card was restarted, the answer is garbled, or clock_speed is wrong",
                 counts=counts,
             )
         self.last, self._read_at = counts, asked

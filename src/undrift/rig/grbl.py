@@ -239,7 +239,7 @@ class GrblAxis(GrblController):
         if abs(place_deg - last_deg) > reach_deg:
             raise LinkError(
                 f"{self.name}: wanted a position within {reach_deg:.1f} deg of {last_deg:g}, got {place_deg:g}; "
-                "the controller was restarted, the answer is garbled, or an emulator runs faster than clock_speed says",
+                "the controller was restarted, the answer is garbled, or clock_speed is wrong",
                 place_deg=place_deg,
             )
         self._last, self.place_deg = (place_deg, asked), place_deg

@@ -209,7 +209,7 @@ class ProgrammeSettings:
     mount_s: float = 30.0  # How long a person takes to mount the device, s: only for the forecast
     room_c: float = 25.0  # Temperature of the chamber at the start, degC: only for the forecast
     heating_c_per_min: float = 2.0  # Slope of the chamber, K/min: only for the forecast
-    # How long the air takes to settle (160 s of the emulated chamber) and the temperature to hold still, s: only for the forecast
+    # How long the air takes to settle (160 s of the simulated chamber) and the temperature to hold still, s: only for the forecast
     settle_s: float = 160.0 + 300.0
 
 

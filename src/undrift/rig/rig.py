@@ -20,7 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
-from undrift.base.clock import Clock
+from undrift.base.clock import Clock, PacedClock
 from undrift.errors import InputError, LimitError, check_positive
 from undrift.plugins import load_named, split_address
 from undrift.rig.programme import Dwell, Programme
@@ -332,7 +332,8 @@ def in_words(kind: str, code: int) -> str:
 # ---- Addresses.
 
 CONTROLLERS = {  # kind -> the function that opens a rig
-    kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual")
+    **{kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual")},
+    "simulated": "undrift.sim.bench:open_from",
 }
 GROUP = "undrift.rigs"
 
@@ -348,7 +349,7 @@ class RigSettings:
     baud: int = 0  # Bits per second of a serial port; 0 is the rig's usual
     hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # Longest wait for an answer, s
-    clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, an emulator's speed otherwise
+    clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, what a simulated table is given otherwise
     clock: Clock | None = None  # The table's; None is the host's, at clock_speed
     # Shows a person a line and returns what they typed; a manual rig needs it
     ask: Callable[[str], str] | None = None
@@ -386,4 +387,8 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
         except (ValueError, KeyError) as error:
             raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
+    if kind == "simulated" and settings.clock is None:
+        if not settings.clock_speed > 0.0:
+            raise InputError(f"rig: wanted a clock_speed above 0, got {settings.clock_speed:g}; mend the address")
+        settings = replace(settings, clock=PacedClock(settings.clock_speed))
     return kind, url, settings

@@ -9,7 +9,7 @@ row beside it; then Figure 3, rates to dwell at, other ways to calibrate, and re
     case                one run: sessions on the bench, their fits, a trial of one subject with each of them
     run, search         all runs, on processes or a Dask scheduler: grid, successive halving, CMA-ES; the front, rates to dwell at
     judge, statistics   optimum, effects and verdicts against a margin, by repeated measures
-    figure3, rivals, real, virtual_bench    the note's figure, its Discussion, recordings, and its method on an emulated bench
+    figure3, rivals, real, virtual_bench    the note's figure, its Discussion, recordings, and its method on a simulated bench
     outcome             all of it in its order, with a forecast of the time; claims: what that shows of the note's claims
 
 Pitch is the sagittal angle of the body's axis, frame n level with z up. Inside, rates are rad/s, angles rad, times s; columns of a

@@ -1,19 +1,16 @@
-"""The note's method on a virtual bench: emulated table, chamber and device over real sockets, fits, a worn trial, checks.
+"""The note's method on a simulated bench: table, chamber and device (sim/bench.py), fits, a worn trial, checks.
 
     bench      faces and rates at room temperature                   -> calibrate    offset, matrix
     thermal    rates, in the longer plan faces too, at set-points    -> fit_drift    tables
     a sit-to-stand, worn, warmer -> correct, orient, compare with the optics: none, static, static and dynamic
 
-All data cross TCP on the loopback through the drivers that drive hardware; each protocol makes a run folder. Emulated time runs
-fifty times faster than the host's. Rates come from the encoder's positions by the card's clock, so a busy host delays answers
-and does not change them. The chamber heats by 10 K a second, and the board, with its thermometer in moving air, follows within
-seconds; real soaks take hours. Only ``compare_with_truth`` knows the hidden truth.
+A run drives the bench as it drives hardware, and each protocol makes a run folder. Time is simulated, so nothing depends on how
+busy the host is. The chamber heats by 10 K a second, and the board, with its thermometer in moving air, follows within seconds;
+real soaks take hours. Only ``compare_with_truth`` knows the hidden truth.
 """
 
-import logging
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,28 +18,22 @@ from typing import NamedTuple
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.base.clock import Clock
 from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import DriftFit, fit_drift
-from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.live.clock import ClockSettings
-from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
-from undrift.live.transports import source_at
+from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.record import FACES, Record, Reference, Session
-from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
 from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
-from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.run import Progress, RigBench, RunResult, run_programme
+from undrift.sim.bench import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
-from undrift.sim.rig import emulator
-from undrift.sim.rig.stream import StreamSettings
 from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.figure3 import OPTICS, judge_compared, levels_of, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -54,29 +45,20 @@ KIND = "enc03j_3031"
 UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what this kind spreads
 SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # the worn board is at 37.5; the bench at 25
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
-AIR = emulator.AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
+AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
-CRYSTAL = ClockSettings(memory_s=1e5, rate_tolerance=1e-4)  # the board samples by a crystal, whatever the host does
-PATIENCE_S = 10.0  # the longest wait for table, chamber and device: a busy computer runs them late, host s
-ATTEMPTS = 4  # a computer that is too busy loses an answer, or takes readings later than they are due; the run resumes
-SLOWER = 2.5  # times, at each further attempt
-PROBE_S = 0.1  # of processor time, that shows what others leave of it
-LITTLE_SLOW, MOST_SLOW = 1.5, 40.0
-STEP_HOST_S = 0.04  # sockets and disk take as long for each step, host s
-
-log = logging.getLogger(__name__)
+FAST = 200.0  # simulated seconds in one of the host's: for the forecast alone
 
 Tell = Callable[[str, float], None]  # gets what is being done, and the seconds of the host that are left of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPlan:
-    """What is recorded on a virtual bench."""
+    """What is recorded on a simulated bench."""
 
     bench: Protocol  # At room temperature
     thermal: Protocol  # At set-points
-    speed: float = 50.0  # Emulated seconds in one of the host's
 
     @property
     def programmes(self) -> tuple[Programme, Programme]:
@@ -122,100 +104,32 @@ def bench_device() -> DeviceModel:
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 
-def host_slowness() -> float:
-    """Return how many times longer than its processor time a moment's work takes here; 1 on a computer with one to spare."""
-    began, used = time.monotonic(), time.process_time()
-    while time.process_time() - used < PROBE_S:
-        pass
-    slow = (time.monotonic() - began) / PROBE_S
-    return min(slow, MOST_SLOW) if slow > LITTLE_SLOW else 1.0
-
-
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
-    """Emulate a bench with a device on it and record both protocols; resume slower where the computer is too busy."""
+    """Simulate a bench with a device on it and record both protocols."""
     began = time.monotonic()
-    done: list[RunResult] = []
+    chamber = ChamberSetup(soak=SOAK)
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=chamber))
     with stopping_on_signals():
-        for attempt in range(1, ATTEMPTS + 1):
-            slow = host_slowness()
-            try:
-                now = replace(plan, speed=plan.speed / slow)
-                _record_rest(now, device, folder, done, tell, PATIENCE_S * slow, resume=attempt > 1)
-                break
-            except (LinkError, RigTimeout) as error:
-                got = str(error).partition(";")[0]  # its advice is for a bench that is real
-                if attempt == ATTEMPTS:
-                    raise RigTimeout(
-                        f"virtual bench: wanted a computer that keeps up, got one that leaves it 1/{slow:.1f} of a processor "
-                        f"({got}); end other programs, then start again"
-                    ) from error
-                plan = replace(plan, speed=plan.speed / SLOWER)
-                log.warning(
-                    "virtual bench: busy computer (%s); resuming, attempt %d of %d, at speed %g",
-                    *(got, attempt + 1, ATTEMPTS, plan.speed),
-                )
-    return BenchRun(plan=plan, bench=done[0], thermal=done[1], host_s=time.monotonic() - began)
+        first = _record(plan, 0, bench, folder, tell)
+        second = _record(plan, 1, bench, folder, tell)
+    return BenchRun(plan=plan, bench=first, thermal=second, host_s=time.monotonic() - began)
 
 
-def _record_rest(
-    plan: BenchPlan,
-    device: DeviceModel,
-    folder: Path,
-    done: list[RunResult],
-    tell: Tell,
-    patience_s: float,
-    *,
-    resume: bool,
-) -> None:
-    """Run the protocols that are not done yet on a bench of their own, and add their results."""
-    stream = StreamSettings(seed=0, framing="frame")  # costs half as much as text
-    emulated = emulator.EmulatedBenchSettings(
-        rig=emulator.EmulatorSettings(speed=plan.speed), air=AIR, stream=stream, device=device
-    )
-    host_s = [p.duration_s / plan.speed + STEP_HOST_S * len(p.steps) for p in plan.programmes]
-    with emulator.EmulatedBench(emulated) as bench:
-        for which in range(len(done), 2):
-            what = ("faces and rates at room temperature", "set-points in the thermal chamber")[which]
-            tell(f"virtual bench: {what}", sum(host_s[which:]))
-            later_s = sum(host_s[which + 1 :])
-            done.append(_record(plan, bench, which, folder, tell, (later_s, patience_s), resume=resume))
-
-
-def _record(
-    plan: BenchPlan,
-    bench: emulator.EmulatedBench,
-    which: int,
-    path: Path,
-    tell: Tell,
-    times_s: tuple[float, float],
-    *,
-    resume: bool,
-) -> RunResult:
-    """Run what is not on the disk yet; all connections end with it. What comes later, and the longest wait, host s."""
-    later_s, patience_s = times_s
+def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell: Tell) -> RunResult:
+    """Run a protocol into a folder of its own."""
     protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
+    later_s = sum(later.duration_s for later in plan.programmes[which + 1 :])
 
     def report(progress: Progress) -> None:
-        left_s = progress.left_s / plan.speed + STEP_HOST_S * (progress.steps - progress.number) + later_s
         text = f"{protocol.name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}"
-        tell(text, left_s)
+        tell(text, (progress.left_s + later_s) / FAST)
 
-    with ExitStack() as stack:
-        folder = stack.enter_context(RunFolder(path / protocol.name, protocol, resume=resume))
-        settings = RecorderSettings(clock=CRYSTAL, silence_s=patience_s)
-        recorder = Recorder(source_at(bench.device_address), settings)
-        readings = DwellReadings(recorder, deadline_s=patience_s)
-        stack.callback(readings.close)
-        recorder.start()
-        chamber = None
-        if protocol.temperatures_c:
-            watched = ChamberSetup(soak=SOAK, clock=Clock(plan.speed), reply_timeout_s=patience_s)
-            chamber = stack.enter_context(open_chamber(bench.chamber_address, watched))
-        rig = open_rig(bench.rig_address, RigSettings(reply_timeout_s=patience_s))
-        stack.callback(rig.close)
-        hands, clock = emulator.BenchHands(bench.hands_address), Clock(speed=plan.speed)
-        connected = RigBench(rig=rig, readings=readings, mounting=hands, chamber=chamber, clock=clock)
-        serial = recorder.source.description.device
+    with RunFolder(path / protocol.name, protocol) as folder:
+        chamber = bench.chamber if protocol.temperatures_c else None
+        connected = RigBench(
+            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
+        )
+        serial = bench.devices[0].model.serial
         return run_programme(programme, connected, folder, report=report, serial=serial, gravity_m_s2=STANDARD_GRAVITY)
 
 
@@ -240,7 +154,7 @@ class BenchFit:
 
 
 def fit_bench(bench: Session, thermal: Session) -> BenchFit:
-    """Fit what a virtual bench recorded."""
+    """Fit what a simulated bench recorded."""
     constant = calibrate(bench)
     return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
 

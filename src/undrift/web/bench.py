@@ -113,7 +113,7 @@ class Bench:
         return None if self.source is None else self._practice.device
 
     def _address_of(self, address: str) -> str:
-        """Return an address to connect to; that of the practice device, which starts with it, for ``emulator``."""
+        """Return an address to connect to; that of the practice device, which starts with it, for ``practice``."""
         s = self.settings
         if address.strip() == PRACTICE:
             return self._practice.start(s.practice_seed, s.practice_speed, self.place.gravity_m_s2)

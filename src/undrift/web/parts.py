@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from undrift.web.bench import Bench, Visit
 
 REFRESH_S, CANCEL_S = 0.25, 2.0  # the latter: of work that can be cancelled
-PRACTICE = "emulator"  # the address of the practice device
+PRACTICE = "practice"  # the address of the practice device
 SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now

@@ -12,6 +12,7 @@ from undrift.commands.bench.guides import SixFaces
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.record import Record
+from undrift.sim.device.presets import random_device
 
 
 def kept_s(capture):
@@ -91,7 +92,9 @@ def test_readings_in_which_nothing_is_captured_are_forgotten(guide, keep_s):
 
 @pytest.mark.slow
 def test_what_was_captured_is_kept_while_the_rest_is_forgotten(guide, keep_s):
-    with HandFeed(seed=5, sample_rate_hz=20.0) as feed:
+    made = random_device(np.random.default_rng(5), grade="consumer")
+    slow = replace(made, sampling=replace(made.sampling, sample_rate_hz=20.0))
+    with HandFeed(seed=5, device=slow) as feed:
         feed.watch(guide, 12.0)
         held = guide.capture.faces["+z"]
         feed.watch(guide, 3.0 * keep_s)

@@ -14,7 +14,7 @@ of a converter are left out. Lines and frames are written here from their defini
 import binascii
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from operator import xor
 from typing import Literal, Protocol, get_args
@@ -22,47 +22,18 @@ from urllib.parse import urlencode
 
 import numpy as np
 
+from testkit.emulated.server import ClientSession, Machine, Served
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError, check_positive
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.record import MountedFace
-from undrift.sim.device.effects import Past, Scene, converted
+from undrift.sim.bench import CausalDevice
+from undrift.sim.device.effects import Scene
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import facing, unit_vector
-from undrift.sim.rig.server import ClientSession, Machine, Served
 from undrift.units import STANDARD_GRAVITY
-
-# ---- Readings of a simulated device as time goes on, chunk by chunk
-
-
-class CausalDevice:
-    """A device that is read as time goes on."""
-
-    def __init__(self, device: DeviceModel, step_s: float, rng: np.random.Generator) -> None:
-        streams = draw_streams(rng)
-        self.device, self._step = device, step_s
-        self._chains = [
-            (chain, streams.pasts(chain, name)) for chain, name in ((device.gyro, "gyro"), (device.accel, "accel"))
-        ]
-        for chain, pasts in self._chains:
-            if chain.instability:
-                past = pasts["instability"]
-                past.state = past.rng.standard_normal((len(chain.instability.time_constants_s), 3))
-        self._thermometer = Past(streams.of("thermometer"))
-
-    def read(self, scene: Scene, mean_rate_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the next readings of gyroscopes, accelerometers (n, 3) and thermometer (n,): mean_rate_b (n, 3) rad/s."""
-        averaging, thermometer = self.device.sampling.gyro_averaging == "interval", self.device.thermometer
-        scene, read = replace(scene, step_s=self._step), []
-        moved = (mean_rate_b if averaging else scene.rate_b, scene.force_b)
-        for (chain, pasts), x in zip(self._chains, moved, strict=True):
-            *_, (_, felt) = chain.stages(x, scene, pasts)
-            read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
-        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
-
 
 # ---- How the emulated device writes its readings: lines with an XOR behind a star, or frames with sync bytes and a CRC-16.
 

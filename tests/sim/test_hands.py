@@ -1,7 +1,6 @@
 """The device in an operator's hands: gravity and rates agree, it rests when it rests, and it does what it is asked."""
 
 import math
-import socket
 
 import numpy as np
 import pytest
@@ -14,9 +13,8 @@ from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
 from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.hands import HandSettings, start_hand_held
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.rig.hand_held import HandSettings, start_hand_held
-from undrift.sim.rig.stream import StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DEVICE = random_device(np.random.default_rng(8), grade="consumer")
@@ -32,14 +30,12 @@ def held():
 
 def truth(held, duration_s, step_s=0.01):
     """Go on, and return moments, rate, mean rate over each step, and force (N, 3)."""
-    clock = held.stream.clock
-    start = clock.now()
-    with held.stream.lock:
-        clock.wait(duration_s)
-        times = start + step_s * np.arange(1, round(duration_s / step_s) + 1)
-        scene, mean = held.stream._scene(times)
-        held.stream._go_on()
-    return times, scene.rate_b, mean, scene.force_b
+    start = held.clock.now()
+    held.clock.wait(duration_s)
+    times = start + step_s * np.arange(1, round(duration_s / step_s) + 1)
+    rate, _, force, mean, _ = held._seen(times, 0.01)
+    held.read()
+    return times, rate, mean, force
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -90,10 +86,9 @@ def test_a_rate_is_the_mean_rate_of_a_short_step(held):
     _, rate, _, _ = truth(held, 3.0, step_s=0.001)
     with start_hand_held(seed=4, device=DEVICE, clock=VirtualClock()) as other:
         other.turn("y", TURN)
-        with other.stream.lock:
-            other.stream.clock.wait(3.0)
-            other.stream._step = 1e-5  # the mean over this ends at the moment: behind by half of it
-            mean = other.stream._scene(0.001 * np.arange(1, 3001))[1]
+        other.clock.wait(3.0)
+        # the mean over a step ends at the moment: behind by half of it
+        mean = other._seen(0.001 * np.arange(1, 3001), 1e-5)[3]
     # the rate changes by up to 1 rad/s of tremor and turn within 1/20 s: half of 1e-5 s makes 1e-4 rad/s
     assert mean == pytest.approx(rate, abs=5e-4)
 
@@ -135,12 +130,10 @@ def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
     for steps in ([3.0], [0.07] * 30 + [0.9]):
         with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=VirtualClock()) as held:
             rows = []
-            held.stream._send = lambda counts, values, rows=rows: rows.append(values)
             held.turn("x", TURN)
             for step in steps:
-                with held.stream.lock:
-                    held.stream.clock.wait(step)
-                    held.stream._go_on()
+                held.clock.wait(step)
+                rows.append(held.read()[1])
             said.append(np.vstack(rows))
     assert len(said[0]) == 300
     # the last step of one chunk is the first of the next: the change of the rate between them is that of the chunk
@@ -148,22 +141,22 @@ def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
 
 
 def test_the_board_warms_a_little(held):
-    first = held.stream._board_temp(np.array([0.0, 3600.0]))
+    first = held._warming(np.array([0.0, 3600.0]))
     assert first == pytest.approx([25.0, 25.3], abs=0.01)
 
 
 def test_moves_that_are_asked_for_at_once_follow_each_other_and_only_a_few_wait(held):
-    for face in ("+x", "-x") * 4:
+    for face in ("+x", "-x") * 8:
         held.lay(face)
     with pytest.raises(
-        InputError, match=r"hand held: wanted at most 8 moves that wait, got one more; wait until it rests"
+        InputError, match=r"hand held: wanted at most 16 moves that wait, got one more; wait until it rests"
     ):
         held.lay("+y")
-    truth(held, 40.0)
+    truth(held, 80.0)
     assert truth(held, 0.1)[3][0, 0] == pytest.approx(-STANDARD_GRAVITY, rel=1e-3)
-    assert len(held.stream._moves) <= 9
+    held.clock.wait(60.0)
     held.lay("+y")
-    assert len(held.stream._moves) == 2  # what is over is forgotten
+    assert len(held.moves) == 2  # what is over is forgotten
 
 
 def test_what_cannot_be_is_refused(held):
@@ -176,35 +169,9 @@ def test_what_cannot_be_is_refused(held):
         HandSettings(turn_s=(4.0, 3.0))
 
 
-def test_the_operator_does_what_a_line_says_or_says_why_not():
-    with start_hand_held(seed=4, device=DEVICE, speed=20.0) as held:
-        place = held.operator_address.removeprefix("tcp://").split(":")
-        with socket.create_connection((place[0], int(place[1])), timeout=20.0) as link:
-            answers = link.makefile()
-
-            def say(line):
-                link.sendall(f"{line}\n".encode())
-                return answers.readline().strip()
-
-            assert say("STATE?") == "rest +z"
-            assert say("face +x") == "OK +x"
-            assert say("MOUNT -y") == "OK -y"
-            assert say("turn y 360") == "OK y 360"
-            assert say("state?") == "moving -y"
-            assert say("turn y half").startswith("ERROR turn: wanted an angle in deg, got 'half'; say turn z 360")
-            assert say("turn y 90").startswith(
-                "ERROR turn: wanted an axis x, y or z and 1 to 10 whole turns, got 'y' and 90 deg"
-            )
-            assert say("jump").startswith(
-                "ERROR operator: wanted 'face +x', 'turn z 360' or 'state?', got another line"
-            )
-            eventually(lambda: say("state?") == "rest -y", "the device rests")
-
-
 def test_its_address_is_read_by_live_at_the_speed_it_has():
-    stream = StreamSettings(seed=4, sample_rate_hz=50.0)
     with (
-        start_hand_held(device=DEVICE, stream=stream, speed=10.0) as held,
+        start_hand_held(seed=4, device=DEVICE, speed=10.0) as held,
         Recorder(source_at(held.address)) as recorder,
     ):
         start = recorder.now()
@@ -212,10 +179,35 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
         eventually(lambda: not held.moving and recorder.now() > start + 1.0, "the device rests")
         record = recorder.between(start, recorder.now())
     assert record.device == DEVICE.serial
-    assert record.sample_rate_hz == pytest.approx(50.0)
+    assert record.sample_rate_hz == pytest.approx(held.rate)
     assert record.duration_s > 8.0
     assert record.accel[-1, 0] == pytest.approx(-DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.05)
     assert recorder.timeline.marker.missing == 0
+    with pytest.raises(InputError, match=r"wanted simulated:, got 'simulated:\d+', which nobody holds"):
+        source_at(held.address)
+
+
+def test_a_device_that_nobody_holds_is_laid_on_all_faces_and_turned_about_all_axes():
+    clock = VirtualClock()
+    with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=clock) as held:
+        held.follow()
+        rested = set()
+        turned = np.zeros(3)
+        while held.moving:
+            _, rate, _, force = truth(held, 1.0)
+            if np.abs(rate).max() < 1e-6:
+                axis = int(np.argmax(np.abs(force[0])))
+                rested.add("+-"[int(force[0, axis] < 0.0)] + "xyz"[axis])
+            else:
+                turned += np.abs(rate.sum(axis=0)) * 0.01
+    assert rested == set(FACES)
+    assert (turned > 2.0 * TURN * 0.9).all()
+
+
+@pytest.mark.parametrize("address", ["simulated:?seed=one", "simulated:?clock_speed=0", "simulated:?color=red"])
+def test_an_address_that_says_something_else_is_refused(address):
+    with pytest.raises(InputError, match=r"device: wanted simulated:\?seed=1&clock_speed=2"):
+        source_at(address)
 
 
 def test_a_device_is_drawn_from_the_seed_or_anew():

@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from undrift.sim.bench import CausalDevice
 from undrift.sim.device.effects import Scene, Thermometer, scene_of
 from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
-from undrift.sim.rig.stream import CausalDevice
 
 KINDS = ["consumer", "enc03j_3031"]
 

@@ -20,6 +20,12 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
+from testkit.emulated.axes import MotorAxis, ServoSettings
+from testkit.emulated.galil_card import CardSettings
+from testkit.emulated.galil_language import GalilMachine
+from testkit.emulated.grbl import GrblMachine, GrblSettings
+from testkit.emulated.server import LINK_FAULTS, Closed, FaultyLink, LineMachine, Served, server_of
+from testkit.emulated.stream import EmulatedDevice, StreamSettings
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, RigError, RigFault, check_positive
@@ -28,12 +34,6 @@ from undrift.record import MountedFace
 from undrift.rig.link import Link, LinkSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.rig.axes import MotorAxis, ServoSettings
-from undrift.sim.rig.galil_card import CardSettings
-from undrift.sim.rig.galil_language import GalilMachine
-from undrift.sim.rig.grbl import GrblMachine, GrblSettings
-from undrift.sim.rig.server import LINK_FAULTS, Closed, FaultyLink, LineMachine, Served, server_of
-from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 
 # ---- Emulated rig
 

@@ -17,10 +17,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from testkit.emulated.server import ClientSession, Machine
 from undrift.arrays import FloatArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError
-from undrift.sim.rig.server import ClientSession, Machine
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Words of a stepper board: jogs as a driver sends them, `$n=value`, and the codes of what is wrong with them.

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from testkit.emulated import servo_kernel as k
+from testkit.emulated.servo_kernel import Coefficients
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.kernels import device as k
-from undrift.kernels.device import Coefficients
 
 # ---- Servo: the position loop of a sampled motion controller
 

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from undrift.kernels import device as k
-from undrift.kernels.device import Coefficients
-from undrift.sim.rig.axes import MotorAxis, ServoSettings
+from testkit.emulated import servo_kernel as k
+from testkit.emulated.axes import MotorAxis, ServoSettings
+from testkit.emulated.servo_kernel import Coefficients
 
 # ---- Words of the card's language: error texts, and the numbers that its settings take.
 

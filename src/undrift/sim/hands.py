@@ -1,4 +1,4 @@
-"""An emulated device in an operator's hands: it lies on a face, is laid on another or turned by whole turns, and sends.
+"""A simulated device in an operator's hands: it lies on a face, is laid on another or turned by whole turns, and is read.
 
 ::
 
@@ -8,41 +8,45 @@
 A move to a face takes the shortest way (c = 0). A turn is by the angle and an error of its own, about an axis that leans; c
 then lays the device back on the face. About the vertical it slides on the bench, about another axis it is lifted. At rest
 nothing moves: rate and tremor are zero, and the face is off level by what was drawn when it was laid down. Rates come from q_nb
-itself. The board warms by a little. Moves that are asked for while it moves follow each other. The operator listens on a port
-of its own: ``face +x`` (or ``MOUNT +x``) and ``turn z 360`` are answered by ``OK ...``, ``state?`` by ``rest +x`` or ``moving
-+x``.
+itself. The board warms by a little. Moves that are asked for while it moves follow each other.
+
+``HandHeld.address`` is one for ``live``, in this process alone. ``simulated:`` is a device that nobody else holds:
+it is laid on its six faces, then turned either way about each axis, as ``record --guide turns`` asks for it.
 """
 
+import itertools
 import math
-from dataclasses import dataclass, field
-from typing import Any, cast
+import threading
+import time as host
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from undrift.arrays import FloatArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
-from undrift.errors import InputError
+from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
-from undrift.record import FACES, Axis, Face, MountedFace
-from undrift.sim.device.effects import Scene
+from undrift.live.decoder import Chunk, StreamDescription
+from undrift.live.transports import Address, number_of
+from undrift.record import FACES, Axis, Face
+from undrift.sim.bench import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.motion.bench import earth_rate
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
-from undrift.sim.rig.server import Closed, FaultyLink, LineMachine, server_of
-from undrift.sim.rig.stream import EmulatedDevice, StreamSettings
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 REST_S = 0.5  # at least, between moves that were asked for at once
-MOST_MOVES = 8  # that wait
+MOST_MOVES = 16  # that wait
 WAVES, TREMOR_HZ = 6, (7.0, 11.0)
 OVERSHOOT = Polynomial.fromroots([0] * 17 + [1] * 3) * -(20.0**20 / (17.0**17 * 3.0**3))  # 1 at its peak, s = 0.85
 HELD = Polynomial.fromroots([0, 0, 1, 1]) * 16.0  # w
 LIFT = Polynomial.fromroots([0, 0, 0, 1, 1, 1]) * -64.0
 STEEPEST = 2.3  # largest rate of a turn over its mean
 REACH = 0.8  # of the gyroscope's range: a faster turn would be cut off
-TOGETHER_S = 0.02  # readings that are sent at once, host s
+TOGETHER_S = 0.02  # between two looks of who reads it, host s
+PAST_S = 60.0  # for which moves that are over are kept
 INSTANT_S = 1e-4  # over which a rate is taken from two orientations
 
 
@@ -107,26 +111,65 @@ class Move:
         return np.asarray((size * np.sin(2.0 * math.pi * frequency * time[:, None, None] + phase)).sum(axis=1))
 
 
-class HandHeldDevice(EmulatedDevice):
-    """A device that lies, is moved by hand when asked, and sends until closed."""
+class HandHeld:
+    """A device that lies, is moved when asked, and is read; any thread may ask."""
 
-    def __init__(self, device: DeviceModel, hands: HandSettings, clock: Clock, settings: StreamSettings) -> None:
-        self.hands = hands
-        self._moves: list[Move] = []
-        super().__init__(device, _FixedBench(), self._warming, clock, settings)
+    def __init__(
+        self,
+        device: DeviceModel,
+        hands: HandSettings = HandSettings(),
+        clock: Clock | None = None,
+        *,
+        seed: int = 0,
+        gravity_m_s2: float = STANDARD_GRAVITY,
+    ) -> None:
+        self.device, self.hands, self.gravity_m_s2 = device, hands, gravity_m_s2
+        self.clock, self.lock, self._rest_s = clock or Clock.started(), threading.RLock(), REST_S
+        self._draw = np.random.default_rng((seed, 1))
+        self.face: Face = "+z"
+        lying = self._laid(np.array([1.0, 0.0, 0.0, 0.0]), self.face)
+        self.moves = [Move(-1.0, 1.0, lying, np.eye(3)[0], Polynomial([0.0]))]
+        # what takes readings is compiled before the first is due
+        SimulatedDevice(device, self._seen, seed, 0.0).read(0.1)
+        self._read = SimulatedDevice(device, self._seen, seed, self.clock.now())
+        self.rate = self._read.rate
+        self.address = f"{KIND}:{next(_NUMBERS)}"
+        _HELD[self.address] = self
+
+    def __enter__(self) -> "HandHeld":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def read(self) -> tuple[IntArray, FloatArray]:
+        """Return number and values of the readings since the last look: (n,), (n, 7) of both triads and the thermometer."""
+        with self.lock:
+            return self._read.read(self.clock.now())
+
+    def follow(self) -> None:
+        """Lay it on its other faces and turn it about each axis either way, with rests, without being asked again."""
+        self._rest_s, self.moves[-1] = REST_ON_FACE_S, replace(self.moves[-1], start=self.clock.now() - 1.0)
+        for face in FACES[:4] + FACES[5:]:
+            self.lay(face)
+        axes: tuple[Axis, ...] = ("x", "y", "z")
+        for axis, up in zip(axes, FACES[::2], strict=True):
+            self.lay(up)
+            self.turn(axis, -2.0 * math.pi)
+            self.turn(axis, 2.0 * math.pi)
+        self._rest_s = REST_S
+
+    def close(self) -> None:
+        """Let nobody connect to it any more; harmless when called again."""
+        _HELD.pop(self.address, None)
 
     @property
     def moving(self) -> bool:
         """Whether it is being moved, or about to be."""
         with self.lock:
-            return self.clock.now() < self._moves[-1].stop
+            return self.clock.now() < self.moves[-1].stop
 
-    def tick(self) -> None:
-        """Come up to now, several readings at a time: it costs less."""
-        if self.clock.now() - self._next * self._step > TOGETHER_S * self.clock.speed:
-            super().tick()
-
-    def mount(self, face: MountedFace) -> None:
+    def lay(self, face: Face) -> None:
         """Lay it on another face, with this one up."""
         if face not in FACES:
             raise InputError(f"face: wanted one of {', '.join(FACES)}, got '{face}'; name the axis that points up")
@@ -134,7 +177,7 @@ class HandHeldDevice(EmulatedDevice):
             start, q = self._after()
             way = rotation_vector(quaternion_product(quaternion_conjugate(q), self._laid(q, face)))
             angle = float(np.linalg.norm(way))
-            axis, draw = (way / angle if angle > 0.0 else np.eye(3)[0]), self._hands
+            axis, draw = (way / angle if angle > 0.0 else np.eye(3)[0]), self._draw
             self.face = face
             self._add(start, draw.uniform(*self.hands.lay_s), q, axis, SMOOTH * angle, lift=self.hands.lift)
 
@@ -148,7 +191,7 @@ class HandHeldDevice(EmulatedDevice):
             )
         with self.lock:
             start, q = self._after()
-            draw, hands, unit = self._hands, self.hands, unit_vector(axis)
+            draw, hands, unit = self._draw, self.hands, unit_vector(axis)
             leaning = unit + np.cross(draw.normal(0.0, hands.axis_sd, 3), unit)
             leaning /= np.linalg.norm(leaning)
             reached = angle + draw.normal(0.0, hands.angle_sd)
@@ -163,136 +206,63 @@ class HandHeldDevice(EmulatedDevice):
             duration = max(abs(turns) * draw.uniform(*hands.turn_s), quickest)
             self._add(start, duration, q, leaning, course, back=back, lift=0.0 if slid else hands.lift)
 
-    def _mount(self, face: MountedFace) -> None:  # where it lies at the start
-        lying = self._laid(np.array([1.0, 0.0, 0.0, 0.0]), face)
-        self.face = face
-        self._moves.append(Move(-1.0, 1.0, lying, np.eye(3)[0], Polynomial([0.0])))
-
-    def _laid(self, q: FloatArray, face: MountedFace) -> FloatArray:
+    def _laid(self, q: FloatArray, face: Face) -> FloatArray:
         """Return the orientation nearest to one in which a face is up, off level as drawn."""
         up = unit_vector(face)
-        return facing(q, up + np.cross(self._hands.normal(0.0, self.hands.tilt_sd, 3), up))
+        return facing(q, up + np.cross(self._draw.normal(0.0, self.hands.tilt_sd, 3), up))
 
     def _after(self) -> tuple[float, FloatArray]:
         """Return when the next move may begin, and the orientation then."""
-        self._go_on()
-        now, last = self.clock.now(), self._moves[-1]
-        if sum(move.start > now for move in self._moves) >= MOST_MOVES:
+        now, last = self.clock.now(), self.moves[-1]
+        if sum(move.start > now for move in self.moves) >= MOST_MOVES:
             raise InputError(
                 f"hand held: wanted at most {MOST_MOVES} moves that wait, got one more; wait until it rests"
             )
         q = last.orientation(np.array([last.stop]))[0]
-        return max(now, last.stop + REST_S), q / np.linalg.norm(q)
+        return max(now, last.stop + self._rest_s), q / np.linalg.norm(q)
 
     def _add(
         self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **more: Any
     ) -> None:
-        draw, each = self._hands, math.sqrt(2.0 / WAVES)
+        draw, each = self._draw, math.sqrt(2.0 / WAVES)
         frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
         sizes = self.hands.tremor * each / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * each)
-        self._moves.append(Move(start, duration, q, axis, angle, tremor=np.stack((*sizes, frequency, phase)), **more))
-        # what was sent needs no past but that of the last step
-        past = [k for k, move in enumerate(self._moves) if move.stop < self.clock.now() - 1.0]
-        del self._moves[: past[-1] if past else 0]
+        self.moves.append(Move(start, duration, q, axis, angle, tremor=np.stack((*sizes, frequency, phase)), **more))
+        # what was read needs no past but that of the last step
+        past = [k for k, move in enumerate(self.moves) if move.stop < self.clock.now() - PAST_S]
+        del self.moves[: past[-1] if past else 0]
 
     def _warming(self, time: FloatArray) -> FloatArray:
         return np.asarray(self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s)))
 
     def _orientation(self, time: FloatArray) -> FloatArray:
         q = np.empty((len(time), 4))
-        at = np.maximum(np.searchsorted([move.start for move in self._moves], time, side="right") - 1, 0)
+        at = np.maximum(np.searchsorted([move.start for move in self.moves], time, side="right") - 1, 0)
         for k in np.unique(at):
-            q[at == k] = self._moves[k].orientation(time[at == k])
+            q[at == k] = self.moves[k].orientation(time[at == k])
         return q
 
-    def _scene(self, times: FloatArray) -> tuple[Scene, FloatArray]:
-        settings, n, h = self.settings, len(times), INSTANT_S
-        resting = bool(times[0] - self._step > self._moves[-1].stop)
+    def _seen(self, times: FloatArray, step_s: float) -> Seen:
+        n, h = len(times), INSTANT_S
+        resting = bool(times[0] - step_s > self.moves[-1].stop)
         rate, mean_rate, acceleration, shake = (np.zeros((n, 3)) for _ in range(4))
         gravity_n = np.zeros((n, 3))
-        gravity_n[:, 2] = settings.gravity_m_s2
+        gravity_n[:, 2] = self.gravity_m_s2
         if resting:
             q = np.tile(self._orientation(times[:1]), (n, 1))
         else:
-            shifts = np.repeat([-self._step, -h, 0.0, h], n)
+            shifts = np.repeat([-step_s, -h, 0.0, h], n)
             before, early, q, late = self._orientation(np.tile(times, 4) + shifts).reshape(4, n, 4)
             began, ended = np.concatenate((before, early, q)), np.concatenate((q, q, late))
             turned = rotation_vector(quaternion_product(quaternion_conjugate(began), ended)).reshape(3, n, 3)
-            mean_rate, first, second = turned[0] / self._step, turned[1] / h, turned[2] / h
+            mean_rate, first, second = turned[0] / step_s, turned[1] / h, turned[2] / h
             rate, acceleration = 0.5 * (first + second), (second - first) / h
-            for move in self._moves:
+            for move in self.moves:
                 upwards, trembling = move.push(times)
                 gravity_n[:, 2] += upwards
                 shake += trembling
-        to_b = quaternion_conjugate(q)
-        if settings.latitude_deg is not None:
-            earth_b = rotate(to_b, np.broadcast_to(earth_rate(settings.latitude_deg), (n, 3)))
-            acceleration = acceleration - np.cross(rate, earth_b)
-            rate, mean_rate = rate + earth_b, mean_rate + earth_b
-        return self._surroundings(times, rate, acceleration, rotate(to_b, gravity_n) + shake), mean_rate
-
-
-class _FixedBench:
-    """What lies under the device does not turn."""
-
-    def axis_states(self, times: FloatArray, *, mean_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        return np.zeros(len(times)), np.zeros(len(times))
-
-
-# ---- The device and the operator's port together
-
-
-class HandHeld(Closed):
-    """A running device and its operator; a context manager that closes both."""
-
-    def __init__(
-        self, device: DeviceModel, hands: HandSettings, stream: StreamSettings, speed: float, clock: Clock | None
-    ) -> None:
-        self.device, chosen = device, clock or Clock.started(speed)
-        self.stream = HandHeldDevice(device, hands, chosen, stream)
-        try:
-            self._operator = server_of(LineMachine(chosen, self._answered), FaultyLink(chosen), (stream.host, 0))
-        except OSError:
-            self.stream.close()
-            raise
-        self.address = self.stream.address(speed)
-        self.operator_address = f"tcp://{self._operator.host}:{self._operator.port}"
-
-    @property
-    def face(self) -> MountedFace:
-        """The face that is up, or will be after the move."""
-        return self.stream.face
-
-    @property
-    def moving(self) -> bool:
-        """Whether it is being moved."""
-        return self.stream.moving
-
-    def lay(self, face: Face) -> None:
-        """Lay it with another face up."""
-        self.stream.mount(face)
-
-    def turn(self, axis: Axis, angle: float) -> None:
-        """Turn it by whole turns about +axis, rad."""
-        self.stream.turn(axis, angle)
-
-    def close(self) -> None:
-        """Close every socket and end every thread; harmless when called again."""
-        self._operator.close()
-        self.stream.close()
-
-    def _answered(self, line: str) -> str:
-        """Do what the operator is asked."""
-        words = line.lower().split()
-        if words == ["state?"]:
-            return f"{'moving' if self.moving else 'rest'} {self.face}"
-        if words[:1] in (["face"], ["mount"]) and len(words) == 2:
-            self.lay(cast(Face, words[1]))
-        elif words[:1] == ["turn"] and len(words) == 3:
-            self.turn(cast(Axis, words[1]), _number(words[2]) * RADIAN_PER_DEGREE)
-        else:
-            raise InputError("operator: wanted 'face +x', 'turn z 360' or 'state?', got another line; send one of them")
-        return f"OK {' '.join(line.split()[1:])}"
+        force = rotate(quaternion_conjugate(q), gravity_n) + shake
+        return rate, acceleration, force, mean_rate, self._warming(times)
 
 
 def start_hand_held(
@@ -300,7 +270,6 @@ def start_hand_held(
     seed: int | None = None,
     device: DeviceModel | None = None,
     hands: HandSettings = HandSettings(),
-    stream: StreamSettings | None = None,
     speed: float = 1.0,
     clock: Clock | None = None,
     gravity_m_s2: float = STANDARD_GRAVITY,
@@ -309,14 +278,76 @@ def start_hand_held(
     if seed is None:
         seed = int(np.random.default_rng().integers(2**31))
     chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
-    return HandHeld(chosen, hands, stream or StreamSettings(seed=seed, gravity_m_s2=gravity_m_s2), speed, clock)
+    return HandHeld(chosen, hands, clock or Clock.started(speed), seed=seed, gravity_m_s2=gravity_m_s2)
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"turn: wanted an angle in deg, got '{text}'; say turn z 360")
-    return value
+# ---- As a source of live readings
+
+KIND = "simulated"
+CHANNELS = ("count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
+REST_ON_FACE_S = 9.0  # between two moves of a device that nobody else holds
+_HELD: dict[str, HandHeld] = {}  # by address
+_NUMBERS = itertools.count(1)
+
+
+class HandHeldSource:
+    """A hand-held device, listened to."""
+
+    errors = 0
+
+    def __init__(self, held: HandHeld, *, alone: bool) -> None:
+        model, self._held, self._alone, self._open, self._followed = held.device, held, alone, False, False
+        self.name = f"simulated device {model.serial}".rstrip()
+        self.description = StreamDescription(
+            channels=CHANNELS,
+            rate=held.rate,
+            gyro_unit=model.gyro.unit,
+            accel_unit=model.accel.unit,
+            clock_speed=held.clock.speed,
+            device=model.serial,
+        )
+
+    def open(self) -> None:
+        """Listen from now on; one that nobody else holds begins to be moved."""
+        self._held.read()
+        self._open = True
+        if self._alone and not self._followed:
+            self._followed = True
+            self._held.follow()
+
+    def read(self, deadline_s: float) -> Chunk:
+        """Return what has come."""
+        last = host.monotonic() + deadline_s
+        while host.monotonic() <= last:
+            if not self._open or self._held.address not in _HELD:
+                raise LinkError(f"{self.name}: wanted an open device, got a closed one; connect again")
+            counts, rows = self._held.read()
+            if counts.size:
+                return Chunk(host_time=np.full(len(rows), host.monotonic()), counter=counts.astype(float), values=rows)
+            host.sleep(TOGETHER_S)
+        raise RigTimeout(f"{self.name}: wanted a reading within {deadline_s:g} s, got nothing; connect again")
+
+    def close(self) -> None:
+        """Let go of it; harmless when called again."""
+        self._open = False
+        if self._alone:
+            self._held.close()
+
+
+def source_of(address: Address) -> HandHeldSource:
+    """Return the source of an address: a device that is held in this process, or one that nobody else holds."""
+    if address.place:
+        held = _HELD.get(f"{KIND}:{address.place}")
+        if held is None:
+            raise InputError(
+                f"device: wanted simulated:, got 'simulated:{address.place}', which nobody holds; leave the number out"
+            )
+        return HandHeldSource(held, alone=False)
+    seed, speed = address.option("seed", ""), number_of(address.option("clock_speed", "1"))
+    if (
+        (seed and not seed.isdigit())
+        or not speed > 0.0
+        or {name for name, _ in address.options} - {"seed", "clock_speed"}
+    ):
+        raise InputError("device: wanted simulated:?seed=1&clock_speed=2, got another address; mend it")
+    return HandHeldSource(start_hand_held(seed=int(seed) if seed else None, speed=speed), alone=True)

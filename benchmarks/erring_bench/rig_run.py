@@ -1,6 +1,6 @@
-"""A rig run on the emulator: `undrift rig run` over sockets, the operator mounts each face and axis 0.1 deg off about every axis.
+"""A rig run on the simulated bench: `undrift rig run`, the operator mounts each face and axis 0.1 deg off about every axis.
 
-One run for each thirty devices that are asked for: a run takes some ten seconds.
+One run for each thirty devices that are asked for.
 """
 
 import contextlib
@@ -18,12 +18,10 @@ from undrift.io.session import read_session
 from undrift.model import Calibration
 from undrift.rig.programme import Protocol, write_protocol
 from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.rig.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
-from undrift.sim.rig.stream import StreamSettings
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
-SPEED = 25.0
 RUNS = 30  # devices for each run
 PROTOCOL = Protocol(
     name="mounted askew", turn_rate_min=30.0 * DEG, turn_rate_max=90.0 * DEG, turn_rate_step=30.0 * DEG, dwell_s=3.0
@@ -32,7 +30,7 @@ PROTOCOL = Protocol(
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield one row a group."""
-    tally = Tally("rig run, emulator", "mounted 0.1 deg off per axis")
+    tally = Tally("rig run, simulated", "mounted 0.1 deg off per axis")
     for number in range(max(1, devices // RUNS)):
         device, made = run_of(seed + number, 0.1)
         true = true_calibration(device)
@@ -52,15 +50,15 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def run_of(seed: int, mount_tilt_deg: float) -> tuple[DeviceModel, Calibration]:
-    """Return the emulated device and what a run calibrates it to."""
-    stream = StreamSettings(mount_tilt_sd=mount_tilt_deg * DEG, seed=seed)
-    settings = EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED), stream=stream)
-    with tempfile.TemporaryDirectory() as held, EmulatedBench(settings) as bench:
+    """Return the simulated device and what a run calibrates it to."""
+    address = f"simulated:?seed={seed}&tilt_deg={mount_tilt_deg:g}"
+    with tempfile.TemporaryDirectory() as held:
         folder = Path(held)
         write_protocol(PROTOCOL, folder / "protocol.toml")
-        addresses = ["--rig", bench.rig_address, "--device", bench.device_address, "--operator", bench.hands_address]
+        addresses = ["--rig", "simulated:?clock_speed=1e6", "--device", address]
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             code = run(["rig", "run", str(folder / "protocol.toml"), *addresses, "-o", str(folder / "run"), "--yes"])
         if code != 0:
             raise RuntimeError(f"rig run: exit {code}")
-        return bench.device, calibrate(read_session(folder / "run"))
+        device = random_device(np.random.default_rng(seed), grade="consumer")
+        return device, calibrate(read_session(folder / "run"))

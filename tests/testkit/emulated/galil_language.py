@@ -13,11 +13,9 @@ import re
 from collections.abc import Callable
 from typing import cast
 
-from undrift.arrays import FloatArray
-from undrift.base.clock import Clock
-from undrift.kernels import device as k
-from undrift.sim.rig.axes import ServoSettings
-from undrift.sim.rig.galil_card import (
+from testkit.emulated import servo_kernel as k
+from testkit.emulated.axes import ServoSettings
+from testkit.emulated.galil_card import (
     ERROR_TEXT,
     SETTINGS,
     STOP_ABORT_INPUT,
@@ -35,7 +33,9 @@ from undrift.sim.rig.galil_card import (
     shown,
     variable_value,
 )
-from undrift.sim.rig.server import ClientSession, Machine
+from testkit.emulated.server import ClientSession, Machine
+from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 
 ONLY_PROGRAM_WORDS = ("AM", "WT", "MC", "JP", "EN")
 NOT_PROGRAM_WORDS = ("DL", "LS", "RS")

@@ -1,0 +1,466 @@
+"""Simulated bench: table, thermal chamber, device and operator in process, on one clock, as `rig run` drives them.
+
+::
+
+    up_b = the mounted face, a little tilted        the table's axis, vertical
+    rate_b = turn_rate up_b     force_b = g up_b
+
+    r'  = the set-point's way, at most the ramp     what the chamber's controller follows
+    T'' = w^2 (r - T) - 2 z w T'                    air: second order, overshoots
+    B'  = (T - B) / lag                             board of the device
+
+All that goes on is brought up to now when someone looks: nothing runs beside, and nothing depends on how busy the host is. With
+the device's clock in error by c, reading k is taken at k / (rate (1 + c)). The chamber's air is solved by the trapezoidal rule, and
+exactly for the board. What breaks is in ``faults``.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.base.clock import Clock, PacedClock
+from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout, check_positive
+from undrift.record import FACES, Face, Record
+from undrift.rig.chamber import Chamber, ChamberSetup
+from undrift.rig.rig import (
+    ACCELERATION,
+    SLEW,
+    CountScale,
+    Limits,
+    Position,
+    RigSettings,
+    ServoReport,
+    steady_angle,
+)
+from undrift.sim.device.effects import Past, Scene, converted
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import draw_streams
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.servo import Servo, ServoSettings
+from undrift.units import STANDARD_GRAVITY
+
+FAULTS = {
+    "stall": "the amplifier fails: the controller switches the motor off, and the table coasts to rest",
+    "lost_readings": "of every three readings of the device two are lost",
+    "wrong_face": "the operator mounts the opposite face, once",
+    "power_cut": "nothing answers, and the table coasts to rest",
+}
+
+# ---- Readings of a simulated device as time goes on, chunk by chunk
+
+
+class CausalDevice:
+    """A device that is read as time goes on: what its effects remember is carried from one chunk to the next."""
+
+    def __init__(self, device: DeviceModel, step_s: float, rng: np.random.Generator) -> None:
+        streams = draw_streams(rng)
+        self.device, self._step = device, step_s
+        self._chains = [
+            (chain, streams.pasts(chain, name)) for chain, name in ((device.gyro, "gyro"), (device.accel, "accel"))
+        ]
+        for chain, pasts in self._chains:
+            if chain.instability:
+                past = pasts["instability"]
+                past.state = past.rng.standard_normal((len(chain.instability.time_constants_s), 3))
+        self._thermometer = Past(streams.of("thermometer"))
+
+    def read(self, scene: Scene, mean_rate_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the next readings of gyroscopes, accelerometers (n, 3) and thermometer (n,): mean_rate_b (n, 3) rad/s."""
+        averaging, thermometer = self.device.sampling.gyro_averaging == "interval", self.device.thermometer
+        scene, read = replace(scene, step_s=self._step), []
+        moved = (mean_rate_b if averaging else scene.rate_b, scene.force_b)
+        for (chain, pasts), x in zip(self._chains, moved, strict=True):
+            *_, (_, felt) = chain.stages(x, scene, pasts)
+            read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
+        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
+
+
+# At moments (n,) s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and the
+# temperature of the board (n,)
+Seen = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Surroundings = Callable[[FloatArray, float], Seen]
+
+
+class SimulatedDevice:
+    """A device that is read at even steps of its own clock, whatever surrounds it."""
+
+    def __init__(
+        self, model: DeviceModel, surroundings: Surroundings, seed: int, start_s: float, *, power_on_s: float = 3600.0
+    ) -> None:
+        self.model, self.rate = model, model.sampling.sample_rate_hz or 100.0
+        self.step_s = 1.0 / (self.rate * (1.0 + model.sampling.clock_error))
+        self._surroundings, self._power_on_s = surroundings, power_on_s
+        self._device = CausalDevice(model, self.step_s, np.random.default_rng(seed))
+        self._next = 1 + int(start_s / self.step_s + 1e-6)  # reading k is taken at k steps
+
+    def read(self, now: float) -> tuple[IntArray, FloatArray]:
+        """Return number and values of the readings up to now: (n,), (n, 7) of both triads and the thermometer."""
+        counts = np.arange(self._next, int(now / self.step_s + 1e-6) + 1)
+        if not counts.size:
+            return counts, np.empty((0, 7))
+        self._next = int(counts[-1]) + 1
+        times = np.minimum(counts * self.step_s, now)
+        rate, acceleration, force, mean_rate, temp = self._surroundings(times, self.step_s)
+        scene = Scene(
+            time=times,
+            step_s=self.step_s,
+            temp_c=temp,
+            warmth=temp - self.model.reference_temp_c,
+            age_s=times + self._power_on_s,
+            rate_b=rate,
+            angular_acceleration_b=acceleration,
+            force_b=force,
+        )
+        return counts, np.column_stack(self._device.read(scene, mean_rate))
+
+
+# ---- The air of a chamber and the board in it
+
+STEP_S = 0.5
+OFF_S = 1200.0  # time constant of a chamber that is off, s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AirSettings:
+    """How the air moves."""
+
+    room_c: float = 25.0  # Temperature around, and at the start, degC
+    ramp_c_per_min: float = 3.0  # Steepest change of the controller's own set-point, K/min
+    period_s: float = 120.0  # 2 pi / w, s
+    damping: float = 0.6  # z; below 1 overshoots
+    board_lag_s: float = 60.0  # Time constant of the device's board, s
+
+    def __post_init__(self) -> None:
+        check_positive(self, "simulated chamber", "state it", "ramp_c_per_min", "period_s", "damping", "board_lag_s")
+
+
+class Air:
+    """Air and board, advanced when someone looks."""
+
+    def __init__(self, settings: AirSettings) -> None:
+        self.settings, self.on = settings, False
+        self.set_point = self._aim = settings.room_c
+        self._speed = 0.0
+        self._time, self._temp, self._board = [0.0], [settings.room_c], [settings.room_c]
+
+    def advance(self, time: float) -> None:
+        """Go on to a moment, or a step beyond it."""
+        keep = math.exp(-STEP_S / self.settings.board_lag_s)
+        mean = (1.0 - keep) * self.settings.board_lag_s / STEP_S  # weight of where the air comes from and goes to
+        while self._time[-1] < time:
+            before, temp = self._temp[-1], self._next(self._temp[-1])
+            self._board.append(keep * self._board[-1] + (mean - keep) * before + (1.0 - mean) * temp)
+            self._time.append(self._time[-1] + STEP_S)
+            self._temp.append(temp)
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return air and board at moments that have been reached: times (n,) s -> (n,) degC."""
+        first = max(min(int(float(times[0]) / STEP_S) - 1, len(self._time) - 2), 0)
+        last = int(float(times[-1]) / STEP_S) + 3
+        grid = self._time[first:last]
+        return np.interp(times, grid, self._temp[first:last]), np.interp(times, grid, self._board[first:last])
+
+    def _next(self, temp: float) -> float:
+        if not self.on:
+            after = self.settings.room_c + (temp - self.settings.room_c) * math.exp(-STEP_S / OFF_S)
+            self._aim, self._speed = after, (after - temp) / STEP_S
+            return after
+        reach = self.settings.ramp_c_per_min / 60.0 * STEP_S
+        self._aim += min(max(self.set_point - self._aim, -reach), reach)
+        w = 2.0 * math.pi / self.settings.period_s
+        h, damp = STEP_S / 2.0, 2.0 * self.settings.damping * w
+        rise = self._speed * (1.0 - h * damp - h * h * w * w) + 2.0 * h * w * w * (self._aim - temp)
+        speed = rise / (1.0 + h * damp + h * h * w * w)
+        after = temp + h * (self._speed + speed)
+        self._speed = speed
+        return after
+
+
+# ---- bench
+
+SETTLED_S = 0.1  # from the end of a move until it counts as ended
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedSettings:
+    """What is simulated beside the devices."""
+
+    servo: ServoSettings = field(default_factory=ServoSettings)  # Of the table
+    air: AirSettings = field(default_factory=AirSettings)  # Of the chamber
+    chamber: ChamberSetup = field(default_factory=ChamberSetup)  # Limits and soak; its clock is the bench's
+    limits: Limits = field(default_factory=Limits)  # Of the table
+    mount_tilt_sd: float = 0.0  # How well hands mount: error about each axis, rad, drawn anew each time
+    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
+    seed: int = 0  # Of noise and tilt
+
+
+class SimulatedBench:
+    """A bench: its ``table`` is a Rig, its ``chamber`` a Chamber, ``readings`` are of its devices, and it mounts them itself."""
+
+    def __init__(
+        self, devices: Sequence[DeviceModel] = (), settings: SimulatedSettings = SimulatedSettings(), clock: Clock | None = None
+    ) -> None:  # fmt: skip
+        self.settings, self.clock = settings, clock or PacedClock()
+        self.faults = set[str]()
+        chosen = devices or [random_device(np.random.default_rng(settings.seed), grade="consumer")]
+        self._zero = self.clock.now()
+        self.servo, self.air = Servo(settings.servo), Air(settings.air)
+        self._hands = np.random.default_rng((settings.seed, 1))
+        self._log = np.array([-1.0, 0.0]), np.zeros(2)  # moments and angles of the axis, as far back as a reading needs
+        self._last = [np.zeros((1, 3)) for _ in chosen]  # rate at the last reading
+        self.face: Face = "+z"
+        self._up = unit_vector("+z")
+        self.devices = tuple(
+            SimulatedDevice(one, self._seen_by(k), settings.seed + k, 0.0) for k, one in enumerate(chosen)
+        )
+        self.readings = tuple(SimulatedReadings(self, one) for one in self.devices)
+        self.table = SimulatedTable(self, settings.limits)
+        self.chamber = SimulatedChamber(self, replace(settings.chamber, clock=self.clock))
+
+    def now(self) -> float:
+        """Return the time since the start, s."""
+        return self.clock.now() - self._zero
+
+    def advance(self) -> float:
+        """Bring everything up to now, which is returned, s."""
+        now = self.now()
+        self.servo.powered &= not {"power_cut", "stall"} & self.faults
+        times, angles = self.servo.advance(now)
+        kept = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading needs the step before it
+        before = self._log
+        self._log = np.concatenate((before[0], times)), np.concatenate((before[1], angles))
+        self.air.advance(now)
+        for one in self.readings:
+            one.take(now)
+        self._log = self._log[0][kept:], self._log[1][kept:]
+        return now
+
+    def angle(self) -> float:
+        """Return the true angle of the axis now, rad."""
+        return float(np.interp(self.advance(), *self._log))
+
+    def turn_rate(self) -> float:
+        """Return the true turn rate of the axis now, rad/s."""
+        self.advance()
+        return float((self._log[1][-1] - self._log[1][-2]) / (self._log[0][-1] - self._log[0][-2]))
+
+    def mount(self, up: Face) -> None:
+        """Mount the devices with another face up, from now on, as the hands of an operator."""
+        if up not in FACES:
+            raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{up}'; name the axis that points up")
+        self.advance()
+        self.face = up
+        if "wrong_face" in self.faults:
+            self.faults.discard("wrong_face")
+            self.face = FACES[FACES.index(up) ^ 1]
+        unit, tilt = unit_vector(self.face), self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
+        tilted = unit + np.cross(tilt, unit)
+        self._up = tilted / np.linalg.norm(tilted)
+
+    def _seen_by(self, number: int) -> Surroundings:
+        def seen(times: FloatArray, step_s: float) -> Seen:
+            turned = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
+            rate = turned[:, None] / step_s * self._up
+            before = np.vstack((self._last[number], rate[:-1]))
+            self._last[number] = rate[-1:]
+            force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
+            return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
+
+        return seen
+
+
+class SimulatedTable:
+    """The table of a bench, as a Rig."""
+
+    def __init__(self, bench: SimulatedBench, limits: Limits) -> None:
+        self.limits, self._bench = limits, bench
+        self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
+        self._acceleration = 256_000.0  # counts/s2
+        self._angle = 0.0  # commanded since the start, rad
+        self._fault: str | None = None
+
+    def identify(self) -> str:
+        """Return that it is simulated."""
+        self._answer()
+        return f"simulated table, encoder of {self._bench.settings.servo.encoder_lines} lines"
+
+    def read_servo(self) -> ServoReport:
+        """Return the servo's gains and sample period."""
+        self._answer()
+        (kp, kd), period_s = self._bench.settings.servo.gains, self._bench.settings.servo.period_s
+        return ServoReport(kp=kp, ki=0.0, kd=kd, sample_s=period_s)
+
+    def enable(self, on: bool) -> None:
+        """Switch the motor on or off."""
+        self._answer()
+        self._bench.servo.switch(on)
+
+    def set_acceleration(self, acceleration: float) -> float:
+        """Set run-up and slow-down."""
+        self.limits.check_acceleration(acceleration)
+        self._answer()
+        self._acceleration = ACCELERATION.round(self._scale.counts(acceleration))
+        return self._scale.angle(self._acceleration)
+
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Turn at a steady rate for so long, ramps included."""
+        self.limits.check_turn_rate(turn_rate)
+        self._answer(moving=True)
+        speed = SLEW.round(self._scale.counts(turn_rate))
+        angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
+        self.limits.check_travel(self._bench.angle() + angle)
+        if 2.0 * abs(speed) / self._acceleration > seconds:
+            raise LimitError("turn: wanted a duration of both ramps or more, got a shorter one; turn for longer")
+        self._fault = None
+        self._bench.servo.turn(speed, seconds, self._acceleration)
+        return self._scale.angle(speed)
+
+    def move_by(self, angle: float) -> float:
+        """Turn by an angle and come to rest."""
+        self.limits.check_travel(self._bench.angle() + angle)
+        self._answer(moving=True)
+        counts, most = round(self._scale.counts(angle)), self._scale.counts(self.limits.turn_rate)
+        speed = math.copysign(min(math.sqrt(abs(counts) * self._acceleration), most), counts)
+        seconds = abs(counts / speed) + abs(speed) / self._acceleration if counts else 0.0
+        self._fault = None
+        if counts:
+            self._bench.servo.turn(speed, seconds, self._acceleration)
+        self._bench.clock.wait(seconds + SETTLED_S)
+        self._answer(moving=True)
+        return self._scale.angle(counts)
+
+    def stop(self) -> None:
+        """Slow down and wait until the axis is at rest; the motor stays on."""
+        self._answer()
+        if self._bench.servo.powered:
+            self._bench.clock.wait(self._bench.servo.slow_down(self._acceleration) + SETTLED_S)
+        self._answer()
+
+    def position(self) -> Position:
+        """Return where the encoder stands now."""
+        self._answer()
+        counts = math.floor(self._scale.counts(self._bench.angle()))
+        within_s = 0.5 * self._bench.settings.servo.period_s
+        return Position(angle=self._scale.angle(counts), time=self._bench.clock.now(), within_s=within_s)
+
+    def following_error(self) -> float:
+        """Return commanded minus actual angle, rad."""
+        self._answer()
+        return self._scale.angle(self._bench.servo.error)
+
+    def fault(self) -> str | None:
+        """Return what is wrong with it, or None."""
+        self._answer()
+        return self._fault
+
+    def close(self, *, as_found: bool = False) -> None:
+        """Stop and switch the motor off; harmless when called again."""
+        if "power_cut" not in self._bench.faults:
+            self.stop()
+            self._bench.servo.switch(as_found and self._bench.servo.powered)
+
+    def _answer(self, *, moving: bool = False) -> None:
+        """Bring the bench up to now; refuse what a table without power, or with its motor off, cannot do."""
+        bench = self._bench
+        powered = bench.servo.powered
+        bench.advance()
+        if "power_cut" in bench.faults:
+            raise LinkError("rig: wanted an answer, got nothing; check power and cable")
+        if powered and not bench.servo.powered:
+            self._fault = "its motor off: following error beyond its limit"
+        if moving and not bench.servo.powered:
+            raise RigFault(f"rig: wanted a turn, got {self._fault or 'its motor off'}; switch it on")
+
+
+class SimulatedChamber(Chamber):
+    """The chamber of a bench."""
+
+    def __init__(self, bench: SimulatedBench, settings: ChamberSetup) -> None:
+        super().__init__(settings)
+        self._bench = bench
+
+    def switch_off(self) -> None:
+        """Switch heater and compressor off."""
+        self._bench.advance()
+        self._bench.air.on = False
+
+    def _send(self, temp_c: float) -> float:
+        self._bench.advance()
+        self._bench.air.on, self._bench.air.set_point = True, temp_c
+        return temp_c
+
+    def _measure(self) -> float:
+        return round(float(self._bench.air.at(np.array([self._bench.advance()]))[0][0]), 2)
+
+
+class SimulatedReadings:
+    """The readings of a device on a bench, dwell by dwell."""
+
+    def __init__(self, bench: SimulatedBench, device: SimulatedDevice) -> None:
+        self._bench, self._device = bench, device
+        self._kept: list[tuple[IntArray, FloatArray]] | None = None  # of this dwell
+        self._newest = np.full(7, np.nan)
+        self._ended = False
+
+    def take(self, now: float) -> None:
+        """Read the device up to now."""
+        counts, rows = self._device.read(now)
+        if not counts.size:
+            return
+        if "lost_readings" in self._bench.faults:
+            rows[counts % 3 > 0] = np.nan
+        if "power_cut" in self._bench.faults:
+            rows[:] = np.nan
+        self._newest = rows[-1]
+        if self._kept is not None and not self._ended:
+            self._kept.append((counts, rows))
+
+    def start(self, *, certain: bool = True) -> None:
+        """Keep the readings from now on."""
+        self._bench.advance()
+        self._kept, self._ended = [], False
+
+    def end(self) -> None:
+        """Let the dwell end now."""
+        self._bench.advance()
+        self._ended = True
+
+    def stop(self) -> Record:
+        """Return the readings since ``start``."""
+        self._bench.advance()
+        kept, self._kept = self._kept, None
+        if kept is None or sum(len(counts) for counts, _ in kept) < 2:
+            raise RigTimeout("device: wanted two readings or more, got fewer; start a dwell, and dwell longer")
+        counts, rows = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        model = self._device.model
+        return Record(
+            time=counts / self._device.rate,
+            gyro=rows[:, :3],
+            accel=rows[:, 3:6],
+            temp_c=rows[:, 6],
+            gyro_unit=model.gyro.unit,
+            accel_unit=model.accel.unit,
+            device=model.serial,
+        )
+
+    def latest(self) -> str:
+        """Return the newest reading in words."""
+        names = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
+        return "  ".join(f"{name} {value:.6g}" for name, value in zip(names, self._newest, strict=True))
+
+    def close(self) -> None:
+        """Let go of the device."""
+        self._kept = None
+
+
+def open_from(url: str, settings: RigSettings) -> SimulatedTable:
+    """Open the table of a bench of its own."""
+    if url:
+        raise InputError(f"simulated rig: wanted the address 'simulated:', got 'simulated:{url}'; it has no port")
+    made: dict[str, Any] = {"limits": settings.limits, "servo": ServoSettings(encoder_lines=settings.encoder_lines)}
+    return SimulatedBench(settings=SimulatedSettings(**made), clock=settings.timing).table

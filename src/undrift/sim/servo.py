@@ -1,0 +1,119 @@
+"""Servo: the note's motor, amplifier, encoder and sampled position loop, and the moves that it follows.
+
+::
+
+    e    = reference - count                               counts
+    V    = clip(Kd (4 KP e + 4 KD (e - e_last)), 10)        filter and converter, Kd volts a count
+    i    = Ka V, within (+-12 V - Kt omega) / R             current amplifier
+    J alpha = Kt i - friction                               motor and table
+    count = floor(4 N angle / 2 pi)                         encoder of N lines
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import check_positive
+from undrift.kernels.device import ANGLE, ERROR, SAMPLES, Loop, servo
+
+COUNTS_PER_LINE = 4
+LOG_S = 1e-3  # between two angles that are returned
+VOLTS_PER_COUNT, CLIP_V = 3.0e-4, 10.0  # of the controller's converter
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoSettings:
+    """Coefficients of the loop: the figures of the note."""
+
+    torque_constant: float = 0.1  # Kt, N m/A, and the back voltage of the motor in V s/rad
+    inertia: float = 2.0e-4  # J of motor and table, kg m2
+    resistance: float = 2.0  # R of the winding, ohm
+    amplifier_gain: float = 4.0  # Ka, A/V
+    supply_voltage: float = 12.0  # Of the amplifier, either way, V
+    encoder_lines: int = 10_000  # N
+    period_s: float = 1.0e-4  # Between samples, s
+    gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, as a controller takes them
+    friction: float = 2.0e-3  # N m
+
+    def __post_init__(self) -> None:
+        names = ("torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage", "encoder_lines")
+        check_positive(self, "servo", "give the loop's own figure", *names, "period_s")
+
+    @property
+    def counts_per_rad(self) -> float:
+        """Encoder counts in a radian."""
+        return COUNTS_PER_LINE * self.encoder_lines / (2.0 * math.pi)
+
+
+class Servo:
+    """One shaft with its loop, brought up to a moment when someone looks; at rest at the start, with its motor off."""
+
+    def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
+        self.settings, self.powered = settings, False
+        s = settings
+        filtered = (4.0 * s.gains[0], 4.0 * s.gains[1], VOLTS_PER_COUNT, CLIP_V, s.torque_constant, s.amplifier_gain)
+        self._loop = Loop(
+            s.period_s, *filtered, s.supply_voltage, s.resistance, s.inertia, s.friction, s.counts_per_rad
+        )
+        self._state, self._stride = np.zeros(4), max(1, round(LOG_S / s.period_s))
+        self._profile = np.zeros((1, 4))
+
+    @property
+    def step_s(self) -> float:
+        """Time between two angles that ``advance`` returns, s."""
+        return self._stride * self.settings.period_s
+
+    @property
+    def time(self) -> float:
+        """How far it is, s."""
+        return float(self._state[SAMPLES]) * self.settings.period_s
+
+    @property
+    def error(self) -> float:
+        """Commanded minus actual position, counts."""
+        return float(self._state[ERROR])
+
+    def advance(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Go on to a moment or little beyond; return the moments and angles on the way, (n,) s and rad."""
+        count = max(math.ceil((time - self.time) / self.step_s - 1e-6), 0)
+        times, angles = self.time + self.step_s * np.arange(1, count + 1), np.empty(count)
+        servo(self._state, self._loop, self.powered, self._profile, self._stride, angles)
+        return times, angles
+
+    def reference(self) -> tuple[float, float]:
+        """Return commanded position and speed, counts and counts/s."""
+        start, position, speed, acceleration = self._profile[np.searchsorted(self._profile[1:, 0], self.time, "right")]
+        u = self.time - start
+        return float(position + u * (speed + 0.5 * u * acceleration)), float(speed + u * acceleration)
+
+    def switch(self, on: bool) -> None:
+        """Switch the motor on, where the axis stands, or off."""
+        self._follow((0.0, math.floor(float(self._state[ANGLE]) * self.settings.counts_per_rad), 0.0, 0.0))
+        self.powered, self._state[ERROR] = on, 0.0
+
+    def turn(self, speed: float, duration_s: float, acceleration: float) -> None:
+        """Turn at a speed for so long, ramps included, and rest: counts/s, counts/s2."""
+        position, way = self.reference()[0], math.copysign(acceleration, speed)
+        ramp_s = abs(speed) / acceleration
+        held_s = duration_s - 2.0 * ramp_s
+        ramp = 0.5 * speed * ramp_s
+        self._follow(
+            (0.0, position, 0.0, way),
+            (ramp_s, position + ramp, speed, 0.0),
+            (ramp_s + held_s, position + ramp + speed * held_s, speed, -way),
+            (duration_s, position + 2.0 * ramp + speed * held_s, 0.0, 0.0),
+        )
+
+    def slow_down(self, acceleration: float) -> float:
+        """Come to rest; return how long it takes, s."""
+        position, speed = self.reference()
+        ramp_s = abs(speed) / acceleration
+        rest = (ramp_s, position + 0.5 * speed * ramp_s, 0.0, 0.0)
+        self._follow((0.0, position, speed, -math.copysign(acceleration, speed)), rest)
+        return ramp_s
+
+    def _follow(self, *rows: tuple[float, float, float, float]) -> None:
+        self._profile = np.array(rows)
+        self._profile[:, 0] += self.time
