@@ -60,8 +60,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
     ("words", "expected"),
     [
         (["bogus"], 'Unknown command "bogus"'),
-        (["info"], "FILE requires an argument. Say undrift info --help."),
-        (["info", "a", "b"], "wanted fewer words, got also b; say undrift info --help"),
+        (["info"], "FILES requires an argument. Say undrift info --help."),
         (["info", "--bogus", "a"], "Unknown option: --bogus"),
         (["correct"], "RECORDS requires an argument. Say undrift correct --help."),
         (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),

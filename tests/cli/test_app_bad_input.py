@@ -98,7 +98,7 @@ def words_for(command, path, bench, folder):
         "correct": ["correct", path, *calibration, "-o", folder / "kept.parquet"],
         "orient": ["orient", path, *calibration, "-o", folder / "kept.csv"],
         "validate": ["validate", path, *calibration, "--reference", bench / "reference.parquet", "-o", folder / "kept"],
-        "noise": ["noise", path, "-o", folder / "kept.svg"],
+        "noise": ["noise", path, "--figure", folder / "kept.svg"],
     }[command]
 
 
@@ -199,7 +199,7 @@ def test_a_wrong_unit_is_refused_where_it_shows(undrift, bench, sound, tmp_path,
     words = {
         "orient": ["orient", path, "-o", tmp_path / "o.csv"],
         "validate": ["validate", path, "--reference", bench / "reference.parquet", "-o", tmp_path / "v"],
-        "noise": ["noise", path, "-o", tmp_path / "n.svg"],
+        "noise": ["noise", path, "--figure", tmp_path / "n.svg"],
     }[command]
     before = contents(tmp_path)
     line = undrift.refused(*words)
@@ -248,7 +248,7 @@ CALIBRATIONS = {
     "another shape": ("shape", "wanted"),
     "another unit": ("unit", "wanted"),
     "a list": ("[1, 2]", "wanted kind 'undrift.calibration'"),
-    "a folder": ("folder", "Is a directory"),
+    "a folder": ("folder", "no calibration of"),
 }
 
 

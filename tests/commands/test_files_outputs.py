@@ -21,7 +21,8 @@ WRITERS = {  # the call, and the ending of what it writes
 
 def words_of(command, bench, output):
     words, _ = WRITERS[command]
-    return [*(word.format(bench=bench) for word in words), "-o", output]
+    option = "--figure" if command == "noise" else "-o"
+    return [*(word.format(bench=bench) for word in words), option, output]
 
 
 @pytest.mark.parametrize("command", WRITERS)

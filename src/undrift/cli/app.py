@@ -36,7 +36,7 @@ COMMANDS = {  # one line of 80 columns each
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
-    "certificate": "A calibration certificate with uncertainty budget, as a page for A4.",
+    "certificate": "A calibration certificate with uncertainty budget, to print on A4.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
     "rig": "Run a protocol on a rate table; check, stop; --json.",
