@@ -3,15 +3,21 @@
 The axis that points up reads +g: face "+x" is the column (g, 0, 0) of L, face "-x" is (-g, 0, 0). S holds the mean readings.
 
     paper      C = L S^T (S S^T)^-1                                                     eqs. 1-3 of the note; no offset
-    affine     s = K a + b by least squares, 12 parameters
-    levelled   the same, but the plane is level only to sigma_tilt, which is estimated
+    affine     M s_p - c = g up_p + errors          12 parameters by least squares; o = M^-1 c
+    levelled   the same, but the plane is level only to a tilt that is estimated
 
-A face tilted by d reads g d on the two axes that should read nothing and g (1 - d^2 / 2) on its own: on-axis equations keep the
-sigma of the noise, cross-axis ones have hypot(noise, g sigma_tilt). Six spare equations hardly estimate sigma_tilt, so the fit
-is averaged over all values they allow; its 95 % intervals cover 93-97 % at any tilt.
+The errors of pose p, in the frame of the case:
+
+    M n_p                          noise and rounding of the mean
+    warmth_p (alpha + beta g up_p) offset and scale follow the temperature
+    flicker                        of the offset, in common to poses that follow each other
+    g d_p x up_p                   a face tilted by d reads g d across gravity, and g (1 - d^2 / 2) along it
+
+The variance of the tilt is the excess of the residuals across gravity (fit/gls.py). What the cosine takes along gravity is
+added to the covariance for a tilt of the estimated size.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -30,164 +36,26 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
-from undrift.calibration.creep import (
-    Creep,
-    blocks_within,
-    creep_of,
-    flicker_about_mean,
-    mean_square_size,
-    size_unit,
-)
+from undrift.calibration.creep import Creep, creep_of, flicker_about_mean
 from undrift.calibration.dwells import mountings
 from undrift.calibration.norm import MG, QUADRATIC_SD
 from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.equations import (
-    Equations,
-    Solutions,
-    averaged,
-    diagonal,
-    geometric_peak,
-    joined,
-    parameter_order,
-    roots,
-    solutions,
-)
-from undrift.fit.least_squares import (
-    ForwardFit,
-    TriadFit,
-    block_size,
-    fit_forward,
-    fit_paper,
-    noise_of_means,
-    offset_verdict,
-    triad_from_forward,
-)
-from undrift.model import Verdict
+from undrift.fit.equations import offset_of
+from undrift.fit.gls import GlsFit, solve_inverse
+from undrift.fit.least_squares import TriadFit, block_size, fit_paper, noise_of_means, offset_verdict, scaled_condition
+from undrift.fit.priors import ACCEL_FLICKER
+from undrift.model import Budget, TriadModel, Verdict
 from undrift.record import MountedFace, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
-
-# ---- tilt of the faces
-#
-# Equation (p, i) of pose p and axis i of the case has the standard deviation
-#
-#     own axis     hypot(noise, g tilt^2)          the cosine of the tilt
-#     cross axis   hypot(noise, g tilt)            the sine
-#
-# This holds along the axes of the case. A sensor is misaligned to them by a per cent and sees a per cent of the sine on its own
-# face, which can be more than the noise. So a plain fit (K0, b0) corrects the readings first:
-#
-#     a = M0 (s - b0)              M0 = K0^-1
-#     a = K1 up + b1               weighted;  K = K0 K1,  b = K0 b1 + b0
-#
-# and is averaged over the tilt (fit/equations.py), all rows together. E0 weighs by L / (tilt + noise / g), which leaves room for a
-# tilt as small as the noise; E1 by L / (tilt + 0.1 noise / g), which favours level faces and so loses nothing on them. Where L is
-# greatest at no tilt at all, the faces count as level, and the fit is plain least squares, which is then the best there is.
-#
-# E0 has the covariance of what the equations of own axes carry to second order. K0's cross-axis terms err by d. A face of axis i
-# that stands off by p_j, of which the residuals of cross axes show r_j and the rest is d_ji, reads on its own axis
-#
-#     -g sum_j r_j (d_ij + d_ji)        alike on both faces: in the offset
-#     +-g tilt^2                        of opposite sign: in the scale
-
-_EVIDENCE = 2.0  # twice the gain of log-likelihood of a tilt that is reported: 8 % false alarms on a level plane
-_LARGEST = 0.2  # rad
-_GRID = 120
-_WORST_MOUNTED = 10.0  # times the stated uncertainty of a mounting: 1 deg, beyond what is mounted by hand [assumed]
-_SMALL_TILT = 0.1  # of noise / g: the tilt that E1 takes as none
-
-
-def fit_tilted(
-    up: FloatArray,
-    reading: FloatArray,
-    noise: FloatArray,
-    plain: ForwardFit,
-    stated: FloatArray | None = None,
-    in_common: FloatArray | None = None,
-) -> tuple[ForwardFit, float]:
-    """Fit faces whose tilt is not known: up (P, 3) m/s2, reading and noise (P, 3) in one unit; return the tilt too, rad.
-
-    A pose has its stated tilt (P,), rad, beside that of all. ``in_common`` (3, P, P) is the covariance of what moves the readings
-    of one sensor together, in their unit squared.
-    """
-    stated = np.zeros(len(up)) if stated is None else stated
-    inverse = np.linalg.inv(plain.matrix)
-    level = (reading - plain.offset) @ inverse.T
-    sigma = np.sqrt(noise**2 @ (inverse**2).T)
-    gravity = float(np.linalg.norm(up, axis=1).max())
-    along = np.zeros((3, 1, 1)) if in_common is None else np.tensordot(inverse**2, in_common, axes=1)
-    tilts, thetas, covariances, likelihood = _solved(up, level, sigma, gravity, stated, along)
-    best = int(np.argmax(likelihood))
-    if reading.size <= 12 or (best == 0 and not stated.any()):
-        return plain, 0.0
-    small = float(np.median(sigma)) / gravity
-    over = (tilts + small, tilts + _SMALL_TILT * small)
-    theta, covariance = thetas[0], covariances[0]
-    if best > 0:
-        theta, covariance = averaged(tilts, likelihood, thetas, covariances, over)
-    jacobian = np.zeros((12, 12))
-    jacobian[:9, :9], jacobian[9:, 9:] = np.kron(plain.matrix, np.eye(3)), plain.matrix
-    matrix = plain.matrix @ theta[:9].reshape(3, 3)
-    offset = plain.matrix @ theta[9:] + plain.offset
-    covariance = jacobian @ covariance @ jacobian.T
-    fit = replace(
-        plain, matrix=matrix, offset=offset, covariance=covariance, residuals=reading - up @ matrix.T - offset
-    )
-    shows = 2.0 * (likelihood[best] - likelihood[0]) >= _EVIDENCE
-    return fit, geometric_peak(tilts, likelihood, best) if shows else 0.0
-
-
-def tilted_sigma(up: FloatArray, noise: FloatArray, gain: float, tilt: float | FloatArray) -> FloatArray:
-    """Return the standard deviation (P, 3) of every equation for faces with a tilt, rad, of all or of each (P, 1).
-
-    up and noise (P, 3), gain per g.
-    """
-    return np.asarray(np.hypot(noise, gain * np.where(up != 0.0, tilt * tilt, tilt)))
-
-
-def _solved(
-    up: FloatArray, reading: FloatArray, noise: FloatArray, length: float, stated: FloatArray, in_common: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return a grid of tilts (T,), and for each K row by row then b (T, 12), its covariance (T, 12, 12), and log L (T,)."""
-    smallest = 0.02 * float(np.median(noise)) / length
-    tilts = np.concatenate(([0.0], np.geomspace(max(smallest, 1e-9), _LARGEST, _GRID)))
-    design = np.column_stack((up, np.ones(len(up))))
-    sigma = np.stack([tilted_sigma(up, noise, length, np.hypot(t, stated)[:, None]) for t in tilts])
-    fits = [solutions(design, reading[:, k], roots(sigma[:, :, k], in_common[k])) for k in range(3)]
-    residuals = np.stack([reading[:, k] - fits[k].theta @ design.T for k in range(3)])
-    more = _second_order(up, fits, residuals, length * (tilts[:, None] ** 2 + stated**2))
-    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(4)]
-    covariances = joined([fit.covariance + part for fit, part in zip(fits, more, strict=True)])
-    return tilts, thetas, covariances, np.sum([fit.likelihood for fit in fits], axis=0)
-
-
-def _second_order(
-    up: FloatArray, fits: Sequence[Solutions], residuals: FloatArray, square: FloatArray
-) -> list[FloatArray]:
-    """Return what to add to the covariance (T, 4, 4) of each sensor, which has errors of g tilt^2, ``square`` (T, P), alone."""
-    variance = np.stack([np.einsum("tii->ti", fit.covariance)[:, :3] for fit in fits], axis=1)
-    more = []
-    for row, fit in enumerate(fits):
-        faces = up[:, row] != 0.0
-        sign = np.sign(up[faces, row])
-        alike = np.outer(sign, sign) / max(1, faces.sum()) - np.eye(faces.sum())
-        errors = square[:, faces, None] * square[:, None, faces] * alike
-        for across in {0, 1, 2} - {row}:
-            size = variance[:, row, across] + variance[:, across, row]
-            seen = residuals[across][:, faces]
-            errors += size[:, None, None] * seen[:, :, None] * seen[:, None, :]
-        gain = fit.gain[:, :, faces]
-        more.append(gain @ errors @ gain.transpose(0, 2, 1))
-    return more
-
 
 # ---- fit of the face means
 
 SixFaceMode = Literal["paper", "affine", "levelled"]
 
-_ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic, however low the noise
-_LARGE_TILT = 0.5 * RADIAN_PER_DEGREE
+MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic, however low the noise
+TILT_LIMIT = 0.5 * RADIAN_PER_DEGREE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,93 +63,160 @@ class FaceMeans:
     """Mean readings of a device on its faces."""
 
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
-    faces: tuple[MountedFace, ...]  # Axis that points up in each
-    noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None when it is not known
-    rounding: FloatArray | None = None  # (3,), what the codes leave in each mean, in ``noise`` too, ``unit``
-    unit: str = "m/s2"  # Unit of the readings
-    # (P,), stated standard uncertainty of the tilt of each beside what the readings show, rad; levelled mode alone uses it
-    tilt: FloatArray | None = None
-    creep: Creep | None = None  # Of the session's temperature
-    flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, ``unit`` squared
-
-    def in_common(self, gravity: float) -> dict[str, FloatArray]:
-        """Return the covariances (3, P, P) of what moves the readings of a sensor together, ``unit`` squared, by source."""
-        parts = {} if self.flicker is None else {"instability": np.stack((self.flicker, self.flicker, self.flicker))}
-        if self.creep is not None and not self.creep.none:
-            up = gravity * face_vectors(self.faces)
-            design = np.column_stack((up, np.ones(len(up))))
-            gain = np.diag(np.linalg.lstsq(design, self.reading, rcond=None)[0][:3])
-            parts["temperature"] = np.stack([self.creep.covariance(up[:, j], float(gain[j])) for j in range(3)])
-        return parts
+    faces: tuple[MountedFace, ...]  # axis that points up in each
+    noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None if it is not known
+    rounding: FloatArray | None = (
+        None  # (3,), standard deviation that the codes leave in each mean, in ``noise`` too, ``unit``
+    )
+    unit: str = "m/s2"  # unit of the readings
+    creep: Creep | None = None  # temperature of each pose
+    flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, (m/s2)^2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SixFaceFit(TriadFit):
     """A triad fitted to six faces."""
 
-    # Standard deviation of the faces' tilt about each horizontal axis, rad; 0 where not significant, NaN where not estimated
+    # standard deviation of the faces' tilt about each horizontal axis, rad; 0 if not significant, NaN if not estimated
     tilt: float = float("nan")
 
 
 def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "levelled") -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
     _check(poses, gravity, mode)
-    up, reading, noise = gravity * face_vectors(poses.faces), poses.reading, poses.noise
-    names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
-    sigma = None if noise is None else np.maximum(noise, _ROUNDING * np.abs(reading).max())
-    in_common = sum(poses.in_common(gravity).values(), np.zeros((3, len(up), len(up))))
-    plain, tilt = fit_forward(up, reading, sigma, in_common), float("nan")
-    forward = plain
-    if sigma is not None and mode != "affine":
-        forward, tilt = fit_tilted(up, reading, sigma, plain, poses.tilt, in_common)
-    verdict = Verdict.of(*_judged(poses, plain, sigma, tilt, mode))
-    if mode == "paper":
-        fit, tilt = fit_paper(up, reading, noise, in_common, **names), float("nan")
-        verdict = offset_verdict(fit, up, reading, noise).also(verdict)
-    else:
-        fit = triad_from_forward(forward, valid_range=(-gravity, gravity), **names)
-        if sigma is not None:
-            rest = "noise" if forward is plain else "level"  # of level faces the sources are all there is
-            budget = _equations(poses, up, sigma).budget(forward.inverse, fit.model.covariance, rest)
-            fit = replace(fit, model=replace(fit.model, budget=budget))
-    check_handedness(fit.model.forward_matrix, "accelerometer")
-    return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=verdict, tilt=tilt)
-
-
-def _equations(poses: FaceMeans, up: FloatArray, noise: FloatArray) -> Equations:
-    """Return the equations of level faces: up (P, 3) m/s2, and all that is known of the errors of the means."""
-    codes = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise) ** 2
-    return Equations(
-        unknowns={"matrix": up, "offset": np.ones((len(up), 1))},
-        reading=poses.reading,
-        own={"noise": diagonal(noise**2 - codes), "adc": diagonal(codes), **poses.in_common(float(np.abs(up).max()))},
+    up = face_vectors(poses.faces)
+    rank, condition = scaled_condition(np.column_stack((up, np.ones(len(up)))))
+    if rank < 4:
+        raise NotObservable(
+            f"six faces: expected faces that span three axes and both signs, got rank {rank} of 4. Record the missing faces.",
+            rank=rank,
+        )
+    start = np.linalg.inv(
+        np.linalg.lstsq(np.column_stack((gravity * up, np.ones(len(up)))), poses.reading, rcond=None)[0][:3].T
     )
+    sources = _sources(poses, up, gravity, start)
+    level = _tilt_shape(up, gravity)
+    known = poses.noise is not None
+    shapes = {} if mode == "affine" else {"level": level}
+    if not known:
+        shapes = {"noise": np.full(3 * len(up), gravity**2)}
+    fit = solve_inverse(poses.reading, gravity * up, None, start, sources, excess=shapes)
+    tilt = float("nan")
+    if known and mode != "affine":
+        tilt = float(np.sqrt(fit.excess["level"])) if fit.shows("level") else 0.0
+    verdict = Verdict.of(*_findings(poses, fit, sources, tilt, mode))
+    if mode == "paper":
+        in_common = _in_common(poses, up, gravity)
+        paper = fit_paper(
+            gravity * up,
+            poses.reading,
+            poses.noise,
+            in_common,
+            method="six-face/paper",
+            unit_in=poses.unit,
+            unit_out="m/s2",
+        )
+        verdict = offset_verdict(paper, gravity * up, poses.reading, poses.noise).also(verdict)
+        model, residuals, tilt = paper.model, paper.residuals, float("nan")
+    else:
+        matrix, constant = fit.theta[:9].reshape(3, 3), fit.theta[9:]
+        offset, jacobian = offset_of(matrix, constant, 12)
+        parts = dict(fit.budget)
+        if "level" in shapes:
+            cosine = np.diag(np.repeat(fit.excess_bound("level"), 3 * len(up)) * gravity * np.abs(up.ravel())) ** 2
+            parts["level"] = parts["level"] + fit.gains @ cosine @ fit.gains.T
+        covariance = jacobian @ sum(parts.values()) @ jacobian.T
+        variances = {name: np.diag(jacobian @ part @ jacobian.T) for name, part in parts.items()}
+        residuals = -fit.residuals.reshape(-1, 3)
+        model = TriadModel(
+            matrix=matrix,
+            offset=offset,
+            covariance=covariance,
+            budget=Budget.of(covariance, variances, "noise"),
+            rms_residual=float(np.sqrt((residuals**2).mean())),
+            count=residuals.size,
+            rank=3 * rank,
+            condition=condition,
+            valid_range=(-gravity, gravity),
+            method=f"six-face/{mode}",
+            unit_in=poses.unit,
+            unit_out="m/s2",
+        )
+    check_handedness(model.forward_matrix, "accelerometer")
+    return SixFaceFit(model=model, residuals=residuals, verdict=verdict, tilt=tilt)
 
 
-def _judged(
-    poses: FaceMeans,
-    plain: ForwardFit,
-    noise: FloatArray | None,
-    tilt: float,
-    mode: SixFaceMode,
+def _sources(poses: FaceMeans, up: FloatArray, gravity: float, matrix: FloatArray) -> dict[str, FloatArray]:
+    """Return the stated covariances (3 P, 3 P) of the rows, (m/s2)^2; ``matrix`` takes readings to m/s2."""
+    floor = MIN_NOISE * float(np.abs(poses.reading).max())
+    noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
+    rounding = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise)
+    sources = {
+        "noise": _by_pose(matrix, np.maximum(noise**2 - rounding**2, floor**2)),
+        "adc": _by_pose(matrix, rounding**2),
+    }
+    if poses.creep is not None:
+        sources["temperature"] = _temperature(poses.creep, gravity * up)
+    if poses.flicker is not None:
+        sources["instability"] = np.kron(poses.flicker, np.eye(3))
+    return sources
+
+
+def _by_pose(matrix: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the covariance (3 P, 3 P) of M n_p, for independent readings n_p of variance (P, 3)."""
+    count = len(variance)
+    covariance = np.zeros((count, 3, count, 3))
+    for pose in range(count):
+        covariance[pose, :, pose] = (matrix * variance[pose]) @ matrix.T
+    return covariance.reshape(3 * count, 3 * count)
+
+
+def _temperature(creep: Creep, force: FloatArray) -> FloatArray:
+    """Return the covariance of warmth (alpha + beta force), each axis with slopes of its own; force (P, 3), m/s2."""
+    slopes = creep.warmth[:, None] * np.stack((creep.offset_per_k * np.ones(force.shape), creep.scale_per_k * force))
+    columns = slopes[:, :, :, None] * np.eye(3)  # slope, pose, row, axis
+    columns = columns.transpose(1, 2, 0, 3).reshape(force.size, -1)
+    return np.asarray(columns @ columns.T)
+
+
+def _tilt_shape(up: FloatArray, gravity: float) -> FloatArray:
+    """Return the variance (3 P,) of g d_p x up_p for a tilt d_p of 1 rad about each horizontal axis."""
+    return np.asarray(gravity**2 * (1.0 - up.ravel() ** 2))
+
+
+def _in_common(poses: FaceMeans, up: FloatArray, gravity: float) -> FloatArray:
+    """Return the covariance (3, P, P) of what moves the readings of each sensor together, ``unit`` squared."""
+    design = np.column_stack((gravity * up, np.ones(len(up))))
+    gain = np.diag(np.linalg.lstsq(design, poses.reading, rcond=None)[0][:3])
+    covariance = np.zeros((3, len(up), len(up)))
+    for axis in range(3):
+        if poses.creep is not None:
+            covariance[axis] += poses.creep.covariance(gravity * up[:, axis], float(gain[axis]))
+        if poses.flicker is not None:
+            covariance[axis] += gain[axis] ** 2 * poses.flicker
+    return covariance
+
+
+def _findings(
+    poses: FaceMeans, fit: GlsFit, sources: Mapping[str, FloatArray], tilt: float, mode: SixFaceMode
 ) -> Iterator[Finding]:
     if poses.rounding is not None and poses.noise is not None:
         yield from limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
-    tilt_deg, spare = tilt / RADIAN_PER_DEGREE, plain.residuals.size - 12
+    tilt_deg, spare = tilt / RADIAN_PER_DEGREE, len(fit.residuals) - 12
     if mode == "paper":  # the closed form assumes level faces, and so does its covariance
         if tilt > 0.0:
             yield finding("six_face.tilt_left_out", "warn", tilt_deg=tilt_deg, gain_share=tilt)
         return
     for face in missing_faces(poses.faces):
         yield finding("six_face.face_missing", "warn", face=face)
-    if tilt > _LARGE_TILT:
+    if tilt > TILT_LIMIT:
         yield finding("six_face.tilt_large", "warn", tilt_deg=tilt_deg)
     elif tilt > 0.0:
         yield finding("six_face.tilt_small", "info", tilt_deg=tilt_deg)
-    if mode == "affine" and noise is not None and spare > 0:
-        ratio = float(np.sqrt(_equations(poses, plain.inputs, noise).square(plain.residuals) / spare))
-        if ratio >= 3.0:
-            yield finding("six_face.scatter", "warn", ratio=ratio)
+    if mode == "affine" and poses.noise is not None and spare > 0:
+        square = float(fit.residuals @ np.linalg.solve(sum(sources.values()), fit.residuals))
+        if square >= 9.0 * spare:
+            yield finding("six_face.scatter", "warn", ratio=(square / spare) ** 0.5)
 
 
 def face_means(
@@ -297,11 +232,7 @@ def face_means(
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
     rounding = flicker = None
     if noise is not None:
-        # Of a likely size, by the blocks within the rests
-        span, rates_hz = spans_of(records, cut), [records[s.recording].sample_rate_hz for s in cut]
-        size = size_unit(noise, span)
-        likelihood = blocks_within(windows, rates_hz, polynomial_degree + 1).likelihood(size)
-        flicker = mean_square_size(likelihood) * size**2 * flicker_about_mean(span)
+        flicker = ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, cut))
         every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
         rounding = mean_rounding(every, [rest for _, rest in filtered])
         noise = np.hypot(noise, rounding)
@@ -391,7 +322,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     offset = None
     if used == "paper" and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-        faces, moving = np.array(poses.faces), poses.in_common(seen.session.gravity_m_s2).values()
+        faces = np.array(poses.faces)
+        in_common = _in_common(poses, face_vectors(poses.faces), seen.session.gravity_m_s2)
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
@@ -399,41 +331,38 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", settings.scale_tolerance, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
-        variance = variance + sum((part @ share @ share for part in moving), np.zeros(3))
+        variance = variance + in_common @ share @ share
         fit = with_offset(fit, offset, variance)
     return Outcome(fit=fit, method="six-face", findings=findings, used=seen.faced)
 
 
 def _by_mounting(seen: Observed, poses: FaceMeans) -> FaceMeans:
-    """Return poses in which the rests of one mounting are one: on a rate table, or on one face with no other rest between.
+    """Average the rests that were recorded in one mounting: on one face with no other rest between, or on a rate table.
 
-    Where the other rests show all six faces by themselves, a mounting counts as far off level, so that what is felt on the table
-    is not known from it already; else all show alike how far they are.
+    Rests on a rate table are left out if the other rests show all six faces: a device is mounted on a table less squarely than it
+    stands on a plate, and what the accelerometers feel there measures the mounting.
     """
     turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
-    of_rest = mountings([*seen.faced, *turns])[: len(poses.faces)]
-    laid = [n if one.face is not None else -1 for n, one in enumerate(seen.stills)]
+    table = mountings([*seen.faced, *turns])[: len(poses.faces)]
+    placement = [n if one.face is not None else -1 for n, one in enumerate(seen.stills)]
     for n, (before, after) in enumerate(pairwise(seen.stills), 1):
-        if laid[n] >= 0 and (before.face, before.recording) == (after.face, after.recording):
-            laid[n] = laid[n - 1]
-    place = np.where(of_rest < 0, [n for n in laid if n >= 0], -1)
-    if poses.noise is None or (not (of_rest >= 0).any() and len(set(place)) == len(place)):
+        if placement[n] >= 0 and (before.face, before.recording) == (after.face, after.recording):
+            placement[n] = placement[n - 1]
+    plate = np.where(table < 0, [n for n in placement if n >= 0], -1)
+    groups = [np.flatnonzero(plate == n) for n in np.unique(plate[plate >= 0])]
+    if missing_faces([face for face, mounting in zip(poses.faces, table, strict=True) if mounting < 0]):
+        groups += [np.flatnonzero(table == mounting) for mounting in np.unique(table[table >= 0])]
+    if poses.noise is None or len(groups) == len(poses.faces):
         return poses
-    table = seen.settings.rate_table(seen.session.rate_table)
-    groups = [list(np.flatnonzero(place == n)) for n in np.unique(place[place >= 0])]
-    groups += [list(np.flatnonzero(of_rest == mounting)) for mounting in np.unique(of_rest[of_rest >= 0])]
     weight = 1.0 / np.maximum(poses.noise, 1e-300) ** 2
     to_group = np.zeros((len(groups), len(poses.faces)))  # mean over the rests of a mounting
     for number, rows in enumerate(groups):
         to_group[number, rows] = weight[rows].mean(axis=1) / weight[rows].mean(axis=1).sum()
-    alone = not missing_faces([face for face, mounting in zip(poses.faces, of_rest, strict=True) if mounting < 0])
-    tilt = float(alone) * np.hypot(_WORST_MOUNTED * table.mount_tilt_deg, table.table_level_deg) * RADIAN_PER_DEGREE
     return replace(
         poses,
         reading=np.array([np.average(poses.reading[rows], axis=0, weights=weight[rows]) for rows in groups]),
         faces=tuple(poses.faces[rows[0]] for rows in groups),
         noise=np.array([weight[rows].sum(axis=0) ** -0.5 for rows in groups]),
-        tilt=np.array([tilt if of_rest[rows[0]] >= 0 else 0.0 for rows in groups]),
         creep=poses.creep and replace(poses.creep, warmth=to_group @ poses.creep.warmth),
         flicker=None if poses.flicker is None else to_group @ poses.flicker @ to_group.T,
     )

@@ -1,0 +1,320 @@
+"""Generalised least squares with stated sources of error, excess variances that the residuals show, and a budget.
+
+    y = X theta + e                  E rows, P parameters
+    cov(e) = V = sum_i S_i + sum_j s_j E_j
+    theta = C (X' V^-1 y + K m)      C = (X' V^-1 X + K)^-1,   prior mean m and precision K
+
+S_i are the stated sources. E_j is the shape of an error whose size is unknown: for example, the tilt of a plate acts across
+gravity, and a wobble of a rate table grows with the rate. Its variance s_j >= 0 maximises the restricted likelihood
+(Patterson and Thompson 1971), which balances the residuals against what the fit leaves of them:
+
+    r' V^-1 E_j V^-1 r = tr(P E_j)   P = V^-1 - V^-1 X C X' V^-1
+
+An excess variance is known from few residuals. Its contribution to the covariance is therefore widened by the square of
+Student's quantile over that of the normal distribution, for nu_j = tr(P E_j)^2 / tr(P E_j P E_j) degrees of freedom, so that
+an interval of 1.96 standard uncertainties still holds in 95 % of cases.
+
+Three sensors against known inputs (``solve_inverse``): M s - c - G a = f + e, with readings s, inputs f, and specific force a if
+the sensors feel it. Errors of the readings would make M too small if the readings themselves were the columns of X. Their
+projection s^ on the known columns (f, a, 1) takes their place, and what is left of them is carried by M as it is known:
+
+    M s^ - c - G a = f - M (s - s^) + e
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray
+
+MAX_ITERATIONS = 100
+TOLERANCE = 1e-4  # relative change of the excess variances at which the iteration ends
+ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
+RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
+RANK = 1e-9  # of the largest singular value of known columns
+SHOWN = 1e-6  # share of a shape that the residuals must keep
+NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prior:
+    """What is known about the parameters before the fit."""
+
+    mean: FloatArray  # (P,)
+    precision: FloatArray  # (P, P), inverse covariance; zero rows for parameters without a prior
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GlsFit:
+    """Result of a generalised least-squares fit."""
+
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    budget: Mapping[str, FloatArray]  # covariance (P, P) by source; the sum is ``covariance``
+    excess: Mapping[str, float]  # excess variance s_j by its kind
+    freedom: Mapping[str, float]  # degrees of freedom nu_j of each excess variance
+    excess_error: Mapping[str, float]  # standard error of each excess variance if it were zero
+    residuals: FloatArray  # (E,), y - X theta
+    gains: FloatArray  # (P, E), d theta / d y
+
+    def shows(self, kind: str) -> bool:
+        """Return True if an excess variance is more than chance makes of it: two standard errors, 4 % of cases."""
+        return self.excess[kind] > 2.0 * self.excess_error[kind]
+
+    def excess_bound(self, kind: str) -> float:
+        """Return the excess variance of a kind, widened for its degrees of freedom."""
+        return self.excess[kind] * student_factor(self.freedom[kind])
+
+
+def student_factor(freedom: float) -> float:
+    """Return (t / 1.96)^2 for the 97.5 % quantile t of Student's distribution; one degree of freedom at least."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(max(freedom, 1.0), 0.975) / NORMAL_95) ** 2
+
+
+def solve(
+    design: FloatArray,
+    value: FloatArray,
+    sources: Mapping[str, FloatArray],
+    *,
+    excess: Mapping[str, FloatArray] | None = None,
+    prior: Prior | None = None,
+) -> GlsFit:
+    """Fit theta to y = X theta + e.
+
+    ``design`` is X (E, P) and ``value`` is y (E,). ``sources`` are the stated covariances S_i by name, and ``excess`` the shapes
+    E_j of errors of unknown size; each is a matrix (E, E), or the diagonal (E,) of one. The sum of the sources must be positive
+    definite. Raises ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
+    """
+    length = np.linalg.norm(design, axis=0)
+    length[length == 0.0] = 1.0
+    rows = _Rows(
+        design=design / length,
+        value=value,
+        prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
+        mean=np.zeros(len(length)) if prior is None else prior.mean * length,
+        stated=np.sum([np.diag(part) if part.ndim == 1 else part for part in sources.values()], axis=0),
+        shapes=tuple(_Shape.of(shape) for shape in (excess or {}).values()),
+    )
+    kinds = tuple(excess or {})
+    variances, state = _excess_variances(rows)
+    products = [shape.product(state.projector) for shape in rows.shapes]
+    freedom = [_degrees(shape, product) for shape, product in zip(rows.shapes, products, strict=True)]
+    gains = state.gains / length[:, None]
+    budget = {name: _carried(gains, part) for name, part in sources.items()}
+    for kind, variance, nu in zip(kinds, variances, freedom, strict=True):
+        own = variance * student_factor(nu) * _carried(gains, (excess or {})[kind])
+        budget[kind] = budget.get(kind, 0.0) + own
+    if prior is not None:
+        covariance = state.covariance / np.outer(length, length)
+        budget["prior"] = covariance @ prior.precision @ covariance
+    errors = [_error_at_zero(rows, state, variances, j) for j in range(len(kinds))]
+    return GlsFit(
+        theta=state.theta / length,
+        covariance=np.sum([*budget.values()], axis=0),
+        budget=budget,
+        excess=dict(zip(kinds, variances.tolist(), strict=True)),
+        freedom=dict(zip(kinds, freedom, strict=True)),
+        excess_error=dict(zip(kinds, errors, strict=True)),
+        residuals=state.residuals,
+        gains=gains,
+    )
+
+
+def solve_inverse(
+    reading: FloatArray,
+    value: FloatArray,
+    force: FloatArray | None,
+    matrix: FloatArray,
+    sources: Mapping[str, FloatArray],
+    *,
+    excess: Mapping[str, FloatArray] | None = None,
+    prior: Prior | None = None,
+) -> GlsFit:
+    """Fit M, c and G to readings (E, 3) of known inputs (E, 3), and of a specific force (E, 3); ``matrix`` is a first M.
+
+    The parameters are M row by row, c, and G row by row. Rows of the sources and shapes are those of the readings, 3 E in all.
+    """
+    count, forces = len(reading), [] if force is None else [force]
+    known = np.hstack([value, np.ones((count, 1)), *forces])
+    left, singular, _ = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), full_matrices=False)
+    left = left[:, singular > RANK * singular[0]]
+    smooth = left @ (left.T @ reading)
+    blocks = [
+        np.einsum("ij,ek->eijk", np.eye(3), part) for part in (smooth, -np.ones((count, 1)), *(-f for f in forces))
+    ]
+    design, away = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
+    smallest = float(
+        np.sqrt(np.sum([part if part.ndim == 1 else np.diag(part) for part in sources.values()], axis=0).min())
+    )
+    for _ in range(ROUNDS):
+        fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=prior)
+        change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
+        if np.abs(away @ change.T).max() <= CONVERGED * smallest:
+            break
+    return fit
+
+
+def _root(precision: FloatArray) -> FloatArray:
+    """Return R (P, P) with R' R = K."""
+    variance, vectors = np.linalg.eigh(precision)
+    return np.asarray((vectors * np.sqrt(variance.clip(0.0))).T)
+
+
+def _carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (P, P) of the parameters that a covariance of the rows makes."""
+    return np.asarray((gains * covariance if covariance.ndim == 1 else gains @ covariance) @ gains.T)
+
+
+# ---- solution for one covariance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shape:
+    """Shape of an excess variance: the rows that it touches, and its block there."""
+
+    rows: IntArray  # (K,)
+    block: FloatArray  # (K, K), or its diagonal (K,)
+
+    @classmethod
+    def of(cls, shape: FloatArray) -> "_Shape":
+        if shape.ndim == 1:
+            rows = np.flatnonzero(shape)
+            return cls(rows=rows, block=shape[rows])
+        rows = np.flatnonzero(shape.any(axis=1))
+        return cls(rows=rows, block=shape[np.ix_(rows, rows)])
+
+    def product(self, matrix: FloatArray) -> FloatArray:
+        """Return the columns (E, K) of a matrix (E, E) times the shape that are not zero."""
+        own = matrix[:, self.rows]
+        return np.asarray(own * self.block if self.block.ndim == 1 else own @ self.block)
+
+    def square(self, vector: FloatArray) -> float:
+        """Return v' E_j v."""
+        own = vector[self.rows]
+        return float(own @ (self.block * own if self.block.ndim == 1 else self.block @ own))
+
+    def trace(self, matrix: FloatArray) -> float:
+        """Return the trace of a symmetric matrix (E, E) times the shape."""
+        if self.block.ndim == 1:
+            return float(np.diag(matrix)[self.rows] @ self.block)
+        return float((matrix[np.ix_(self.rows, self.rows)] * self.block).sum())
+
+    def add(self, covariance: FloatArray, variance: float) -> None:
+        """Add the shape times its variance to a covariance (E, E)."""
+        if self.block.ndim == 1:
+            covariance[self.rows, self.rows] += variance * self.block
+        else:
+            covariance[np.ix_(self.rows, self.rows)] += variance * self.block
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _State:
+    theta: FloatArray  # (P,), of the scaled columns
+    covariance: FloatArray  # (P, P), C
+    gains: FloatArray  # (P, E), C X' V^-1
+    residuals: FloatArray  # (E,)
+    weighted: FloatArray  # (E,), V^-1 r
+    inverse: FloatArray  # (E, E), V^-1
+    projector: FloatArray  # (E, E), P
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    design: FloatArray  # (E, P), columns of length one
+    value: FloatArray  # (E,)
+    prior: FloatArray  # (., P), R with R' R = K
+    mean: FloatArray  # (P,), m
+    stated: FloatArray  # (E, E), sum of S_i
+    shapes: tuple[_Shape, ...]  # E_j
+
+    def solve(self, variances: FloatArray) -> _State:
+        """Return the solution for excess variances (J,): V = L L', and L^-1 X over R = Q T.
+
+        Then C = T^-1 T'^-1, and P = V^-1 - B B' with B = L'^-1 Q. The condition of X is not squared.
+        """
+        from scipy.linalg import solve_triangular
+        from scipy.linalg.lapack import dpotri
+
+        covariance = self.stated.copy()
+        for shape, variance in zip(self.shapes, variances, strict=True):
+            shape.add(covariance, float(variance))
+        factor = np.linalg.cholesky(covariance)
+        orthonormal, triangle = np.linalg.qr(np.vstack((solve_triangular(factor, self.design, lower=True), self.prior)))
+        pivots = np.abs(np.diag(triangle))
+        if not pivots.min() > RANK_OF_ROWS * pivots.max():
+            raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
+        known = np.concatenate((solve_triangular(factor, self.value, lower=True), self.prior @ self.mean))
+        back = np.linalg.inv(triangle)
+        theta = back @ (orthonormal.T @ known)
+        residuals = self.value - self.design @ theta
+        weighted_design = solve_triangular(factor, orthonormal[: len(self.value)], lower=True, trans="T")
+        half = dpotri(factor, lower=1)[0]
+        inverse = np.asarray(np.tril(half) + np.tril(half, -1).T)
+        return _State(
+            theta=theta,
+            covariance=back @ back.T,
+            gains=back @ weighted_design.T,
+            residuals=residuals,
+            weighted=inverse @ residuals,
+            inverse=inverse,
+            projector=inverse - weighted_design @ weighted_design.T,
+        )
+
+
+# ---- excess variances by restricted likelihood: Fisher scoring, bounded at zero
+
+
+def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
+    """Return the variance s_j >= 0 of each shape, and the solution for them."""
+    shapes: tuple[_Shape, ...] = rows.shapes
+    variances: FloatArray = np.zeros(len(shapes))
+    state = rows.solve(variances)
+    # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
+    shown = np.array([shape.trace(state.projector) > SHOWN * shape.trace(state.inverse) for shape in shapes], bool)
+    for _ in range(MAX_ITERATIONS if shown.any() else 0):
+        products = [shape.product(state.projector) for shape in shapes]
+        score = np.array([shape.square(state.weighted) - shape.trace(state.projector) for shape in shapes])
+        information = np.array(
+            [
+                [float((a[t.rows] * b[s.rows].T).sum()) for t, b in zip(shapes, products, strict=True)]
+                for s, a in zip(shapes, products, strict=True)
+            ]
+        )
+        previous, variances = variances, _bounded_step(variances, score, information, shown)
+        if not (np.abs(variances - previous) > TOLERANCE * np.maximum(variances, previous)).any():
+            break
+        state = rows.solve(variances)
+    return variances, state
+
+
+def _degrees(shape: _Shape, product: FloatArray) -> float:
+    """Return the degrees of freedom tr(P E_j)^2 / tr(P E_j P E_j) for the product P E_j."""
+    own = product[shape.rows]
+    return float(np.trace(own) ** 2 / max(float((own * own.T).sum()), 1e-300))
+
+
+def _error_at_zero(rows: _Rows, state: _State, variances: FloatArray, kind: int) -> float:
+    """Return the standard error of an excess variance whose true value is zero."""
+    if variances[kind] > 0.0:
+        state = rows.solve(np.where(np.arange(len(variances)) == kind, 0.0, variances))
+    own = rows.shapes[kind].product(state.projector)[rows.shapes[kind].rows]
+    return float(np.sqrt(2.0 / max(float((own * own.T).sum()), 1e-300)))
+
+
+def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray, free: BoolArray) -> FloatArray:
+    """Return the next variances: those at zero stay there if the likelihood falls away from it, or if they are not free."""
+    while True:
+        step = np.zeros(len(variances))
+        if free.any():
+            step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
+        leaves = free & (variances <= 0.0) & (step < 0.0)
+        if not leaves.any():
+            break
+        free = free & ~leaves
+    reached = variances + step
+    # a step may end at zero, but it goes there by a twentieth, so that a variance that overshoots can return
+    reached = np.where((variances > 0.0) & (reached < 0.05 * variances), 0.05 * variances, np.maximum(reached, 0.0))
+    return np.where(reached < 1e-12 * max(float(reached.max(initial=0.0)), 1e-300), 0.0, reached)
