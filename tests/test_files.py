@@ -60,7 +60,7 @@ def test_a_full_disk_is_named_where_no_file_can_be_made(tmp_path: Path, monkeypa
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(files.tempfile, "mkstemp", full)
+    monkeypatch.setattr(files.os, "open", full)
     with pytest.raises(
         InputError, match=r"a\.txt: wanted room for more bytes on the disk, got \d+: too few, or a quota"
     ):

@@ -59,14 +59,14 @@ def installed(tmp_path, monkeypatch):
 
 def test_a_rig_of_another_package_is_opened_by_its_address(installed):
     assert open_rig("lathe:shed").identify() == "a lathe in shed"
-    assert CONTROLLERS.keys() == {"galil", "grbl", "manual"}
+    assert CONTROLLERS.keys() == {"galil", "grbl", "manual", "simulated"}
 
 
 def test_a_source_of_another_package_is_opened_by_its_address(installed):
     source = source_at("ramp:a?rate=10")
     assert (source.name, source.description.rate) == ("a", 10.0)
     assert np.array_equal(source.read(1.0).values, np.ones((2, 6)))
-    assert SOURCES.keys() == {"tcp", "udp", "serial", "lsl"}
+    assert SOURCES.keys() == {"tcp", "udp", "serial", "lsl", "simulated"}
 
 
 def test_an_unknown_kind_names_those_of_other_packages_too(installed):

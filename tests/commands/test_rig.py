@@ -160,7 +160,7 @@ def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path,
 
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
     rig = "simulated:?clock_speed=1e6"
-    assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().failed
+    assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().stops
     monkeypatch.setattr("builtins.input", lambda line: "n")
     with pytest.raises(InputError, match="wanted a yes to start"):
         undrift.rig.run(tmp_path / "protocol.toml", rig=rig, device="simulated:", output=tmp_path / "run")

@@ -65,7 +65,7 @@ def test_a_description_that_cannot_be_is_refused(options, text):
     [
         (
             "tcp",
-            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., got 'tcp'; name how it is connected",
+            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., simulated:..., got 'tcp'; name how it is connected",
         ),
         ("can:0?rate=1", r"wanted one of tcp"),
         ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),

@@ -311,7 +311,9 @@ def test_a_link_that_is_lost_for_good_is_reported_unconfirmed(bench):
 
 def test_a_position_that_no_axis_can_have_reached_is_no_position(bench):
     bench.card.held["TP"] = "400000"
-    with pytest.raises(LinkError, match="got 400000; the card was restarted, the answer is garbled, or an emulator"):
+    with pytest.raises(
+        LinkError, match="got 400000; the card was restarted, the answer is garbled, or clock_speed is wrong"
+    ):
         bench.rig.position()
 
 

@@ -62,7 +62,7 @@ def test_all_that_a_command_noticed_is_a_remark_once_the_gravest_first() -> None
 
 def test_a_command_that_does_not_end_is_ended(tmp_path: Path) -> None:
     began = time.monotonic()
-    words = ["rig", "emulate", "--speed", "1"]  # goes on until Ctrl-C
+    words = ["rig", "check", "--rig", "simulated:?clock_speed=1", "--seconds", "600"]
     outcome = asyncio.run(run_command(words, tmp_path, lambda line: None, longest_s=3.0))
     assert outcome == CommandOutcome(code=2, error="rig: wanted an end within 3 s, got none; use a shorter recording")
     assert time.monotonic() - began < 30.0
