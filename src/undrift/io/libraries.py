@@ -41,6 +41,7 @@ from undrift.io.columns import (
     native_map,
 )
 from undrift.io.isolated import Channels, Parsed, read_isolated
+from undrift.io.mocap import parse_c3d
 from undrift.units import canonical_unit
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
@@ -401,4 +402,5 @@ def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> Fl
 
 KINDS: dict[str, Callable[..., Parsed]] = {
     "mat": _mat, "xdf": _xdf, "ros": _ros, "ulog": _ulog, "nilspod": _nilspod, "logger": _logger,
+    "c3d": parse_c3d,
 }  # fmt: skip

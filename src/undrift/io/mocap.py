@@ -21,6 +21,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes, sound
 from undrift.frames import signed
 from undrift.io.columns import naming
+from undrift.io.isolated import Parsed, read_isolated
 from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -198,8 +199,16 @@ _MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 
 
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
-    """Read marker trajectories from a C3D file."""
+    """Read marker trajectories from a C3D file, in a process of its own: a damaged file may crash the library."""
     path = Path(path)
+    found = read_isolated(path, "c3d")
+    up = up or {"+Z": "z", "+Y": "y"}.get(found.about["screen"])  # type: ignore[assignment]
+    points = found.table["points"] * si_factor(found.about["unit"], "length")
+    return markers_of(path, tuple(found.about["labels"]), points, found.time, up=up, why="POINT:Y_SCREEN")
+
+
+def parse_c3d(path: Path, **_: Any) -> Parsed:
+    """Return the points of a C3D file in its own unit and axes."""
     held = _load(path)
     point = held["parameters"]["POINT"]
     xyz = np.moveaxis(np.asarray(held["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
@@ -220,16 +229,15 @@ def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     unit, screen = (next(iter(point[key]["value"]), "") if key in point else "" for key in ("UNITS", "Y_SCREEN"))
     if not unit.strip():
         raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
-    up = up or {"+Z": "z", "+Y": "y"}.get(str(screen))  # type: ignore[assignment]
     labels: list[str] = []
     for k in range(1, 100):  # LABELS2, LABELS3, ... continue LABELS
         key = "LABELS" if k == 1 else f"LABELS{k}"
         if key not in point or len(labels) >= count:
             break
         labels += [str(label).strip() for label in point[key]["value"]]
-    names = tuple(label or "unlabelled" for label in (labels + [""] * count)[:count])
-    points, time = np.moveaxis(xyz, 0, 1) * si_factor(unit, "length"), (first + np.arange(frames)) / rate
-    return markers_of(path, names, points, time, up=up, why="POINT:Y_SCREEN")
+    names = [label or "unlabelled" for label in (labels + [""] * count)[:count]]
+    about = {"labels": names, "unit": str(unit), "screen": str(screen)}
+    return Parsed(time=(first + np.arange(frames)) / rate, table={"points": np.moveaxis(xyz, 0, 1)}, about=about)
 
 
 def is_c3d(head: bytes) -> bool:
