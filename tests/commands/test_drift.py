@@ -148,32 +148,3 @@ def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
     with gzip.open(tmp_path / "log.csv.gz", "wt") as file:
         file.write("")
     assert "log.csv.gz" in undrift.refused("drift", tmp_path / "log.csv.gz", "-o", tmp_path / "c.json")
-
-
-def test_a_table_of_set_points_is_fitted_by_its_map_and_is_no_recording(undrift, tmp_path):
-    rng, lines = np.random.default_rng(1), ["T;n;gx;gy;gz;sx;sy;sz"]
-    for temp in (*range(20, 75, 10), *range(65, 20, -10)):
-        mean = 0.02 * (temp - 25.0) + rng.normal(0.0, 0.003, 3)
-        lines.append(";".join(map(str, (temp, 400, *(round(float(value / 0.07), 3) for value in mean), 1.0, 1.0, 1.0))))
-    (tmp_path / "chamber.csv").write_text("\n".join(lines) + "\n")
-    (tmp_path / "map.toml").write_text(
-        'columns = { temp = "T", gyro = ["gx", "gy", "gz"] }\nunits = { temp = "degC", gyro = "dps" }\n'
-        'scale = { gyro = { gain = 0.07 } }\ndelimiter = ";"\n'
-        'set_points = { count = "n", gyro_sd = ["sx", "sy", "sz"] }\n'
-    )
-    words = (tmp_path / "chamber.csv", "--map", tmp_path / "map.toml", "-o", tmp_path / "c.json")
-    told = undrift.good("drift", *words, "--details")
-    for slope, uncertainty in slopes_of(told.out):
-        assert slope == pytest.approx(0.02, abs=4.0 * uncertainty)
-    assert "from spread and count" in told.out
-    assert "Next:" not in told.out  # a table is nothing that correct can read
-    made = read_calibration(tmp_path / "c.json")
-    assert made.file_map is None
-    assert made.reference_temp_c == pytest.approx(25.0)
-    assert "is for undrift drift" in undrift.refused("calibrate", *words[:3], "-o", tmp_path / "d.json")
-    seen = undrift.good("info", *words[:3]).out
-    assert "11 means over set-points, 0 of them at known rates" in seen
-    assert "20.00 to 70.00 degC" in seen
-    assert seen.splitlines()[-1].startswith("Next: undrift drift ")
-    assert "problem" not in seen
-    assert "still" not in seen
