@@ -74,7 +74,7 @@ def test_a_rest_before_the_motion_is_compared_and_beside_tables_it_takes_what_th
 
 
 def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(monkeypatch: pytest.MonkeyPatch) -> None:
-    def known(device, *, rng, back, climate):  # type: ignore[no-untyped-def]
+    def known(device, *, rng, back):  # type: ignore[no-untyped-def]
         return (true_calibration(device, temp_c=25.0),) * 3  # no thermal fit: what is tested is the cohort
 
     monkeypatch.setattr(figure3_module, "calibrated", known)

@@ -56,7 +56,7 @@ FIGURE_1 = (
     ),
     NoteStep(
         "Analysis of variance over the subjects: is p below 0.05?",
-        ("study.judge.find_optimum", "study.judge.analyses_of"),
+        ("study.judge.find_optimum", "study.judge.effects_at"),
     ),
     NoteStep("Optimised parameters (Table 1)", ("study.judge.compare_with_note",)),
     NoteStep(
