@@ -8,7 +8,10 @@ import pytest
 
 from testkit.c_build import STRICT
 from testkit.command_line import contents
+from undrift.base.codec import tree_of
+from undrift.findings import finding
 from undrift.io.store import read_calibration
+from undrift.model import Verdict
 
 
 @pytest.mark.parametrize(("target", "name"), [("c", "a.h"), ("constants", "a.json"), ("constants", "b.h")])
@@ -88,9 +91,9 @@ def test_another_package_adds_a_target_by_an_entry_point(undrift, bench, tmp_pat
 
 def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
     held = json.loads((bench / "calibration.json").read_text())
-    held["verdict"] = {"status": "bad", "reasons": ["one [axis] was never turned"]}
+    held["verdict"] = tree_of(Verdict.of(finding("gyro.scale_factor", "fail", axis="x", off_percent=12.0)))
     (tmp_path / "bad.json").write_text(json.dumps(held))
     answer = undrift("export", tmp_path / "bad.json", "--target", "c", "-o", tmp_path / "a.h")
     assert (answer.code, answer.err) == (1, "")
-    assert "one [axis] was never turned" in answer.out
+    assert "Implausible scale factor of gyroscope x" in answer.out
     assert (tmp_path / "a.c").exists()
