@@ -15,7 +15,7 @@ from undrift.cli.app import run
 COMMANDS = """sample
 calibrate sample/bench -o c.json --report calibration.html
 drift sample/thermal --calibration c.json -o t.json --report drift.html
-validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json -o after"""
+validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json --offset none -o after"""
 PICTURES = {  # name: page, and which picture of it
     "calibration": ("calibration.html", 1),
     "matrix": ("calibration.html", 0),
