@@ -11,7 +11,6 @@ from undrift.io import mocap as c3d_module
 from undrift.io.columns import ColumnMap, ReadSettings, two_rates
 from undrift.io.formats import detect, read_record
 from undrift.io.inspect import describe
-from undrift.io.mocap import read_c3d
 from undrift.io.text import read_csv, write_csv
 from undrift.record import Record
 
@@ -86,7 +85,7 @@ def test_a_c3d_file_without_a_frame_rate_is_refused(monkeypatch):
     }
     monkeypatch.setattr(c3d_module, "_load", lambda path: held)
     with pytest.raises(FileFormatError, match="wanted a frame rate above 0, got 0 Hz"):
-        read_c3d(data_path("c3d", "dec_int.c3d"))
+        c3d_module.parse_c3d(data_path("c3d", "dec_int.c3d"))
 
 
 def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():

@@ -90,7 +90,7 @@ def solve(
     """
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
-    rows = _Rows(
+    rows = _ScaledRows(
         design=design / length,
         value=value,
         prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
@@ -222,7 +222,7 @@ class _State:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class _ScaledRows:
     design: FloatArray  # (E, P), columns of length one
     value: FloatArray  # (E,)
     prior: FloatArray  # (., P), R with R' R = K
@@ -267,7 +267,7 @@ class _Rows:
 # ---- excess variances by restricted likelihood: Fisher scoring, bounded at zero
 
 
-def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
+def _excess_variances(rows: _ScaledRows) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them."""
     shapes: tuple[_Shape, ...] = rows.shapes
     variances: FloatArray = np.zeros(len(shapes))
@@ -296,7 +296,7 @@ def _degrees(shape: _Shape, product: FloatArray) -> float:
     return float(np.trace(own) ** 2 / max(float((own * own.T).sum()), 1e-300))
 
 
-def _error_at_zero(rows: _Rows, state: _State, variances: FloatArray, kind: int) -> float:
+def _error_at_zero(rows: _ScaledRows, state: _State, variances: FloatArray, kind: int) -> float:
     """Return the standard error of an excess variance whose true value is zero."""
     if variances[kind] > 0.0:
         state = rows.solve(np.where(np.arange(len(variances)) == kind, 0.0, variances))
