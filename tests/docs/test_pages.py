@@ -24,6 +24,7 @@ WITHOUT_BLOCKS = {
     "nomenclature.md",
     "study-bench.md",
     "study-results.md",
+    "worklist.md",
 }
 
 
