@@ -1,7 +1,6 @@
 """BROAD (Laidig et al., Data 2021): a fit to the other trials of a device, judged on a trial that it has not seen.
 
-End total error, mean over the device's trials, degrees. Limits: a tenth above what the fit reaches; those of its first version
-were 2.4, 1.3 and 1.2 with the codes as they are, and 1.4, 1.3 and 1.2.
+End total error, mean over the device's trials, degrees. Limits: a tenth above what the fit reaches.
 """
 
 from dataclasses import replace
@@ -23,8 +22,7 @@ from undrift.validation.trial import TrialSettings
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
-#         matrix and offset in motion, codes as they are | what they lose fitted
-LIMITS = {"B": (1.2, 1.0), "C": (1.2, 1.1), "D": (0.8, 0.7)}
+LIMITS = {"B": 1.0, "C": 1.1, "D": 0.7}  # matrix and offset in motion, with what codes lose fitted
 REST_AND_ROUNDING = {"B": 1.81, "C": 3.21, "D": 7.20}  # means of row (c); README and docs/accuracy.md print them
 REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.25}  # means of row (b) of test_broad_rows
 
@@ -36,24 +34,20 @@ def test_the_end_error_of_held_out_trials_stays_below_its_limit(device):
     undone = agreement.validate_trials(pairs, settings=TrialSettings(offset="rest"), names=names)
     show(f"device {device}, and quantisation, mean end error, deg", f"{undone.mean.end_total_deg:.2f}")
     assert undone.mean.end_total_deg == pytest.approx(REST_AND_ROUNDING[device], abs=0.05)
-    plain, given_back = (
-        agreement.validate_leave_one_out(pairs, settings=TrialSettings(adc=adc), names=names)
-        for adc in ("none", "auto")
-    )
+    fitted = agreement.validate_leave_one_out(pairs, settings=TrialSettings(adc="auto"), names=names)
     show(
         f"device {device}, rest offset alone, mean end error, deg", f"{rest.mean.end_total_deg:.2f}", REST_ALONE[device]
     )
     assert rest.mean.end_total_deg == pytest.approx(REST_ALONE[device], abs=0.1)  # printed to a tenth
-    for what, result, limit in zip(
-        ("matrix and in-motion offset", "the same with what codes lose"),
-        (plain, given_back),
+    each = " ".join(f"{trial.figures.end_total_deg:.2f}" for trial in fitted.trials)
+    mean = fitted.mean.end_total_deg
+    show(
+        f"device {device}, matrix, offset in motion and codes, mean end error, deg",
+        f"{mean:.2f} ({each})",
         LIMITS[device],
-        strict=True,
-    ):
-        each = " ".join(f"{t.figures.end_total_deg:.2f}" for t in result.trials)
-        show(f"device {device}, {what}, mean end error, deg", f"{result.mean.end_total_deg:.2f} ({each})", limit)
-        assert result.mean.end_total_deg <= limit
-    assert given_back.mean.end_total_deg < 0.5 * rest.mean.end_total_deg
+    )
+    assert mean <= LIMITS[device]
+    assert mean < 0.5 * rest.mean.end_total_deg
 
 
 # Spread between recordings of one device as the *other* devices show it, by python -m benchmarks.broad on 2026-11-26:
