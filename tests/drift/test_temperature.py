@@ -24,7 +24,7 @@ from undrift.drift.temperature import (
 )
 from undrift.errors import InputError, NotObservable
 from undrift.io.columns import ChannelScale, ColumnMap, TextLayout
-from undrift.io.makers import DIALECTS
+from undrift.io.formats import read_record
 from undrift.io.text import read_csv
 from undrift.record import Record, Session, Still
 
@@ -252,7 +252,7 @@ def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column
 
 
 def test_a_chip_that_reads_54_degrees_on_a_table_is_called_implausible():
-    record = DIALECTS["actigraph"].read(data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz")).record
+    record = read_record(data_path("wearable_formats", "agread_gt9x_example-IMU.csv.gz"))
     found = trusted_temperature(of(record), 0)
     show("GT9X", [seen.text for seen in found.findings])
     assert any("implausible unless in a chamber: 51.6 to 54.7 degC throughout" in seen.text for seen in found.findings)

@@ -122,5 +122,5 @@ def test_a_repair_that_a_format_does_not_know_is_refused_rather_than_ignored(tmp
     columns = {f"gyro_{axis}_dps": np.arange(5.0) for axis in "xyz"}
     savemat(tmp_path / "r.mat", {"time_s": np.arange(5) / 100.0, **columns})
     assert len(read_record(tmp_path / "r.mat")) == 5
-    with pytest.raises(InputError, match=r"wanted a table of text or Parquet for repair_time .*, got mat"):
+    with pytest.raises(InputError, match=r"wanted a table for repair_time .*, got mat"):
         read_record(tmp_path / "r.mat", settings=ReadSettings(repair_time=True))

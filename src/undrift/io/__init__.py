@@ -8,10 +8,11 @@ file, its maker's manual nor a map states is asked for, and a note says what a m
 Open ``formats`` first: a table of all formats, and ``read_record``.
 
     formats     which reader a file takes, by its content            columns    from named columns and a map to a Record
-    text, parquet, arrays, containers, mocap      tables, files of arrays, binary recordings, markers
-    labelled    tables that state their units                        makers     text exports of makers, a row each
+    text, parquet, libraries, mocap               tables, binary recordings, markers
+    labelled    tables that state their units                        dialects   text exports of makers, a map of TOML each
+    phone       the folder or zip of a phone                         log        lines of a serial port
     reference   poses and anatomical bodies                          clock      a regular clock for stamps of a host
     session     session.toml and maps                                proposal   maps and sessions that a person may edit
     inspect     what a file holds, and what looks wrong              store      calibration.json
-    write       recordings and orientations by ending                box        the process in which parsers run
+    write       recordings and orientations by ending                isolated   the process in which libraries run
 """

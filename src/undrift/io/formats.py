@@ -23,14 +23,15 @@ import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree, sound
-from undrift.io import makers
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
+from undrift.io.dialects import dialects
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.libraries import is_nilspod, mat_arrays, read_mat, reader
 from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, parquet_names, read_parquet
+from undrift.io.phone import is_phone, is_phone_zip, read_phone, read_phone_zip, read_sensor_logger
 from undrift.io.reference import (
     ReferenceMap,
     native_reference,
@@ -41,6 +42,7 @@ from undrift.io.reference import (
     read_text_poses,
 )
 from undrift.io.text import open_text, read_csv
+from undrift.io.thermometer import with_thermometer
 from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
@@ -63,8 +65,8 @@ class Format:
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
     bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
-    # "columns" and fields of ReadSettings that the record reader makes use of
-    honours: frozenset[str] = frozenset()
+    by_map: bool = False  # The record reader takes a column map, and fits a regular clock itself
+    repairs: bool = False  # It leaves out bad rows where the settings ask for it
     instead: str = ""  # What a file without a record reader is, and what to do with it
     generic: bool = False  # Tried after all others
 
@@ -140,22 +142,9 @@ def _is_prose(path: Path, head: bytes) -> bool:
     return not all(is_number(cell) or is_date(cell) for line in body for cell in line.split())
 
 
-_TABLE = frozenset({"columns", "sample_rate_hz", "gaps", "repair_time", "drop_bad_rows", "clock"})
-_ARRAYS = frozenset({"columns", "sample_rate_hz", "gaps", "clock"})
-_EXPORT = frozenset({"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows"})
-_STREAMS = frozenset({"sensor", "gaps", "repair_time"})
-_BLOCKS = frozenset({"gaps", "repair_time", "drop_bad_rows"})
 _MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
-
-
-def _format_of(dialect: makers.Dialect) -> Format:
-    """Return a maker's dialect as a format."""
-    rate = frozenset({"sample_rate_hz"} if "time" not in (dialect.columns or {}) else ())
-    honours = _EXPORT if dialect.columns is None else rate
-    recognise = _has(dialect.head, dialect.folder)
-    return Format(recognise, record=dialect.read, reference=dialect.poses, honours=honours)
-
+_UNPACKED = "a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV"
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -163,13 +152,14 @@ FORMATS: dict[str, Format] = {
         record=read_parquet,
         chunks=lambda path, columns, settings, rows: iter_parquet(path, columns, settings, rows=rows),
         reference=read_parquet_poses,
-        honours=_TABLE,
+        by_map=True,
+        repairs=True,
     ),
     "mat": Format(
         _starts(b"MATLAB"),
         record=read_mat,
         reference=lambda p, c: read_array_poses(mat_arrays(p), p, c),
-        honours=_ARRAYS,
+        by_map=True,
     ),
     "hdf5": Format(_starts(_HDF5), instead="HDF5; make a frame of its arrays in Python and use Record.from_frame"),
     "npz": Format(
@@ -179,19 +169,19 @@ FORMATS: dict[str, Format] = {
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
         record=reader("logger"),
-        honours=_BLOCKS,
+        repairs=True,
     ),
-    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger"), honours=_BLOCKS),
-    "gt3x": Format(_is_zip_with("info.txt"), record=reader("logger"), honours=_BLOCKS),
-    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), honours=_STREAMS | {"columns"}),
+    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger"), repairs=True),
+    "gt3x": Format(_is_zip_with("info.txt"), record=reader("logger"), repairs=True),
+    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True, repairs=True),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
         record=reader("ros"),
-        honours=_STREAMS | {"drop_bad_rows"},
+        repairs=True,
     ),
-    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog"), honours=_STREAMS | {"drop_bad_rows"}),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog"), repairs=True),
     "nilspod": Format(
-        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod"), honours=_STREAMS
+        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod"), repairs=True
     ),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
@@ -203,17 +193,10 @@ FORMATS: dict[str, Format] = {
         lambda path, head: not head and (path / "session.toml").is_file(),
         instead="a session of recordings; read it as a session",
     ),
-    "apdm": Format(
-        lambda _, head: _line(head, 2).startswith("Time,") and "/Acceleration/X" in _line(head, 2),
-        record=lambda path, _, settings: makers.read_apdm(path, settings.sensor),
-        honours=frozenset({"sensor"}),
-    ),
-    **{name: _format_of(dialect) for name, dialect in makers.DIALECTS.items()},
-    "phone": Format(lambda path, head: not head and makers.is_phone(path), record=makers.read_phone, honours=_EXPORT),
+    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, repairs=True),
+    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, repairs=True),
     "phone_zip": Format(
-        lambda path, head: head.startswith(b"PK\x03\x04") and makers.is_phone_zip(path),
-        record=makers.read_phone_zip,
-        honours=_EXPORT,
+        lambda path, head: head.startswith(b"PK\x03\x04") and is_phone_zip(path), record=read_phone_zip, repairs=True
     ),
     "sto": Format(
         _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
@@ -225,19 +208,16 @@ FORMATS: dict[str, Format] = {
         instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor; a reference for undrift validate "
         "is the .sto file of orientations (DataType=Quaternion)",
     ),
-    # The formats of other packages come here.
-    "zip": Format(
-        _starts(b"PK\x03\x04"),
-        instead="a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV",
-        generic=True,
-    ),
+    # The shipped maps and the formats of other packages come here.
+    "zip": Format(_starts(b"PK\x03\x04"), instead=_UNPACKED, generic=True),
     "json": Format(_is_json, instead="JSON, not a recording", generic=True),
     "toml": Format(lambda path, _: _suffix(path) == ".toml", instead="settings, not a recording", generic=True),
     "log": Format(
         _foreign(is_log),
         record=read_log,
         reference=lambda path, columns: poses_in(log_text(path), columns),
-        honours=_TABLE,
+        by_map=True,
+        repairs=True,
         generic=True,
     ),
     "binary": Format(
@@ -246,10 +226,10 @@ FORMATS: dict[str, Format] = {
         generic=True,
     ),
     "labelled": Format(
-        _foreign(is_labelled), record=read_labelled, reference=read_text_poses, honours=_EXPORT, generic=True
+        _foreign(is_labelled), record=read_labelled, reference=read_text_poses, repairs=True, generic=True
     ),
     "text": Format(_is_prose, instead="prose, not a table", generic=True),
-    "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, honours=_TABLE, generic=True),
+    "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, by_map=True, repairs=True, generic=True),
 }
 
 
@@ -268,6 +248,8 @@ def outside_formats() -> Mapping[str, Format]:
 def _in_turn() -> Iterator[tuple[str, Format]]:
     """Yield the formats in the order in which they are tried; those of other packages are loaded only when it comes to them."""
     yield from ((name, entry) for name, entry in FORMATS.items() if not entry.generic)
+    for name, dialect in dialects().items():
+        yield name, Format(dialect.recognises, record=dialect.read, reference=dialect.read_poses, repairs=True)
     yield from ((name, entry) for name, entry in outside_formats().items() if name not in FORMATS)
     yield from ((name, entry) for name, entry in FORMATS.items() if entry.generic)
 
@@ -279,10 +261,10 @@ def format_of(path: str | Path) -> tuple[str, Format]:
     for name, entry in _in_turn():
         if (head or not entry.generic) and entry.recognise(path, head):
             return name, entry
+    folders = ", ".join(f"{dialect.folder} ({dialect.maker})" for dialect in dialects().values() if dialect.folder)
     raise InputError(
-        f"{path}: wanted a file, or a folder with session.toml, sensors.csv (NGIMU), Inertial.csv (x-IMU3), "
-        "*_CalInertialAndMag.csv (x-IMU), Gyroscope.csv and an accelerometer's (phone) or metadata.yaml (ROS 2), got another "
-        "directory; name a file in it"
+        f"{path}: wanted a file, or a folder with session.toml, {folders}, Gyroscope.csv and an accelerometer's (phone) or "
+        "metadata.yaml (ROS 2), got another directory; name a file in it"
     )
 
 
@@ -337,19 +319,18 @@ def read_counted(
     name, entry = format_of(path)
     if columns is not None:
         columns = replace(columns, gaps=settings.gaps or columns.gaps, clock=settings.clock or columns.clock)
-        if "columns" not in entry.honours and (entry.record or name == "text"):  # a map makes a table of any text
+        if not entry.by_map and (entry.record or name == "text"):  # a map makes a table of any text
             entry = FORMATS["csv"]
     if entry.record is None:
         raise FileFormatError(f"{path}: wanted a recording, got {entry.instead or name}")
-    unread = [key for key in ("repair_time", "drop_bad_rows") if getattr(settings, key) and key not in entry.honours]
-    if columns is None and unread:
+    if columns is None and (settings.repair_time or settings.drop_bad_rows) and not entry.repairs:
         raise InputError(
-            f"{path}: wanted a table of text or Parquet for repair_time and drop_bad_rows without columns, got {name}; name the "
-            "columns in the map, or leave these keys out"
+            f"{path}: wanted a table for repair_time and drop_bad_rows, got {name}; name the columns in the map, or leave these "
+            "keys out"
         )
     held = entry.record(path, columns, settings)
     found = held if isinstance(held, ReadResult) else ReadResult(record=held)
-    return settled(found, settings, clocked="clock" in entry.honours)
+    return settled(found, settings, clocked=entry.by_map)
 
 
 def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
@@ -364,7 +345,7 @@ def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False)
     if settings.temp_file is None:
         return found
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
-    return replace(found, record=makers.with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
+    return replace(found, record=with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
 
 
 def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:

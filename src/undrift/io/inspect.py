@@ -28,13 +28,13 @@ from undrift.io.columns import (
     is_native,
     native_columns,
 )
+from undrift.io.dialects import holds_poses
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
 from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
 from undrift.io.libraries import mat_arrays
 from undrift.io.log import log_sheet, log_text
-from undrift.io.makers import apdm_sensors
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import ReferenceMap, native_reference
@@ -282,7 +282,7 @@ def describe(
         return _settings(path, name, settings.clock)
     if entry.record is None and columns is None:
         return _reference(path, name) if entry.reference or entry.bodies else _unread(path, name, entry)
-    needs = None if columns is not None else _needs(path, name, settings)
+    needs = None if columns is not None else _needs(path, name)
     if needs is not None:
         return needs
     try:
@@ -291,7 +291,7 @@ def describe(
         missing = error.numbers.get("missing")
         if missing not in _MISSING:
             raise
-        if missing == "readings" and name in ("xsens", "dot"):
+        if missing == "readings" and holds_poses(name):
             return _reference(path, name)
         names = error.numbers.get("names")
         shown = tuple(map(str, names)) if isinstance(names, tuple) else ()
@@ -379,15 +379,8 @@ def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, .
     return names, arrays
 
 
-def _needs(path: Path, name: str, settings: ReadSettings) -> Description | None:
+def _needs(path: Path, name: str) -> Description | None:
     """Return the description of a file that cannot be read without more settings, None where it can."""
-    if name == "ximu" and settings.sample_rate_hz is None:
-        what = "an x-IMU recording; needs its sample rate: give sample_rate_hz (256 as delivered)"
-        return _not_read(path, name, (), what, missing="sample_rate_hz")
-    if name == "apdm" and settings.sensor is None:
-        held = apdm_sensors(path)
-        what = f"APDM sensors {', '.join(held)}; needs the name of one of them as sensor"
-        return _not_read(path, name, held, what, missing="sensor") if len(held) > 1 else None
     if name not in _TABLES or name == "text":
         return None
     if name == "log" and states_units(log_sheet(path)):
@@ -446,7 +439,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
     more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
-    of_reading = columns is not None or name in ("xsens", "dot")
+    of_reading = columns is not None or holds_poses(name)
     more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
     return Description(
         path=str(path),

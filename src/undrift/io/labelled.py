@@ -311,11 +311,11 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
 
 
-def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None) -> Sheet:
-    """Return the sheet with a label for each column, sensors named by what their names do not share."""
+def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_names: bool = False) -> Sheet:
+    """Return the sheet with a label for each column, sensors named by what their names do not share, or by whole names."""
     held = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
     words = [set(label.sensor.split()) for label in held if label and label.axis]
-    shared = set.intersection(*words) if words else set()
+    shared = set.intersection(*words) if words and not whole_names else set()
     labels = tuple(
         label and label._replace(sensor=" ".join(word for word in label.sensor.split() if word not in shared))
         for label in held
@@ -330,10 +330,10 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None) -> Sheet:
     return replace(sheet, labels=labels)
 
 
-def with_manual(sheet: Sheet, maker: str, assumed: Mapping[str, str]) -> Sheet:
+def with_manual(sheet: Sheet, maker: str, assumed: Mapping[str, str], *, whole_names: bool = False) -> Sheet:
     """Return the sheet with labels whose units come from a maker's manual, and a note of those that it supplied."""
     stated = {label.channel for label in labelled(sheet).labels if label and label.unit}
-    sheet = labelled(sheet, assumed)
+    sheet = labelled(sheet, assumed, whole_names=whole_names)
     held = {label.channel for label in sheet.labels if label and label.unit} - stated
     units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in held)
     note = (f"units by the manual of {maker}, not in the file: {units}",) if units else ()
@@ -383,7 +383,7 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     columns = ColumnMap(
         time=None if time is None else _TIME,
         time_unit="s",
-        sample_rate_hz=rate if time is None else settings.sample_rate_hz,
+        sample_rate_hz=rate if time is None else settings.sample_rate_hz or sheet.rate_hz,
         temp=temp,
         gaps=settings.gaps or "raise",
         repair_time=settings.repair_time or sheet.repair_time,

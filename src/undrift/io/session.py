@@ -58,8 +58,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
 from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, naming
 from undrift.io.formats import read_record, settled
-from undrift.io.makers import phone_pair, read_phone_pair
 from undrift.io.parquet import write_parquet
+from undrift.io.phone import phone_pair, read_phone_pair
 from undrift.record import (
     FileMap,
     GravitySource,

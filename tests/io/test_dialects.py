@@ -1,6 +1,7 @@
 """Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
 
 import struct
+import tomllib
 import zipfile
 
 import numpy as np
@@ -8,10 +9,10 @@ import pytest
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ReadSettings
+from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
+from undrift.io.dialects import Dialect
 from undrift.io.formats import detect, read_counted, read_record, read_reference
 from undrift.io.inspect import describe
-from undrift.io.session import session_from_files
 
 
 def maker(*parts):
@@ -42,13 +43,9 @@ READ = [
     ("shimmer_consensys", "read_test_data.csv", {"sensor": "wr"}, "shimmer", 86, None, (9.44, "m/s2"), "dps", "WR"),
     (DELSYS, "truncated_trigno_sample.csv", {"sensor": "10"}, "trigno", 281, 148.148, (1.066, "g"), "dps", "Mini sensor 10"),
     (DELSYS, "truncated_trigno_sample.csv", {"sensor": "11"}, "trigno", 281, 148.148, (1.089, "g"), "dps", "Mini sensor 11"),
-    (DELSYS, "discover164_basic_first12rows.csv", {"sensor": "EMG 02"}, "trigno_discover", 12, 74.0741, (0.979, "g"), None,
-     "EMG 02 04284 (55240)"),
     (STM, "lsm6dsox_door_open1.csv", {}, "labelled", 137, None, (1.001, "g"), "dps", ""),
     (STM, "unico_acc_only_driving.txt", {"sample_rate_hz": 26.0}, "labelled", 1000, 26.0, (996.2, "mg"), None, ""),
     (STM, "lsm6dsv16x_door_open1.txt", {"sample_rate_hz": 30.0}, "labelled", 183, 30.0, None, "dps", ""),
-    ("apdm_csv", "apdm_format7.csv", {"sensor": "Lumbar"}, "apdm7", 3, 128.0, (10.29, "m/s2"), "rad/s", "Lumbar"),
-    ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv", RATE, "mobgap", 1246, 100.0, (0.9816, "g"), "dps", ""),
 ]  # fmt: skip
 
 
@@ -154,7 +151,7 @@ def test_free_acceleration_is_no_accelerometer():
         read_record(maker("phyphox_csv", "Raw_Data.csv"))
     found = describe(maker("phyphox_csv", "Raw_Data.csv"))
     assert (found.kind, "gravity is removed" in found.summary) == ("table", True)
-    with pytest.raises(FileFormatError, match="wanted Acc_X or Gyr_X columns, got orientations only; read the file as"):
+    with pytest.raises(FileFormatError, match="wanted gyroscope or accelerometer columns"):
         read_record(maker("xsens_mtmanager", "MT_012005D6-000_sit_to_stand-000_00B421ED.txt"))
 
 
@@ -163,14 +160,8 @@ def test_free_acceleration_is_no_accelerometer():
     [
         (("shimmer_consensys", "read_test_data.csv"), "sensor", "the file holds LN, WR: name one"),
         (("delsys_trigno", "truncated_trigno_sample.csv"), "sensor", "Mini sensor 10, Mini sensor 11"),
-        (("delsys_trigno", "discover164_basic_first12rows.csv"), "sensor", "EMG 01 04498 (54717), EMG 02"),
-        (("apdm_csv", "apdm_format7.csv"), "sensor", "Lumbar, Right Ankle, Left Ankle, Left Foot, Chest, Right Foot"),
+        (("apdm_csv", "imuData01.csv"), "sensor", "Static, Upper, Middle, Lower"),
         (("stm_mems_logs", "unico_acc_only_driving.txt"), "sample_rate_hz", "wanted the sample rate"),
-        (
-            ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"),
-            "sample_rate_hz",
-            "give `sample_rate_hz`",
-        ),
         (("xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"), "sample_rate_hz", "wanted the sample rate"),
     ],
 )
@@ -209,21 +200,6 @@ def test_trigno_starts_without_its_zeros_and_ends_where_the_slow_channel_ends():
     assert len(read.record) + 16 == 297
     assert (read.record.accel[0] != 0.0).all()
     assert read.record.time[0] == pytest.approx(16 * 0.00675)
-
-
-def test_an_apdm_header_that_names_fewer_accelerometers_than_sensors_is_refused(tmp_path):
-    text = maker("apdm_csv", "apdm_format7.csv").read_text()
-    (tmp_path / "a.csv").write_text(text.replace("Accelerometer", "Accelnrometer", 1))
-    with pytest.raises(FileFormatError, match="wanted 6 accelerometers, got 5; repair the header"):
-        read_record(tmp_path / "a.csv", settings=ReadSettings(sensor="Lumbar"))
-
-
-def test_apdm_format_7_counts_microseconds():
-    record = read_record(maker("apdm_csv", "apdm_format7.csv"), settings=ReadSettings(sensor="Right Ankle"))
-    np.testing.assert_allclose(record.time, np.arange(3) / 128.0, atol=2e-6)
-    np.testing.assert_allclose(record.accel[0], [-9.900204, -0.310068, -1.379437])
-    np.testing.assert_allclose(record.mag_ut[0], [-55.311745, -1.506394, 16.641132])
-    assert record.gyro_unit == "rad/s"
 
 
 def test_st_logs_keep_the_unit_of_their_header():
@@ -283,62 +259,6 @@ def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
     assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
 
 
-OFF, ON = "ios,1.36,{},false,17.5", "iOS,1.36,{},true,17.5"  # "Standardise Units & Frames"
-METADATA = "platform,appVersion,sensors,standardisation,platform version\n"
-
-
-@pytest.mark.parametrize(
-    ("name", "row", "stated", "unit", "sign"),
-    [
-        ("TotalAcceleration.csv", "9.8,0.1,0.2", "", "m/s2", 1.0),
-        ("TotalAcceleration.csv", "9.8,0.1,0.2", "android,1.36,{},false,14", "m/s2", 1.0),
-        ("TotalAcceleration.csv", "-9.8,0.1,0.2", OFF, "m/s2", -1.0),
-        ("TotalAcceleration.csv", "9.8,0.1,0.2", ON, "m/s2", 1.0),
-        ("AccelerometerUncalibrated.csv", "-0.99,0.1,0.2", "", "g", -1.0),  # g: iOS, and not standardised
-        ("AccelerometerUncalibrated.csv", "-0.99,0.1,0.2", OFF, "g", -1.0),
-        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", "", "m/s2", 1.0),
-        ("AccelerometerUncalibrated.csv", "9.7,0.1,0.2", ON, "m/s2", 1.0),
-    ],
-)
-def test_sensor_logger_reads_specific_force_whatever_the_platform_and_states_unit_and_sign(
-    tmp_path, name, row, stated, unit, sign
-):
-    rows = "".join(f"{1700000000000000000 + 10000000 * k},{0.01 * k:.2f},{row}\n" for k in range(4))
-    (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
-    if stated:
-        (tmp_path / "Metadata.csv").write_text(METADATA + stated.format("Accelerometer|Gyroscope") + "\n")
-    read = read_counted(tmp_path / name)
-    z, y, x = map(float, row.split(","))
-    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([sign * x, sign * y, sign * z], unit)
-    assert read.record.sample_rate_hz == pytest.approx(100.0)
-    assert ("iOS writes this file in g" in read.notes[0]) == (unit == "g")
-    unsure = name.startswith("Total") and not stated
-    assert any("sign of acceleration not stated by the file" in note for note in read.notes) == unsure
-    assert any("acceleration multiplied by -1" in note for note in read.notes) == (sign < 0.0)
-    assert any("sign of acceleration" in line for line in describe(tmp_path / name).lines()) == unsure
-
-
-def test_a_sensor_logger_file_that_contradicts_its_metadata_is_refused(tmp_path):
-    (tmp_path / "Metadata.csv").write_text(METADATA + OFF + "\n")
-    path = tmp_path / "AccelerometerUncalibrated.csv"
-    path.write_text(sensor_logger([(k / 100, 9.8, 0.1) for k in range(4)]))
-    with pytest.raises(
-        FileFormatError, match=r"wanted g by platform and standardisation in Metadata.csv, got a median"
-    ):
-        read_record(path)
-    (tmp_path / "Metadata.csv").write_bytes(b"")
-    assert read_record(path).accel[0].tolist() == [0.1, 0.0, 9.8]
-
-
-def test_a_watch_beside_sensor_logger_has_gravity_removed(tmp_path):
-    names = [f"{kind}{x}" for kind in ("rotationRate", "gravity", "acceleration") for x in "XYZ"]
-    rows = "".join(f"{k},{0.01 * k:.2f},0.1,0.2,0.3,0,0,-1,0,0,0\n" for k in range(4))
-    (tmp_path / "WristMotion.csv").write_text(f"time,seconds_elapsed,{','.join(names)}\n{rows}")
-    read = read_counted(tmp_path / "WristMotion.csv")
-    assert (read.record.gyro[0].tolist(), read.record.accel) == ([0.1, 0.2, 0.3], None)
-    assert "'Linear accelerationX' left out: gravity is removed in it" in read.notes
-
-
 def test_sensorlog_of_ios_is_read_with_the_sign_of_a_specific_force_and_its_raw_gyroscope(tmp_path):
     names = ["loggingTime(txt)", "motionTimestamp_sinceReboot(s)", *(f"accelerometerAcceleration{x}(G)" for x in "XYZ")]
     names += [f"{kind}{x}(rad/s)" for kind in ("gyroRotation", "motionRotationRate") for x in "XYZ"]
@@ -351,37 +271,6 @@ def test_sensorlog_of_ios_is_read_with_the_sign_of_a_specific_force_and_its_raw_
     assert "acceleration multiplied by -1: iOS reads -1 g along an axis that points up" in read.notes
 
 
-def test_sensor_logger_s_accelerometer_has_no_gravity_and_its_gyroscope_reads(tmp_path):
-    rows = "".join(f"{k},{0.01 * k:.2f},1,2,3\n" for k in range(4))
-    for name in ("Accelerometer.csv", "Gyroscope.csv", "Gravity.csv"):
-        (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
-    with pytest.raises(FileFormatError, match="got 'Linear acceleration z', in which gravity is removed"):
-        read_record(tmp_path / "Accelerometer.csv")
-    with pytest.raises(
-        FileFormatError, match="wanted gyroscope or accelerometer columns x, y, z with a unit, got 'time'"
-    ):
-        read_record(tmp_path / "Gravity.csv")
-    record = read_record(tmp_path / "Gyroscope.csv")
-    assert (record.gyro[0].tolist(), record.gyro_unit, record.accel) == ([3.0, 2.0, 1.0], "rad/s", None)
-
-
-def test_a_mobgap_table_in_metres_is_not_taken_for_g(tmp_path):
-    head = "samples,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z\n"
-    (tmp_path / "m.csv").write_text(head + "0,9.8,0,0,1,2,3\n1,9.8,0,0,1,2,3\n")
-    with pytest.raises(
-        InputError, match=r"wanted accelerations in g \(median near 1\), got a median of 9.8; give the units"
-    ):
-        read_record(tmp_path / "m.csv", settings=ReadSettings(sample_rate_hz=100.0))
-
-
-def test_samples_that_a_mobgap_table_does_not_number_are_gaps(tmp_path):
-    rows = "".join(f"{k},1,0,0,1,2,{k % 2}\n" for k in range(20) if k not in (7, 8))
-    (tmp_path / "m.csv").write_text("samples,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z\n" + rows)
-    read = read_counted(tmp_path / "m.csv", settings=ReadSettings(sample_rate_hz=100.0))
-    assert np.diff(read.record.time).max() == pytest.approx(0.03)
-    assert "2 of 20 samples missing by their numbers, seen as gaps in time" in read.notes
-
-
 def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
     kinds = (("ACC", "g", "1.0e+002"), ("GYRO", "deg/s", "2.0e+002"))
     label = "Label: S 1: {}.{} Sampling frequency: {} Number of points: 9 start: 0 Unit: {} Domain Unit: s"
@@ -391,32 +280,6 @@ def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
     (tmp_path / "t.csv").write_text("\n".join([*lines, header]) + "\n" + rows)
     with pytest.raises(InputError, match="wanted one sample rate in one sensor, got 100 Hz, 200 Hz; export them apart"):
         read_record(tmp_path / "t.csv")
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("d.csv", "Application:, Trigno Discover\n1,2,3\n4,5,6\n", "wanted lines of sensors, modes, signals and rates"),
-        ("a.csv", "Format=7,1,,,L\n" + "x,y,z,t\n" * 9, "wanted a header line over rows of numbers, got none"),
-        (
-            "b.csv",
-            "Format=7,1,,,L\nTime,X,Y,Z\n1,2,3,4\n5,6,7,8\n",
-            "wanted three header lines of APDM format 7, got fewer",
-        ),
-        (
-            "x.csv",
-            "sep=,\nPacketCounter,Acc_X,Acc_Y,Acc_Z\n1,2,3,4\n2,2,3,4\n",
-            "wanted the columns PacketCounter and Sample",
-        ),
-    ],
-)
-def test_damaged_headers_are_named(tmp_path, name, content, words):
-    (tmp_path / name).write_text(content)
-    with pytest.raises(FileFormatError, match=words):
-        read_record(tmp_path / name)
-
-
-LOG = "boot v2\n" + "".join(f"BIN_DATA: {k}, {-10.1 + k}, 21652, 0.13, -0.2, 0.5\n" for k in range(6))
 
 
 def test_a_zip_is_to_be_unpacked(tmp_path):
@@ -448,6 +311,61 @@ def test_a_file_cut_or_spoilt_anywhere_is_read_or_refused_in_one_line(tmp_path, 
     assert not any("\n" in refusal for refusal in refusals)
 
 
+# ---- makers that this version does not know: a map in one line reads the same rows
+
+BY_MAP = [
+    (
+        ("apdm_csv", "apdm_format7.csv"),
+        ColumnMap(
+            time=0, accel=(1, 2, 3), gyro=(4, 5, 6), mag=(7, 8, 9), time_unit="us", accel_unit="m/s2", gyro_unit="rad/s",
+            mag_unit="uT", layout=TextLayout(header=False, skip_rows=3),
+        ),
+        3, 128.0, 10.29,
+    ),
+    (
+        ("delsys_trigno", "discover164_basic_first12rows.csv"),
+        ColumnMap(accel=(5, 6, 7), accel_unit="g", sample_rate_hz=74.0741, layout=TextLayout(header=False, skip_rows=7)),
+        12, 74.0741, 0.979,
+    ),
+    (
+        ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"),
+        ColumnMap(
+            accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
+            sample_rate_hz=100.0,
+        ),
+        1246, 100.0, 0.9816,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "columns", "rows", "rate", "accel"), BY_MAP, ids=["apdm7", "discover", "mobgap"])
+def test_a_map_reads_an_export_without_a_dialect(path, columns, rows, rate, accel):
+    record = read_record(maker(*path), columns)
+    assert len(record) == rows
+    assert record.sample_rate_hz == pytest.approx(rate, rel=1e-5)
+    assert size(record.accel) == pytest.approx(accel, abs=0.006)
+
+
+STEP_LOGGER = """
+maker = "StepLogger"
+head = '\\A# StepLogger \\d'
+units = { gyro = "dps", accel = "g" }
+device = '^# unit (\\w+)'
+rate = '^# rate (\\d+)'
+"""
+
+
+def test_a_new_maker_is_a_file_without_code(tmp_path):
+    dialect = Dialect.model_validate(tomllib.loads(STEP_LOGGER))
+    head = "# StepLogger 2\n# unit A7\n# rate 50\n"
+    rows = "".join("1,2,3,0,0,1\n" for _ in range(4))
+    (tmp_path / "s.csv").write_text(f"{head}gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n{rows}")
+    assert dialect.recognises(tmp_path / "s.csv", head.encode())
+    result = dialect.read(tmp_path / "s.csv")
+    assert (result.record.device, result.record.sample_rate_hz, result.record.gyro_unit) == ("A7", 50.0, "dps")
+    assert result.notes[0] == "units by the manual of StepLogger, not in the file: gyro dps, accel g"
+
+
 # ---- clocks and folders
 
 
@@ -460,88 +378,6 @@ def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
     assert read.notes[1] == "time from SampleTimeFine, 10 kHz by the manual of Xsens"
     stated = read_counted(tmp_path / "m.txt", settings=ReadSettings(sample_rate_hz=50.0))
     np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
-
-
-def sensor_logger(rows):
-    return "time,seconds_elapsed,z,y,x\n" + "".join(f"{10**18 + k},{t},{z},0,{x}\n" for k, (t, z, x) in enumerate(rows))
-
-
-def phone(folder, accel="TotalAcceleration.csv", shift=0.005):
-    (folder / "Gyroscope.csv").write_text(sensor_logger([(k / 100, 0.1, 0.0) for k in range(9)]))
-    (folder / accel).write_text(sensor_logger([(k / 100 + shift, 9.8, k) for k in range(9)]))
-    return folder
-
-
-def test_the_folder_of_a_phone_is_one_recording(tmp_path):
-    read = read_counted(phone(tmp_path))
-    assert detect(tmp_path) == "phone"
-    np.testing.assert_allclose(read.record.time, np.arange(1, 9) / 100)  # the first stamp precedes the accelerometer's
-    np.testing.assert_allclose(read.record.accel[:, 0], np.arange(8) + 0.5)  # half a step between its samples
-    assert (read.record.gyro[0].tolist(), read.record.gyro_unit, read.record.accel_unit) == (
-        [0.0, 0.0, 0.1],
-        "rad/s",
-        "m/s2",
-    )
-    assert read.notes[-1] == "TotalAcceleration.csv interpolated onto the time stamps of Gyroscope.csv"
-
-
-def zipped(folder, path, inside=""):
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as held:
-        for file in sorted(folder.glob("*.csv")):
-            held.write(file, f"{inside}{file.name}")
-        held.writestr(f"{inside}meta/device.csv", "property,value\n")
-    return path
-
-
-@pytest.mark.parametrize("inside", ["", "2026-11-27_10-00-00/"])
-def test_the_zip_of_a_phone_reads_as_its_folder(tmp_path, inside):
-    whole = read_counted(phone(tmp_path))
-    read = read_counted(zipped(tmp_path, tmp_path / "walk.zip", inside))
-    assert detect(tmp_path / "walk.zip") == "phone_zip"
-    assert read.notes == whole.notes
-    for name in ("time", "gyro", "accel"):
-        np.testing.assert_array_equal(getattr(read.record, name), getattr(whole.record, name))
-
-
-def test_what_is_wrong_in_the_zip_of_a_phone_is_said_of_the_zip(tmp_path):
-    path = zipped(phone(tmp_path, shift=60.0), tmp_path / "walk.zip")
-    with pytest.raises(
-        FileFormatError, match=r"walk.zip: wanted Gyroscope.csv and TotalAcceleration.csv of the same time"
-    ):
-        read_record(path)
-    content = bytearray(path.read_bytes())
-    content[60:90] = bytes(30)
-    path.write_bytes(content)
-    with pytest.raises(FileFormatError, match="wanted a sound zip file, got a damaged"):
-        read_record(path)
-
-
-def test_phyphox_in_a_folder_reads_as_well(tmp_path):
-    for name, kind, unit in (("Gyroscope", "Gyroscope", "rad/s"), ("Accelerometer", "Acceleration", "m/s^2")):
-        head = ",".join(['"Time (s)"', *(f'"{kind} {x} ({unit})"' for x in "xyz")])
-        (tmp_path / f"{name}.csv").write_text(head + "\n" + "".join(f"{k / 50},0,0,{k}\n" for k in range(6)))
-    record = read_record(tmp_path)
-    assert record.gyro.tolist() == record.accel.tolist()
-    assert record.sample_rate_hz == pytest.approx(50.0)
-
-
-def test_acceleration_without_gravity_in_the_folder_of_a_phone_is_left_out_aloud(tmp_path):
-    read = read_counted(phone(tmp_path, accel="Accelerometer.csv"))
-    assert (len(read.record), read.record.accel) == (9, None)
-    assert read.notes[-1].startswith("Accelerometer.csv: wanted accelerometer readings with gravity")
-
-
-def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
-    with pytest.raises(
-        FileFormatError, match=r"wanted Gyroscope.csv and TotalAcceleration.csv of the same time, got two times"
-    ):
-        read_record(phone(tmp_path, shift=60.0))
-    (tmp_path / "Gyroscope.csv").write_text((tmp_path / "TotalAcceleration.csv").read_text())
-    (tmp_path / "TotalAcceleration.csv").write_text("t (s),wx (rad/s),wy (rad/s),wz (rad/s)\n0,0,0,1\n1,0,0,1\n")
-    with pytest.raises(
-        FileFormatError, match=r"wanted a gyroscope in Gyroscope.csv and an accelerometer in Total.*, got others"
-    ):
-        read_record(tmp_path)
 
 
 def gravity_rows(count=9, *, up=9.8, step=0.01, digits=4):
@@ -585,25 +421,6 @@ def test_arduino_science_journal_is_read_in_ms(tmp_path, clock, zero):
     assert (record.accel_unit, record.accel[0].tolist(), record.gyro) == ("m/s2", [0.0, 0.0, 9.8], None)
 
 
-def matlab(folder, later_s=0.0):
-    for name, shift, up in (("Acceleration", later_s, 9.8), ("AngularVelocity", 0.0, 0.0)):
-        rows = [f"27-Nov-2026 10:00:{t + shift:06.3f},{x},{y},{z}" for t, x, y, z in gravity_rows(40, up=up)]
-        (folder / f"{name}.csv").write_text("\n".join(("Timestamp,X,Y,Z", *rows)) + "\n")
-    return folder
-
-
-def test_two_timetables_of_matlab_mobile_are_one_recording_by_their_dates(tmp_path):
-    read = read_counted(matlab(tmp_path, later_s=0.1))
-    np.testing.assert_allclose(
-        read.record.time[0], 0.1
-    )  # the accelerometer begins later: each counts from its own first date
-    np.testing.assert_allclose(read.record.accel[:, 0], read.record.gyro[:, 0] - 0.1, atol=1e-9)
-    assert (read.record.gyro_unit, read.record.accel_unit) == ("rad/s", "m/s2")
-    (tmp_path / "Acceleration.csv").rename(tmp_path / "other.csv")
-    with pytest.raises(FileFormatError, match="wanted Acceleration or AngularVelocity in the name of a file of MATLAB"):
-        read_record(tmp_path / "other.csv")
-
-
 def element(kind, data):
     return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 
@@ -620,35 +437,6 @@ def test_timetables_in_a_mat_file_are_refused_with_their_mend(tmp_path):
     path.write_bytes(head + timetable(b"Acceleration") + timetable(b"AngularVelocity"))
     with pytest.raises(FileFormatError, match="wanted arrays, got objects of MATLAB, such as the timetables of MATLAB"):
         read_record(path)
-
-
-def test_gyroscope_and_accelerometer_of_a_phone_given_together_are_one_recording(tmp_path):
-    folder = phone(tmp_path)
-    whole = read_record(folder)
-    session = session_from_files([folder / "TotalAcceleration.csv", folder / "Gyroscope.csv"])  # in any order
-    (record,) = session.records
-    for name in ("time", "gyro", "accel"):
-        np.testing.assert_array_equal(getattr(record, name), getattr(whole, name))
-    assert [name for name, _ in session.inputs] == ["TotalAcceleration.csv", "Gyroscope.csv"]
-
-
-def test_a_damaged_accelerometer_of_a_phone_is_an_error(tmp_path):
-    folder = phone(tmp_path)
-    file = next(path for path in folder.iterdir() if path.name in ("TotalAcceleration.csv", "Accelerometer.csv"))
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join([*lines[:5], "1,2", *lines[5:]]) + "\n")
-    with pytest.raises(FileFormatError, match="columns in every row"):
-        read_record(folder)
-
-
-def test_drop_outs_of_a_phones_accelerometer_are_gaps(tmp_path):
-    folder = phone(tmp_path)
-    file = next(path for path in folder.iterdir() if path.name in ("TotalAcceleration.csv", "Accelerometer.csv"))
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join(lines[: len(lines) // 3] + lines[2 * len(lines) // 3 :]) + "\n")
-    read = read_counted(folder)
-    assert 0 < np.isnan(read.record.accel[:, 0]).sum() < len(read.record)
-    assert any("in drop-outs of" in note for note in read.notes)
 
 
 def test_physics_toolbox_may_begin_with_an_empty_line(tmp_path):

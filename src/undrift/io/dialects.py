@@ -1,0 +1,283 @@
+"""Text exports of makers as data: a file of TOML in ``maps`` says how a maker's file is recognised and what its manual states.
+
+A new maker is a new file in ``maps``; no code knows a maker by its name::
+
+    # step_logger.toml
+    maker = "StepLogger"
+    head = '\\A# StepLogger \\d'                # pattern of the first 8 KiB of a file
+    units = { gyro = "dps", accel = "g" }     # units of the manual, for columns that state none
+    device = '^# unit (\\w+)'                  # pattern in the lines before the header; its group is the serial number
+    rate = '^# rate (\\d+)'                    # sample rate, Hz
+
+The header and the unit row of a file state the other units (``labelled``).
+"""
+
+import re
+import tomllib
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict
+
+from undrift.arrays import FloatArray
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
+from undrift.io.labelled import Label, Sheet, label_of, open_sheet, read_sheet, unit_for, with_manual
+from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
+from undrift.io.text import open_text, parse_text
+from undrift.io.thermometer import with_temperature
+from undrift.record import Record, Reference
+from undrift.units import si_factor
+
+OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
+UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
+Pattern = Annotated[re.Pattern[str], BeforeValidator(lambda text: re.compile(text, re.MULTILINE))]
+
+
+class MapTable(BaseModel):
+    """A table of a shipped map."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class MapCounter(MapTable):
+    """A column in which the device counts."""
+
+    column: str  # Pattern of its name
+    bits: int  # The count starts again at 0 after so many
+    step_s: float | None = None  # Time between two counts; 1 / sample rate without it
+    absolute: bool = False  # Several files share the clock: time starts at its first count, not at 0
+    note: str = ""
+
+
+class MapThermometer(MapTable):
+    """The temperature, degC, in a file of its own."""
+
+    file: str  # Its name; "*" is what the name of the recording has in its place
+    time: str  # Column of time, of the same name in the recording
+    temp: str  # Column of temperature
+
+
+class Dialect(MapTable):
+    """How the software of one maker writes a table of text."""
+
+    maker: str  # Whose manual states the units
+    head: Pattern  # In the first 8 KiB of a file
+    folder: str = ""  # File to read of a folder: its name, or "*" and its ending
+    units: dict[str, str] = {}  # From the manual, for channels whose columns state none
+    device: str = ""  # Pattern in the lines before the header; the group is the serial number
+    device_in_name: Pattern | None = None  # The same in the name of the file
+    rate: str = ""  # Pattern in the lines before the header; the group is the sample rate, Hz
+    channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
+    packets: MapCounter | None = None  # MapCounter of the packets: what it skips was lost
+    stamps: MapCounter | None = None  # Clock of the device
+    omit: Pattern | None = None  # Columns that are not readings of a sensor
+    linear: Pattern | None = None  # Columns of acceleration without gravity
+    second: str = ""  # Sensor that is left out if another one has the same channel
+    sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
+    whole_names: bool = False  # A sensor keeps its name in a file of one sensor
+    opposite: bool = False  # Acceleration is the opposite of specific force
+    sign_unknown: bool = False  # Acceleration may be the opposite of specific force
+    repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
+    thermometer: MapThermometer | None = None
+    poses: bool = False  # The table may hold orientations, which are read as a reference
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Return whether the first bytes of a file, or the names in a folder, are of this maker."""
+        if not head:
+            return bool(self.folder) and any(path.glob(self.folder))
+        return b"\0" not in head and self.head.search(head.decode("latin-1")) is not None
+
+    def read(self, path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+        """Read a file or a folder."""
+        path = self._file(path)
+        sheet = self._labelled(open_sheet(path))
+        result = read_sheet(self._with_clock(sheet, settings.sample_rate_hz), settings)
+        return replace(result, record=self._with_thermometer(result.record, sheet))
+
+    def read_poses(self, path: Path, columns: ReferenceMap | None = None) -> Reference:
+        """Read the orientations of a table."""
+        path = self._file(path)
+        if not self.poses:
+            return read_text_poses(path, columns)
+        return poses_of(
+            self._with_clock(self._labelled(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
+        )
+
+    def _file(self, path: Path) -> Path:
+        if not path.is_dir():
+            return path
+        found = sorted(path.glob(self.folder))
+        if len(found) != 1:
+            names = ", ".join(file.name for file in found) or "none there"
+            raise InputError(f"{path}: wanted one {self.folder}, got {names}; name the file")
+        return found[0]
+
+    def _labelled(self, sheet: Sheet) -> Sheet:
+        """Return a sheet with its labels, device and notes."""
+        device, rate = (sheet.stated(pattern) if pattern else None for pattern in (self.device, self.rate))
+        in_name = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
+        sheet = replace(
+            sheet,
+            device=(device or "").strip(", ") or (in_name[-1] if in_name else ""),
+            rate_hz=float(rate) if rate else None,
+            repair_time=self.repair_time,
+        )
+        if self.channel_line:
+            return replace(sheet, labels=_labels_of_lines(self.channel_line, sheet))
+        sheet = with_manual(sheet, self.maker, self.units, whole_names=self.whole_names)
+        labels = tuple(self._own(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
+        if self.second:
+            first = {label.channel for label in labels if label and label.sensor != self.second}
+            labels = tuple(
+                None if label and label.sensor == self.second and label.channel in first else label for label in labels
+            )
+        signs = [OPPOSITE_SIGN] * self.opposite + [UNKNOWN_SIGN] * self.sign_unknown
+        accel = any(label and label.channel == "accel" for label in labels)
+        return replace(sheet, labels=labels, notes=(*sheet.notes, *(signs if accel else ())))
+
+    def _own(self, name: str, label: Label | None) -> Label | None:
+        """Return the label of a column by the rules of the maker."""
+        if label is None or (self.omit and self.omit.search(name)):
+            return None
+        if self.sensor:
+            label = label._replace(sensor=re.sub(*self.sensor, label.sensor).strip())
+        if self.opposite and label.channel == "accel":
+            label = label._replace(gain=-label.gain)
+        return label._replace(channel="free") if self.linear and self.linear.search(name) else label
+
+    def _with_clock(self, sheet: Sheet, rate_hz: float | None) -> Sheet:
+        """Return a sheet with the clock of its counters; lost packets are gaps in time."""
+        rate_hz = rate_hz or sheet.rate_hz
+        sheet = replace(sheet, rate_hz=rate_hz)
+        packets, stamps = (None if c is None else sheet.position(c.column) for c in (self.packets, self.stamps))
+        absolute = self.stamps is not None and self.stamps.absolute
+        if absolute and (packets is None or stamps is None):
+            raise FileFormatError(
+                f"{sheet.path}: wanted the columns of the packet counter and of its stamps, got {', '.join(sheet.names[:8])}; "
+                "export them too"
+            )
+
+        def by_rate(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+            number = _from_zero(sheet, counts, self.packets)
+            return number * (1.0 / (rate_hz or np.nan)), _lost(number)
+
+        def by_stamps(ticks: FloatArray, *counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+            start, counter = ticks[0] if absolute else 0.0, self.stamps or MapCounter(column="", bits=64)
+            time = (counter.step_s or np.nan) * (start + _from_zero(sheet, ticks, counter))
+            lost = [note for count in counts for note in _lost(_from_zero(sheet, count, self.packets))]
+            return time, (*([counter.note] if counter.note else []), *lost)
+
+        if packets is not None and rate_hz is not None and not absolute:
+            return replace(sheet, clock=by_rate, counters=(packets,))
+        if stamps is None or not np.isfinite(sheet.array((stamps,))).all():
+            return sheet
+        return replace(
+            sheet, clock=by_stamps, counters=(stamps, packets) if absolute and packets is not None else (stamps,)
+        )
+
+    def _with_thermometer(self, record: Record, sheet: Sheet) -> Record:
+        """Return the record with the temperature of the file next to it, if there is one."""
+        if self.thermometer is None:
+            return record
+        stem = sheet.path.name.removesuffix(self.folder.removeprefix("*"))
+        path = sheet.path.with_name(self.thermometer.file.replace("*", stem))
+        clock = sheet.position(f"^{re.escape(self.thermometer.time)}$")
+        label = None if clock is None else sheet.labels[clock]
+        if clock is None or not path.is_file():
+            return record
+        table = parse_text(open_text(path), (self.thermometer.time, self.thermometer.temp))
+        time = table.numbers(self.thermometer.time)
+        if label is not None and label.unit:
+            time = time * si_factor(label.unit, "time")
+        else:  # packets are numbered: their times are those of the samples
+            time = np.interp(time, sheet.array((clock,))[:, 0], record.time)
+        return with_temperature(record, time, table.numbers(self.thermometer.temp))
+
+
+@cache
+def dialects() -> dict[str, Dialect]:
+    """Return the shipped maps by the names of their files."""
+    maps = sorted((path for path in files("undrift.io").joinpath("maps").iterdir()), key=lambda path: path.name)
+    return {
+        path.name.removesuffix(".toml"): Dialect.model_validate(tomllib.loads(path.read_text("utf-8")))
+        for path in maps
+        if path.name.endswith(".toml")
+    }
+
+
+def holds_poses(name: str) -> bool:
+    """Return whether a table of a shipped map may hold orientations."""
+    return name in dialects() and dialects()[name].poses
+
+
+def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | None, ...]:
+    """Return the labels that lines before the header state; each channel has a column of time before it."""
+    channels = {found["name"]: found for text in sheet.preamble if (found := pattern.search(text))}
+    labels: list[Label | None] = [None] * len(sheet.names)
+    for k, name in enumerate(sheet.names):
+        label = label_of(channels[name]["signal"], channels[name]["unit"]) if name in channels and k > 0 else None
+        if label is not None:
+            line = channels[name]
+            labels[k - 1] = Label("", "own time", unit=(unit_for(line["time"], "time") or ("s", 1.0))[0])
+            labels[k] = label._replace(sensor=line["sensor"], rate_hz=float(line["rate"]), time=k - 1)
+    return tuple(labels)
+
+
+def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> FloatArray:
+    """Return a counter from 0 on, with its overflows undone; a step of half its range or more is a step back."""
+    size = 1 << (counter.bits if counter else 32)
+    steps = np.mod(np.diff(counts), size)
+    if (back := np.flatnonzero(steps > size // 2)).size:
+        raise FileFormatError(
+            f"{sheet.path}: wanted a counter that goes forward, got {counts[back[0]]:.10g} and then {counts[back[0] + 1]:.10g} in "
+            f"data row {back[0] + 2}; it is damaged, or holds two recordings: cut it there"
+        )
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def _lost(packets: FloatArray) -> tuple[str, ...]:
+    lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
+    return (
+        (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
+    )
+
+
+_ORIENTATIONS = (  # columns of a quaternion, a matrix or Euler angles (Z-Y-X), sensor to level
+    ["^Quat_(w|q0)$", "^Quat_(x|q1)$", "^Quat_(y|q2)$", "^Quat_(z|q3)$"],
+    [rf"^Mat\[{i}\]\[{j}\]$" for i in (1, 2, 3) for j in (1, 2, 3)],
+    ["^Yaw$", "^Pitch$", "^Roll$"],
+)
+
+
+def poses_of(sheet: Sheet) -> Reference:
+    """Return the orientations of a sheet with a clock, as a quaternion, a matrix or Euler angles state them."""
+    from scipy.spatial.transform import Rotation
+
+    if sheet.clock is None:
+        raise InputError(
+            f"{sheet.path}: wanted the sample rate, got a file without it; give sample_rate_hz in a map",
+            missing="sample_rate_hz",
+        )
+    forms = ([sheet.position(pattern) for pattern in patterns] for patterns in _ORIENTATIONS)
+    columns = next(([k for k in form if k is not None] for form in forms if None not in form), None)
+    if columns is None:
+        raise FileFormatError(f"{sheet.path}: wanted columns of orientations, got none; export orientations")
+    values = sheet.array(columns)
+    finite = np.isfinite(values).all(axis=1)
+    q_nb = np.full((len(values), 4), np.nan)
+    if len(columns) == 4:
+        q_nb = values
+    elif len(columns) == 9:
+        matrices = values[finite].reshape(-1, 3, 3)
+        if (np.abs(np.linalg.det(matrices) - 1.0) > NEARLY_UNIT).any():
+            raise FileFormatError(f"{sheet.path}: wanted rotation matrices, got others; export orientations again")
+        q_nb[finite] = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
+    else:
+        q_nb[finite] = Rotation.from_euler("ZYX", values[finite], degrees=True).as_quat(scalar_first=True)
+    time, notes = sheet.counted(sheet.columns(*sheet.counters))
+    return reference_of(sheet.path, time, q_nb, up=None, name=", ".join(notes))

@@ -1,0 +1,157 @@
+"""The files that an app of a phone exports: a file for each sensor, in a folder or a zip, all on one clock.
+
+Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger names each
+file after its sensor; Accelerometer.csv has gravity removed. On iOS its acceleration is the opposite of specific force, unless
+Metadata.csv says that units and frames are standardised. phyphox turns the sign of iOS itself.
+"""
+
+import csv
+import re
+import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from undrift.errors import FileFormatError, InputError
+from undrift.files import MOST_BYTES, read_bytes, sound, too_large
+from undrift.io.clock import onto_clock
+from undrift.io.columns import AXES, READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, date_of
+from undrift.io.dialects import OPPOSITE_SIGN, UNKNOWN_SIGN
+from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet
+
+_GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
+_ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
+_UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # manual of Sensor Logger
+_NO_GRAVITY = 3.0  # median size of an acceleration: g below, m/s2 above
+
+
+def is_phone(path: Path) -> bool:
+    """Return whether a folder is an export of a phone."""
+    return all(any((path / name).is_file() for name in names) for names in (_GYRO, _ACCEL))
+
+
+def phone_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
+    """Return gyroscope and accelerometer of two files of a phone in one folder; None if their names are others."""
+    order = sorted(files, key=lambda file: file.name not in _GYRO)
+    if len(order) != 2 or order[0].parent != order[1].parent:
+        return None
+    return (order[0], order[1]) if order[0].name in _GYRO and order[1].name in _ACCEL else None
+
+
+def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read the folder of a phone."""
+    gyro, accel = (next(path / name for name in names if (path / name).is_file()) for names in (_GYRO, _ACCEL))
+    return read_phone_pair(gyro, accel, settings)
+
+
+def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -> ReadResult:
+    """Read gyroscope and accelerometer of a phone; the latter is interpolated onto the time stamps of the former."""
+    path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
+    result, start = _read_file(gyro_file, settings)
+    try:
+        accel_result, accel_start = _read_file(accel_file, settings)
+    except FileFormatError as error:
+        if not error.numbers.get("gravity_removed"):
+            raise
+        return replace(result, notes=(*result.notes, str(error).removeprefix(f"{path}/")))
+    gyro, accel = result.record, accel_result.record
+    if accel.accel is None or gyro.gyro is None:
+        raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
+    later_s = (accel_start - start) / np.timedelta64(10**9, "ns") + accel_result.epoch_s - result.epoch_s
+    accel_time = accel.time + later_s
+    inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
+    if len(inside) < 2:
+        raise FileFormatError(
+            f"{path}: wanted {name} and {other} of the same time, got two times apart; read one of them"
+        )
+    part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
+    values, missing = onto_clock(part.time, accel_time, accel.accel)
+    notes = [f"{other} interpolated onto the time stamps of {name}"]
+    notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
+    record = replace(part, accel=values, accel_unit=accel.accel_unit)
+    return replace(result, record=record, notes=tuple(dict.fromkeys((*result.notes, *accel_result.notes, *notes))))
+
+
+def _read_file(file: Path, settings: ReadSettings) -> tuple[ReadResult, np.datetime64]:
+    """Return what one file holds, and the date of its first row: dates are counted from the first."""
+    sheet = open_sheet(file)
+    start = date_of(sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace"))
+    sheet = _sensor_logger(sheet) if sheet.names[:2] == ("time", "seconds_elapsed") else labelled(sheet)
+    return read_sheet(sheet, settings), start
+
+
+def is_phone_zip(path: Path) -> bool:
+    """Return whether a zip is an export of a phone, from the names of the files in it."""
+    with zipfile.ZipFile(path) as archive:
+        names = {PurePosixPath(name).name for name in archive.namelist()}
+    return not (names.isdisjoint(_GYRO) or names.isdisjoint(_ACCEL))
+
+
+def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read the zip that an app of a phone exports, as the folder in it."""
+    wanted = (*_GYRO, *_ACCEL, "Metadata.csv")
+    with sound(path, "zip"), zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
+        for item in archive.infolist():
+            name = PurePosixPath(item.filename).name
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks no more than is stated
+                raise too_large(path)
+            if name in wanted:
+                (Path(folder) / name).write_bytes(archive.read(item))
+        try:
+            return read_phone(Path(folder), None, settings)
+        except InputError as error:
+            raise type(error)(str(error).replace(folder, str(path)), **error.numbers) from error
+
+
+# ---- Sensor Logger: one sensor a file
+
+
+def read_sensor_logger(path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+    """Read one file of Sensor Logger, as specific force."""
+    return read_sheet(_sensor_logger(open_sheet(path)), settings)
+
+
+def _sensor_logger(sheet: Sheet) -> Sheet:
+    """Label the columns by the name of the file; columns of a watch or headphones have names of their own."""
+    stem = sheet.path.name.split(".")[0]
+    kind = "Linear acceleration" if stem == "Accelerometer" else stem
+    names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
+    names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)
+    labels = [None if name == "time" else label_of(name, "s" * (name == "seconds_elapsed"), _UNITS) for name in names]
+    notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
+    if any(label and label.channel == "accel" for label in labels):
+        unit, sign, accel_notes = _accel_unit_and_sign(sheet)
+        labels = [
+            label._replace(gain=sign, unit=unit) if label and label.channel == "accel" else label for label in labels
+        ]
+        notes = (notes if unit == "m/s2" else []) + accel_notes
+    return replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes))
+
+
+def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
+    """Return the unit of the accelerometer, the factor to specific force, and notes."""
+    ios = _follows_ios(sheet.path.with_name("Metadata.csv"))
+    if not sheet.path.name.startswith("AccelerometerUncalibrated"):
+        return "m/s2", -1.0 if ios else 1.0, [UNKNOWN_SIGN] if ios is None else [OPPOSITE_SIGN] * ios
+    columns = [k for k, name in enumerate(sheet.names) if name in AXES]
+    size = float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else np.nan
+    if ios is not None and ios != (size < _NO_GRAVITY):
+        raise FileFormatError(
+            f"{sheet.path}: wanted {'g' if ios else 'm/s2'} by platform and standardisation in Metadata.csv, got a median of "
+            f"{size:.3g}; the two do not belong together: leave Metadata.csv out"
+        )
+    if size < _NO_GRAVITY:
+        how = f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"
+        return "g", -1.0, [how, OPPOSITE_SIGN]
+    return "m/s2", 1.0, []
+
+
+def _follows_ios(path: Path) -> bool | None:
+    """Return whether Sensor Logger kept signs and units of iOS according to Metadata.csv; None if it does not say."""
+    lines = as_utf8(read_bytes(path)).decode().splitlines() if path.is_file() and path.stat().st_size else []
+    row = {key: str(cell).strip().lower() for key, cell in next(csv.DictReader(lines), {}).items()}
+    android, ios = (row.get("platform", "").startswith(name) for name in ("android", "ios"))
+    return ios and row.get("standardisation") != "true" if android or ios else None

@@ -1,0 +1,40 @@
+"""The temperature of a recording from a file of its own, at its own rate: interpolated onto the samples, held at the ends."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import InputError
+from undrift.io.columns import TempFile, in_seconds, naming
+from undrift.io.text import open_text, parse_text
+from undrift.record import Record
+from undrift.units import canonical_unit, si_factor, temp_offset
+
+
+def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and held at the ends."""
+    known = np.isfinite(time) & np.isfinite(temp_c)
+    if not known.any():
+        raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
+    order = np.argsort(time[known], kind="stable")
+    return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
+
+
+def with_thermometer(record: Record, thermometer: TempFile) -> Record:
+    """Return the record with the temperature of a thermometer's own file."""
+    dated = canonical_unit(thermometer.time_unit, "time") == "date"
+    wanted = (thermometer.temp,) if dated else (thermometer.time, thermometer.temp)
+    table = parse_text(open_text(thermometer.path, thermometer.layout), wanted)
+    table = in_seconds(table, thermometer.time) if dated else table
+    time = table.numbers(thermometer.time) * si_factor(thermometer.time_unit, "time") + thermometer.shift_s
+    unit = canonical_unit(thermometer.temp_unit, "temp")
+    temp_c = table.numbers(thermometer.temp) * si_factor(unit, "temp") + temp_offset(unit)
+    known = time[np.isfinite(time) & np.isfinite(temp_c)]
+    if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
+        raise InputError(
+            f"{thermometer.path}: wanted temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the recording's clock, "
+            f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
+        )
+    with naming(thermometer.path):
+        return with_temperature(record, time, temp_c)
