@@ -73,7 +73,7 @@ def by_undrift(record: Record, left_out: Sequence[Still]) -> TriadModel:
 
 
 def by_lengths_alone(record: Record, left_out: Sequence[Still]) -> TriadModel:
-    """Return accelerometers by means of the same rests and their noise, without the quadratic terms that undrift takes in."""
+    """Return accelerometers by means of the same rests and their noise."""
     rests = [still for still in found_poses(record) if still not in left_out]
     each = [np.asarray(record.accel)[still.start : still.stop] for still in rests]
     means, variances = np.array([x.mean(axis=0) for x in each]), np.array([x.var(axis=0) / len(x) for x in each])
@@ -113,8 +113,7 @@ def poses() -> Table:
     return Table(
         name="poses", title="Free poses by hand: length of gravity in poses left out", unit="mg",
         what="Fitted without a fifth of the poses, judged on that fifth, each in turn; rms. The three MPU-9150 also as read (mean "
-        f"{np.mean(raw):.1f} mg). undrift also fits quadratic terms, so that offsets keep their uncertainty on devices that have "
-        "them; its correction does not take them off, which shows here.",
+        f"{np.mean(raw):.1f} mg).",
         source="imu-calib (Mikov et al., ICINS 2020, MIT) and imu_tk (Tedaldi et al., ICRA 2014, BSD)", recordings=names,
         rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in left.items()],
     )  # fmt: skip

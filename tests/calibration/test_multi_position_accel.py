@@ -8,6 +8,7 @@ from testkit.poses import fit_poses
 from undrift.calibration.multi_position import still_variance
 from undrift.calibration.norm import QUADRATIC_SD, NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
+from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import excess_variance
 from undrift.record import Record
 
@@ -117,7 +118,7 @@ def test_a_wrong_unit_is_implausible() -> None:
 def test_readings_that_no_linear_sensor_could_give_are_a_poor_fit() -> None:
     x, y, side = 3.0 * np.random.default_rng(0).normal(size=(3, 40))
     hyperboloid = np.column_stack((x, y, np.sqrt(1.0 + x**2 + y**2) * np.sign(side)))
-    with pytest.raises(PoorFit, match=r"got none that a linear sensor could give; check that the device lay still"):
+    with pytest.raises(PoorFit, match="any linear sensor"):
         fit_poses(hyperboloid, gravity=G, standard_errors=np.full((40, 3), 1e-3))
 
 
@@ -189,9 +190,8 @@ def test_few_poses_tell_their_noise_over_the_equations_to_spare() -> None:
     # of matrix and offset, not of p, whose origin is that of each fit; readings are in m/s2, so that the scale is 1
     scatter = np.var([np.append(fit.matrix[np.triu_indices(3)], fit.offset) for fit in fits], axis=0)
     stated = np.mean([np.diag(fit.covariance) for fit in fits], axis=0)
-    # five equations to spare in each: 300 fits know the mean to 4 %, the scatter of nine parameters to a few. Over all 14
-    # equations it would be a third
-    assert np.mean(stated / scatter) == pytest.approx(1.0, abs=0.25)
+    # the excess variance is known from five residuals, so that Student's factor widens it; 300 fits determine the mean to 4 %
+    assert np.mean(stated / scatter) == pytest.approx(student_factor(5.0), rel=0.15)
 
 
 def test_the_uncertainty_of_a_fit_is_that_of_a_reading_of_gravity_over_all_directions() -> None:
@@ -214,17 +214,31 @@ def test_the_level_of_a_window_is_the_sample_variance_of_its_readings() -> None:
         assert found.level[k] == pytest.approx(wanted, rel=1e-9)
 
 
-@pytest.mark.parametrize("size", [1e-4, 5e-4])
+@pytest.mark.parametrize("size", [0.0, 2e-4, 5e-4])
 def test_offsets_hold_beside_quadratic_terms_of_any_size(size: float) -> None:
     rng, forward = np.random.default_rng(5), np.linalg.inv(MATRIX)
     gain = np.linalg.norm(forward, axis=1)
-    scaled = []
+    scaled, errors = [], []
     for _ in range(80):
         along = G * directions(18, int(rng.integers(1 << 30))) @ forward.T / gain  # what each sensor measures, m/s2
         raw = OFFSET + gain * (along + rng.normal(0.0, size, 3) * along**2) + 0.3 * rng.normal(size=(18, 3))
         fit = fit_norm(raw, gravity=G, variances=np.full(raw.shape, 0.09), quadratic_sd=QUADRATIC_SD)
-        assert (fit.quadratic_sd < QUADRATIC_SD).all()
-        scaled.append((fit.offset - OFFSET) * fit.scale / np.sqrt(np.diag(fit.covariance)[6:]))
-    inside = int((np.abs(scaled) < 1.96).sum())
-    assert 0.90 < inside / 240 < 0.99  # 95 % of 240: 1.4 % one sigma
-    assert 0.8 < float(np.sqrt(np.mean(np.square(scaled)))) < 1.15
+        errors.append((fit.offset - OFFSET) * fit.scale)
+        scaled.append(errors[-1] / np.sqrt(np.diag(fit.covariance)[6:]))
+    inside, rms = float((np.abs(scaled) < 1.96).mean()), float(np.sqrt(np.mean(np.square(errors))))
+    print(
+        f"  quadratic terms of {size:g} per m/s2: 95 % intervals of the offset hold in {100 * inside:.1f} %, rms {rms:.1e} m/s2"
+    )
+    assert (
+        inside > 0.90
+    )  # 95 % of 240: 1.4 % one sigma; the share of the quadratic terms is an upper limit once they show
+    assert rms < 2e-3 + 80.0 * size  # 0.6 g^2 q is 58 q
+
+
+def test_quadratic_terms_change_no_estimate() -> None:
+    raw = readings(directions(12)) + 0.3 * np.random.default_rng(2).normal(size=(12, 3))
+    fits = [fit_norm(raw, gravity=G, variances=np.full(raw.shape, 0.09), quadratic_sd=sd) for sd in (0.0, QUADRATIC_SD)]
+    np.testing.assert_array_equal(fits[0].p, fits[1].p)
+    added = fits[1].covariance - fits[0].covariance
+    np.testing.assert_allclose(added, fits[1].quadratic, atol=1e-12)
+    assert (np.diag(added)[6:] > (0.2 * 0.6 * G**2 * QUADRATIC_SD) ** 2).all()  # twelve poses hardly bound them

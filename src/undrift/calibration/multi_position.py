@@ -192,11 +192,10 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still], cores: Sequenc
     )
 
 
-def gravity_directions(moves: Moves, accel: TriadModel, quadratic: FloatArray | float = 0.0) -> Directions:
-    """Return the direction of gravity in each still with its derivatives and covariance, without quadratic terms (3,)."""
+def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
+    """Return the direction of gravity in each still with its derivatives and covariance."""
     mean, variance, count = still_moments(moves.accel, *moves.stills)
-    bent = mean - accel.offset
-    d = np.asarray(bent / (1.0 + quadratic * bent / accel.scale_factor))
+    d = mean - accel.offset
     a = d @ accel.matrix.T
     length = np.linalg.norm(a, axis=1)
     n = a / length[:, None]
@@ -315,7 +314,6 @@ def fit_gyro_between_stills(
     cores: Sequence[Still] | None = None,
     creep: tuple[Creep, Creep] | None = None,
     by_turns: ByTurns | None = None,
-    quadratic: FloatArray | float = 0.0,
     scale_tolerance: float = TOLERANCE,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
@@ -331,7 +329,7 @@ def fit_gyro_between_stills(
             "recording",
             moves=len(moves.first),
         )
-    directions = gravity_directions(moves, accel, quadratic)
+    directions = gravity_directions(moves, accel)
     rests, force = still_moments(moves.gyro, *moves.cores), STANDARD_GRAVITY * directions[0]
     prior = offset_prior(rests, moves.before, force, 0.0) if by_turns is None else by_turns.prior(moves)
     rough = rough_matrix(moves, accel, prior.mean) if by_turns is None else by_turns.matrix
@@ -688,11 +686,10 @@ def fit_multi_position(
         cores = used if stills is not None else _cores(levels, used, shortest)
         try:
             model = axes if axes is not None and len(fit.prior) else accel.model
-            bend = fit.quadratic if model is accel.model else np.zeros(3)
             ordered = sorted(used, key=lambda still: (still.recording, still.start))
             both = None if creep is None else (creep(ordered, "accel"), creep(ordered, "gyro"))
             between = fit_gyro_between_stills(
-                records, used, model, cores=cores, creep=both, quadratic=bend, scale_tolerance=scale_tolerance
+                records, used, model, cores=cores, creep=both, scale_tolerance=scale_tolerance
             )
         except NotObservable as error:
             missing = (finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),)
@@ -765,7 +762,7 @@ def _different(force: FloatArray) -> int:
 
 
 def _choose(attempts: list[Attempt]) -> Attempt:
-    fitted = [(one.fit.uncertainty, one) for one in attempts if one.fit is not None]
+    fitted = [(one.fit.linear_uncertainty, one) for one in attempts if one.fit is not None]
     if not fitted:
         return max(attempts, key=lambda one: len(one.stills))
     # Thresholds that let motion in are far less certain; their false poses must not set the count to be reached.

@@ -1,27 +1,29 @@
-"""Norm equations: poses in which the corrected reading has the length of gravity, for an upper triangular M.
+"""Free poses: the corrected reading of each still pose has the length of gravity, for an upper triangular M.
 
-    |M (u - o)| = g
+    |M (u - o)| = g + e
 
 Scaled so that every parameter is near one or of the size of g:
 
-    v = k (u - c)          c, k from the sphere through the readings
+    v = k (u - c)          c, k: sphere through the readings
     |M' (v - o')| = g      M = k M',  o = c + o' / k
 
-Levenberg-Marquardt on the normal equations with analytic Jacobian: with n the direction of M' (v - o'),
-dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each pose weighs by the variance of its length, n^T M S_k M^T n + s2, S_k the
-variances of the mean and s2 the excess (fit/least_squares.py): the profile likelihood over unknown directions. Temperature creep
-moves lengths by N z, z ~ N(0, 1), a column of N (K, 6) for the offset and the scale of each sensor: W = (diag + N N')^-1. So does a
-quadratic term q_j of each sensor, which adds q_j y_j^2 to what it measures, y_j along its own axis, q_j ~ N(0, s_q^2). It is always
-there: to leave it out where a test does not show it gives intervals that hold in 72 %. The result stays linear; o is the reading
-at zero input.
+Gauss-Newton: with n the direction of M' (v - o'), dr/dm'_ij = n_i (v - o')_j and dr/do' = -M'^T n. Each length weighs by the noise
+of its mean, n^T M S_k M^T n, and one excess variance for poses in which the device moved (Paule and Mandel). Temperature creep
+moves all lengths together, by N_c z with z ~ N(0, 1): z is fitted as well, with prior rows. Poses on the faces do not determine
+cross-axis terms: each combination c of m'_xy, m'_xz, m'_yz that the poses do not determine gets a prior row, c . m' = 0 +- sd.
 
-Poses on the faces alone do not show cross-axis terms. With a prior, each combination c of m'_xy, m'_xz, m'_yz that the poses do
-not show gets one equation more, c . m' = 0 +- sd; what they show gets none, and a session that shows all is fitted as without.
+A real sensor also has a quadratic term: it reads q y^2 more, y along its axis, q ~ N(0, s_q^2). The term is a source of
+uncertainty. It is not estimated, since a prior for it costs accuracy on a linear sensor. With N the lengths that q changes, G the
+gains of the fit, W the weights, and L = N - X G N what the parameters cannot absorb of them, its share is the mean square of G N q
+for the residuals r at hand:
+
+    G N (C + m m') N' G'   C = (L' W L + I / s_q^2)^-1,   m = C L' W r
+
+If C + m m' is larger than s_q^2, it replaces s_q^2 (expectation maximisation).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,19 +32,21 @@ from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
-from undrift.fit.equations import Rows, covariance_of, descend, roots, whitened
+from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict
 from undrift.segments import sphere_of
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
+from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
-WEAKEST = 0.02  # rms change of length, in g, per unit of a parameter that still counts as seen; random poses show 0.25
+WEAKEST = 0.02  # rms change of length, in g, per unit of a determined parameter; random poses reach 0.25
 CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
+PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
+QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
+MOST_STEPS, CONVERGED, FARTHEST = 50, 1e-9, 30.0  # of the descent; relative step; parameters beyond which it runs away
+SIZE_ROUNDS = 20  # of the size of quadratic terms
 _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-PART = 0.3  # of a combination of parameters: a parameter with this part in it belongs to it
-QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 where that is 2 g
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,16 +57,14 @@ class NormFit:
     scale: float  # k, m/s2 per raw unit
     p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
     covariance: FloatArray  # (9, 9), of p; zeros where held, NaN where the equations are singular
-    residuals: FloatArray  # (K,), length less gravity and what quadratic terms make, m/s2
-    condition: float  # Condition number of the design, columns scaled to one
-    # Least rms change of length, in g, that one unit of any combination of parameters makes (1, and g for offsets)
-    weakest: float
-    unseen: tuple[str, ...]  # The parameters that take part in that weakest combination
+    residuals: FloatArray  # (K,), length minus gravity, m/s2
+    condition: float  # condition number of the design, columns scaled to one
+    weakest: float  # least rms change of length, in g, per unit of any combination of parameters (1, and g for offsets)
+    unseen: tuple[str, ...]  # parameters of that weakest combination
     gravity: float  # m/s2
-    prior: FloatArray  # (R, 9), combinations of cross-axis terms that are known by the prior alone, unit length
-    prior_sd: float  # Standard deviation of each, 1; 0 without a prior
-    quadratic: FloatArray  # (3,), q, 1/(m/s2), and its standard uncertainty; zeros where it was held
-    quadratic_sd: FloatArray
+    prior: FloatArray  # (R, 9), combinations of cross-axis terms that only the prior determines, unit length
+    prior_sd: float  # standard deviation of each, 1; 0 without a prior
+    quadratic: FloatArray  # (9, 9), share of the covariance that quadratic terms contribute
 
     @property
     def matrix(self) -> FloatArray:
@@ -77,13 +79,27 @@ class NormFit:
     @property
     def uncertainty(self) -> float:
         """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
-        variance = np.diag(self.covariance)
-        total = float(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
-        return float(np.sqrt(total)) if np.isfinite(total) else np.inf
+        return _of_reading(self.covariance, self.gravity)
+
+    @property
+    def linear_uncertainty(self) -> float:
+        """Part of ``uncertainty`` that a linear sensor has, m/s2."""
+        return _of_reading(self.covariance - self.quadratic, self.gravity)
+
+    @property
+    def quadratic_uncertainty(self) -> float:
+        """Part of ``uncertainty`` that quadratic terms contribute, m/s2."""
+        return _of_reading(self.quadratic, self.gravity)
 
     def corrected(self, reading: FloatArray) -> FloatArray:
         """Return readings (K, 3) in m/s2."""
         return np.asarray((reading - self.offset) @ self.matrix.T)
+
+
+def _of_reading(covariance: FloatArray, gravity: float) -> float:
+    variance = np.diag(covariance)
+    total = float(gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum())
+    return float(np.sqrt(total)) if np.isfinite(total) else np.inf
 
 
 def fit_norm(
@@ -96,150 +112,155 @@ def fit_norm(
     creep: Creep | None = None,
     quadratic_sd: float = 0.0,
 ) -> NormFit:
-    """Solve the norm equations of readings (K, 3) with variances of the mean (K, 3); weights and excess settle together."""
+    """Fit matrix and offset to mean readings (K, 3) in still poses.
+
+    ``variances`` (K, 3) are those of the means; without them, the residuals determine the noise. ``cross_axis`` False holds the
+    cross-axis terms at zero. ``prior_sd`` is the standard deviation of a cross-axis term that the poses do not determine, 1; None
+    leaves it undetermined. ``quadratic_sd`` is s_q. Raises PoorFit if no linear sensor could have given the readings.
+    """
     center, radius = sphere_of(reading)
     scale = gravity / radius
-    v = np.ascontiguousarray(scale * (reading - center))
-    stated = _Stated(np.zeros_like(v) if variances is None else variances * scale**2, creep, quadratic_sd)
-    free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
-    rounds = 1 if variances is None and prior_sd is None else 6
-    prior: FloatArray = np.zeros((0, 9))
-    converged, p, variance, q = _settled(v, stated, gravity, free, prior, rounds)
-    if prior_sd is not None:
-        for at in (_START, p):  # the solution itself may have run away along what nothing shows
-            prior = _unseen_cross_axis(_linearised(v, at, gravity)[0], gravity)
-            if len(prior):
-                converged, p, variance, q = _settled(v, stated, gravity, free, prior / prior_sd, rounds)
-                break
-    design, residuals = _linearised(v, p, gravity)
-    size = np.array([gravity] * 6 + [1.0] * 3)
-    seen = np.vstack((design[:, free], (np.sqrt(len(v)) * size * prior)[:, free]))
-    _, singular, right = np.linalg.svd(seen / size[free], full_matrices=False)
-    weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(len(v))), len(singular) - 1)
-    share = np.linalg.norm(right[weak], axis=0)
-    weakest = float(singular[-1] / np.sqrt(len(v))) if len(seen) >= len(free) else 0.0
-    if not converged and weakest > WEAKEST:
+    poses = _NormEquations(
+        v=np.ascontiguousarray(scale * (reading - center)),
+        variances=np.zeros_like(reading) if variances is None else variances * scale**2,
+        creep=None if creep is None or creep.none else creep,
+        gravity=gravity,
+        free=np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8]),
+    )
+    prior = np.zeros((0, 9)) if prior_sd is None else poses.undetermined_cross_axis(_START)
+    p, variance = poses.descend(prior, prior_sd)
+    if prior_sd is not None and not len(prior) and len(prior := poses.undetermined_cross_axis(p)):
+        p, variance = poses.descend(prior, prior_sd)
+    weakest, unseen, condition = poses.observability(p, prior)
+    if variance is None and weakest > WEAKEST:
         raise PoorFit(
-            f"multi-position: wanted {len(v)} readings of length {gravity:g} m/s2, got none that a linear sensor could give; "
-            "check that the device lay still and that the columns are the accelerometer's",
-            poses=len(v),
+            f"multi-position: {len(reading)} readings do not have one length, {gravity:g} m/s2, for any linear sensor. Check that "
+            "the device lay still and that the columns are the accelerometer's",
+            poses=len(reading),
         )
-    covariance = np.zeros((9, 9))
-    shared = stated.shared(v, p, design, q)
-    root = stated.root(variance, shared)
-    weighed = np.vstack((whitened(root, design[:, free]), prior[:, free] / (prior_sd or 1.0)))
-    covariance[np.ix_(free, free)] = covariance_of(weighed)
-    z, variance_of_z = _moved(root, shared, residuals, weighed)
-    bent = shared[:, -3:] @ z[-3:] if quadratic_sd else 0.0
+    covariance, quadratic = np.full((2, 9, 9), np.nan)
+    if variance is not None:
+        own = np.ix_(poses.free, poses.free)
+        covariance, quadratic = np.zeros((2, 9, 9))
+        covariance[own], quadratic[own] = poses.covariances(p, variance, prior, prior_sd, quadratic_sd)
     return NormFit(
         center=center,
         scale=scale,
         p=p,
         covariance=covariance,
-        residuals=residuals - bent,
-        condition=scaled_condition(seen)[1],
+        residuals=_linearised(poses.v, p, gravity)[1],
+        condition=condition,
         weakest=weakest,
-        unseen=tuple(NAMES[i] for i in free[share > PART * share.max()]),
+        unseen=unseen,
         gravity=gravity,
         prior=prior,
         prior_sd=(prior_sd or 0.0) if len(prior) else 0.0,
-        quadratic=q,
-        quadratic_sd=quadratic_sd * np.sqrt(variance_of_z[-3:]) if quadratic_sd else q,
+        quadratic=quadratic,
     )
 
 
-class _Stated(NamedTuple):
-    """What is stated of readings v (K, 3): variances (K, 3), (m/s2)^2, how far they creep, and s_q."""
-
-    variances: FloatArray
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _NormEquations:
+    v: FloatArray  # (K, 3), scaled readings, m/s2
+    variances: FloatArray  # (K, 3), of these, (m/s2)^2
     creep: Creep | None
-    quadratic_sd: float
+    gravity: float  # m/s2
+    free: IntArray  # numbers of the parameters that are fitted
 
-    def shared(self, v: FloatArray, p: FloatArray, design: FloatArray, q: FloatArray) -> FloatArray:
-        """Return N (K, 9), m/s2, at p and q and their design (K, 9), quadratic terms last; (K, 3) without creep, or no column."""
-        by_reading, d = -design[:, 6:], v - p[6:]
-        moved = [np.zeros((len(v), 0))]
-        if self.creep is not None and not self.creep.none:
-            columns = [self.creep.columns(column) for column in d.T]
-            moved += [by_reading[:, [j]] * columns[j] for j in range(3)]
-        if self.quadratic_sd:
-            gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # of each sensor: d = gain (y + q y^2)
-            y = d / (gain + q * d)
-            moved.append(by_reading * gain * y**2 * self.quadratic_sd)
-        return np.hstack(moved)
+    def descend(self, prior: FloatArray, prior_sd: float | None) -> tuple[FloatArray, FloatArray | None]:
+        """Return p (9,) and the variance of each length; the start and None without a minimum, or with undetermined parameters."""
+        p, excess, converged = _START.copy(), 0.0, False
+        if self.observability(p, prior)[0] < WEAKEST:
+            return p, None
+        size = np.array([1.0] * 6 + [self.gravity] * 3)[self.free]
+        for _ in range(MOST_STEPS):
+            design, residuals, noise = self.rows(p)
+            if not excess:  # before the first fit, the scatter of the lengths themselves
+                excess = excess_variance(residuals, noise, len(residuals))
+            deviation = np.sqrt(noise + excess)
+            rows, known = self.with_prior(design / deviation[:, None], p, prior, prior_sd)
+            step = np.linalg.lstsq(rows, np.concatenate((-residuals / deviation, known)), rcond=None)[0]
+            p[self.free] += step[: len(self.free)]
+            leverage = float((np.linalg.qr(rows)[0][: len(residuals)] ** 2).sum())
+            excess = excess_variance(residuals + design @ step, noise, len(residuals) - leverage)
+            converged = float(np.abs(step[: len(self.free)] / size).max()) < CONVERGED
+            if converged or not float(np.abs(p[self.free] / size).max()) < FARTHEST:
+                break
+        return (p, noise + excess * student_factor(len(residuals) - leverage)) if converged else (_START, None)
 
-    def root(self, variance: FloatArray, shared: FloatArray) -> FloatArray:
-        """Return what whitens lengths of a variance each, (K,), that N moves together."""
-        together = shared @ shared.T if shared.size else np.zeros(1)
-        return np.asarray(roots(np.sqrt(variance + 1e-13 * together.max()), together)[0])
+    def rows(self, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the design (K, F + C) of free parameters and creep, the residuals (K,) and their variances by noise (K,)."""
+        design, residuals = _linearised(self.v, p, self.gravity)
+        by_reading = -design[:, 6:]  # d length / d reading = M'^T n
+        noise = np.maximum((by_reading**2 * self.variances).sum(axis=1), (1e-9 * self.gravity) ** 2)
+        moved = [np.zeros((len(self.v), 0))]
+        if self.creep is not None:
+            moved = [by_reading[:, [j]] * self.creep.columns(d) for j, d in enumerate((self.v - p[6:]).T)]
+        return np.hstack([design[:, self.free], *moved]), residuals, noise
 
+    def with_prior(
+        self, design: FloatArray, p: FloatArray, prior: FloatArray, prior_sd: float | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rows in standard deviations with those of the priors, of cross-axis terms and of creep, and their values."""
+        creep = design.shape[1] - len(self.free)
+        cross_axis = prior[:, self.free] / (prior_sd or 1.0)
+        rows = np.vstack(
+            (design, np.pad(cross_axis, ((0, 0), (0, creep))), np.eye(creep, design.shape[1], len(self.free)))
+        )
+        return rows, np.concatenate((-cross_axis @ p[self.free], np.zeros(creep)))
 
-def _moved(root: FloatArray, shared: FloatArray, residuals: FloatArray, design: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the most likely z and its variance, which the parameters of a whitened design (R, P) share."""
-    white = whitened(root, shared)
-    rows = np.vstack((white, np.zeros((len(design) - len(white), white.shape[1]))))
-    basis = np.linalg.qr(design)[0]
-    apart = rows - basis @ (basis.T @ rows)  # cov z = 1 - N' (W - W X (X' W X)^-1 X' W) N
-    return white.T @ whitened(root, residuals), 1.0 - np.minimum((apart**2).sum(axis=0), 1.0)
+    def covariances(
+        self, p: FloatArray, variance: FloatArray, prior: FloatArray, prior_sd: float | None, quadratic_sd: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance (F, F) of the free parameters at p, and what quadratic terms contribute to it."""
+        count, (design, residuals, _) = len(self.free), self.rows(p)
+        weight = 1.0 / np.sqrt(variance)[:, None]
+        rows, _ = self.with_prior(design * weight, p, prior, prior_sd)
+        root = np.linalg.inv(np.linalg.qr(rows, mode="r"))
+        total = root @ root.T
+        gains = total @ (design * weight**2).T
+        gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # of each sensor: v - o' = gain y
+        by_reading = -_linearised(self.v, p, self.gravity)[0][:, 6:]
+        lengths = quadratic_sd * by_reading * (self.v - p[6:]) ** 2 / gain  # (K, 3): N s_q
+        left = (lengths - design @ (gains @ lengths)) * weight
+        size = 1.0
+        for _ in range(SIZE_ROUNDS):  # residuals may show larger terms than stated
+            uncertain = np.linalg.inv(left.T @ left + np.eye(3) / size**2)
+            mean = uncertain @ (left.T @ (residuals * weight[:, 0]))
+            size = max(1.0, float(np.sqrt(np.mean(mean**2 + np.diag(uncertain)))))
+        carried = (gains @ lengths)[:count]
+        share = carried @ (uncertain + np.outer(mean, mean)) @ carried.T
+        return total[:count, :count] + share, share
 
+    def observability(self, p: FloatArray, prior: FloatArray) -> tuple[float, tuple[str, ...], float]:
+        """Return the least rms change of length per unit, in g, the parameters that it concerns, and the condition number."""
+        size, count = np.array([self.gravity] * 6 + [1.0] * 3), len(self.v)
+        design = np.vstack((_linearised(self.v, p, self.gravity)[0], np.sqrt(count) * size * prior))[:, self.free]
+        _, singular, right = np.linalg.svd(design / size[self.free], full_matrices=False)
+        weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(count)), len(singular) - 1)
+        share = np.linalg.norm(right[weak], axis=0)
+        weakest = float(singular[-1] / np.sqrt(count)) if len(design) >= len(self.free) else 0.0
+        names = tuple(NAMES[i] for i in self.free[share > PART * share.max()])
+        return weakest, names, scaled_condition(design)[1]
 
-def _settled(
-    v: FloatArray, stated: _Stated, gravity: float, free: IntArray, prior: FloatArray, rounds: int
-) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
-    """Return whether there is a minimum, p, the variance of each length (K,) and q; prior (R, 9) in standard deviations."""
-    converged, p, q = True, _START, np.zeros(3)
-    # What is stated first: from a large excess the fit would explain quadratic terms by it
-    variance = np.asarray(stated.variances.mean(axis=1)) + float(not stated.variances.all())
-    for _ in range(rounds):
-        before, shared = p, stated.shared(v, p, _linearised(v, p, gravity)[0], q)
-        root = stated.root(variance, shared)
-        p, converged = _descend(v, root, p, gravity, free, prior)
-        design, residuals = _linearised(v, p, gravity)
-        z, variance_of_z = _moved(root, shared, residuals, np.vstack((whitened(root, design[:, free]), prior[:, free])))
-        moved = shared @ z
-        q = np.asarray(stated.quadratic_sd * z[-3:]) if stated.quadratic_sd else q
-        spare = len(v) - len(free) + len(prior) - float((1.0 - variance_of_z).sum())  # less what N z takes
-        own = (design[:, 6:] ** 2 * stated.variances).sum(axis=1)  # d length / d reading = M'^T n
-        variance = own + excess_variance(residuals - moved, own, spare)
-        variance = np.maximum(variance, (1e-12 * gravity) ** 2)
-        if not converged or float(np.abs(p - before).max()) < 1e-12 * gravity:
-            break
-    return converged, p, variance, q
-
-
-def _unseen_cross_axis(design: FloatArray, gravity: float) -> FloatArray:
-    """Return the combinations of cross-axis terms (R, 9), unit length, that a design (K, 9) does not show."""
-    scaled = design / np.array([gravity] * 6 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(design))
-    weak = vectors[CROSS][:, values < WEAKEST**2]
-    if not weak.size:
-        return np.zeros((0, 9))
-    combined, part, _ = np.linalg.svd(weak, full_matrices=False)
-    rows = combined[:, part > PART].T
-    prior = np.zeros((len(rows), 9))
-    prior[:, CROSS] = rows
-    return prior
+    def undetermined_cross_axis(self, p: FloatArray) -> FloatArray:
+        """Return the combinations of cross-axis terms (R, 9), unit length, that the poses do not determine at p."""
+        scaled = _linearised(self.v, p, self.gravity)[0] / np.array([self.gravity] * 6 + [1.0] * 3)
+        values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled))
+        weak = vectors[CROSS][:, values < WEAKEST**2]
+        if not weak.size:
+            return np.zeros((0, 9))
+        combined, part, _ = np.linalg.svd(weak, full_matrices=False)
+        rows = combined[:, part > PART].T
+        prior = np.zeros((len(rows), 9))
+        prior[:, CROSS] = rows
+        return prior
 
 
 def _upper(p: FloatArray) -> FloatArray:
     matrix = np.zeros((3, 3))
     matrix[ROW, COLUMN] = p[:6]
     return matrix
-
-
-def _descend(
-    v: FloatArray, root: FloatArray, start: FloatArray, gravity: float, free: IntArray, prior: FloatArray
-) -> tuple[FloatArray, bool]:
-    """Return the minimum and whether there is one; the start again where the steps run away."""
-    p, size = start.copy(), np.array([1.0] * 6 + [gravity] * 3)[free]
-
-    def rows(values: FloatArray) -> Rows:
-        p[free] = values
-        design, residuals = _linearised(v, p, gravity)
-        return Rows(whitened(root, residuals), whitened(root, design[:, free]))
-
-    p[free], _, found = descend(rows, start[free], prior[:, free], tolerance=1e-11, size=size, farthest=30.0, steps=100)
-    return p, found
 
 
 def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
@@ -258,6 +279,7 @@ TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are withi
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
 UNCERTAIN_MG = (2.0, 20.0)
+QUADRATIC_MG = 0.5  # uncertainty from quadratic terms, above which more poses help
 
 
 def check_count(reading: FloatArray, *, known_noise: bool) -> None:
@@ -291,7 +313,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str, scale_tolerance: flo
     rms_mg = float(np.sqrt(np.mean(fit.residuals**2))) / MG
     triad = triad_fit(
         fit.residuals,
-        Verdict.of(*_judged(fit, rms_mg, corrected), *quadratic_findings(fit.quadratic, fit.quadratic_sd, fit.gravity)),
+        Verdict.of(*_judged(fit, rms_mg, corrected)),
         method="multi-position",
         unit_in=unit,
         unit_out="m/s2",
@@ -310,6 +332,8 @@ def _judged(fit: NormFit, rms_mg: float, corrected: FloatArray) -> Iterator[Find
     sigma = fit.uncertainty / MG
     yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms_mg=rms_mg)
     yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, uncertainty_mg=sigma)
+    if (bent := fit.quadratic_uncertainty / MG) > QUADRATIC_MG:
+        yield finding("quadratic.unseen", "info", size_mg=bent)
     if len(fit.prior):
         part = np.linalg.norm(fit.prior, axis=0)
         unseen = tuple(NAMES[i] for i in CROSS if part[i] > PART)
@@ -333,19 +357,3 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
     if set(unseen) <= {"m_xy", "m_xz", "m_yz"}:
         return "add poses between the faces (edges and corners up)"
     return "add poses on the sides, edges and corners that are missing"
-
-
-_UNSEEN = 0.35  # of s_q: with more of it left, the poses do not show the quadratic terms; 18 free poses leave 0.12, 12 leave 0.7
-
-
-def quadratic_findings(q: FloatArray, sd: FloatArray, gravity: float) -> Iterator[Finding]:
-    """Return what is known of quadratic terms (3,) with standard uncertainties, 1/(m/s2)."""
-    mg = gravity**2 / MG
-    if sd.max() > _UNSEEN * QUADRATIC_SD:
-        tilt_deg = float(sd.max()) * gravity / RADIAN_PER_DEGREE
-        yield finding("quadratic.unseen", "warn", size_mg=float(sd.max()) * mg, tilt_deg=tilt_deg)
-    sure = np.abs(q) > 3.0 * sd
-    if sure.any():
-        axis = int(np.argmax(np.where(sure, np.abs(q), 0.0)))
-        size_mg, uncertainty_mg = q[axis] * mg, 2.0 * sd[axis] * mg
-        yield finding("quadratic.fitted", "info", axis=AXES[axis], size_mg=size_mg, uncertainty_mg=uncertainty_mg)
