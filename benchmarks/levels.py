@@ -1,4 +1,4 @@
-"""Levels of correction and the twin, as ``undrift validate --compare`` has them, on trials of four kinds, deg.
+"""Levels of correction and a simulated device, as ``undrift validate --compare`` has them, on trials of four kinds, deg.
 
 ``python -m benchmarks.levels`` prints a table of each set, or of those named:
 
@@ -29,11 +29,11 @@ from undrift.sim.motion.motion import after_rest
 from undrift.sim.motion.poses import fit_pose_spline, see
 from undrift.sim.motion.tasks import draw_task
 from undrift.study.case import REST_S
-from undrift.study.compare import LevelComparison, compare_levels
-from undrift.study.figure3 import NOTE_APART_DEG, OPTICS, SETTLED_S, actual_device, calibrated, worn_record
+from undrift.study.figure3 import OPTICS, SETTLED_S, actual_device, calibrated, worn_record
 from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out
+from undrift.validation.levels import LevelTable, LevelTrial, judge_levels, simulate_trial_of
 from undrift.validation.trial import TrialSettings
 
 Pairs = list[tuple[Record, Reference]]
@@ -56,10 +56,10 @@ BROAD = {
 }  # fmt: skip
 
 
-def simulated(seed: int = 1, people: int = 5) -> LevelComparison:
+def simulated(seed: int = 1, people: int = 5) -> LevelTable:
     """Compare the note-like device's levels on simulated people."""
     device = actual_device(preset("enc03j_3031"))
-    full = calibrated(device, rng=np.random.default_rng(seed), back=False)[2]
+    full = calibrated(device, rng=np.random.default_rng(seed), back=False)
     pairs, tasks, whose = Pairs(), list[str](), list[str]()
     for person in range(people):
         for task in TASKS:
@@ -72,10 +72,10 @@ def simulated(seed: int = 1, people: int = 5) -> LevelComparison:
     return _compared(pairs, [full] * len(pairs), tasks, whose)
 
 
-def captured(seed: int = 2) -> LevelComparison:
+def captured(seed: int = 2) -> LevelTable:
     """Compare them in captured motions, held still before."""
     device = actual_device(preset("enc03j_3031"))
-    full = calibrated(device, rng=np.random.default_rng(seed), back=False)[2]
+    full = calibrated(device, rng=np.random.default_rng(seed), back=False)
     pairs = Pairs()
     for k, (file, *_) in enumerate(CAPTURES):
         spline = fit_pose_spline(
@@ -101,7 +101,7 @@ def captured(seed: int = 2) -> LevelComparison:
     return _compared(pairs, [full] * len(pairs), [task for _, task, _ in CAPTURES], [who for *_, who in CAPTURES])
 
 
-def left_out(pairs: Pairs) -> LevelComparison:
+def left_out(pairs: Pairs) -> LevelTable:
     """Compare the levels of a real device, each trial by the reference fit to the others."""
     held = validate_leave_one_out(pairs).held_out
     model = calibrate_to_references([one for one, _ in pairs], [poses for _, poses in pairs])
@@ -115,30 +115,44 @@ def _compared(
     tasks: Sequence[str] = (),
     people: Sequence[str] = (),
     settings: TrialSettings = TrialSettings(),
-) -> LevelComparison:
-    labels = (tuple(f"{k + 1}" for k in range(len(pairs))), tuple(tasks), tuple(people))
-    return compare_levels(pairs, calibrations, labels, settings=settings, margin_deg=NOTE_APART_DEG)
+) -> LevelTable:
+    trials = []
+    for k, (record, reference) in enumerate(pairs):
+        rng = np.random.default_rng(k)
+        trials.append(
+            LevelTrial(
+                recording=f"{k + 1}",
+                record=record,
+                reference=reference,
+                calibration=calibrations[k],
+                person=people[k] if people else "",
+                task=tasks[k] if tasks else "",
+                simulated=simulate_trial_of(record, reference, calibrations[k], mounting=np.eye(3), rng=rng),
+            )
+        )
+    return judge_levels(trials, settings=settings)
 
 
-def show(name: str, found: LevelComparison) -> None:
+def show(name: str, found: LevelTable) -> None:
     """Print one table."""
     print(
-        f"{name}: {found.quantity}, rms, deg; actual mean [95 %], less than before, verdict; simulated; difference mean, most"
+        f"{name}: {found.quantity}, rms, deg; mean over people [95 %], less than above; simulated; difference mean, most"
     )
-    for row in found.rows:
-        if not np.isfinite(row.mean_deg):
+    for row in found.errors:
+        mean = next(one for one in found.summaries if (one.group, one.level) == ("all", row.level))
+        if not mean.people:
             print(f"  {row.level:16} {row.missing}")
             continue
-        both, judged = np.isfinite(row.apart_deg), row.decision
-        verdict = "" if judged is None else f"{judged.difference:6.2f} {judged.verdict}"
-        low, high = row.interval_deg
+        both, decision = np.isfinite(row.difference_deg), mean.decision
+        verdict = "" if decision is None else f"{decision.difference:6.2f} {decision.verdict}"
+        low, high = mean.interval_deg
         twin = (
-            f"{row.simulated_deg[both].mean():6.2f} {row.apart_deg[both].mean():5.2f} {row.apart_deg[both].max():5.2f}"
+            f"{row.simulated_deg[both].mean():6.2f} {row.difference_deg[both].mean():5.2f} {row.difference_deg[both].max():5.2f}"
             if both.any()
             else ""
         )
-        print(f"  {row.level:16} {row.mean_deg:6.2f} [{low:.2f}, {high:.2f}]  {verdict:22} {twin}  {row.missing}")
-        print(f"  {'':16} each: {' '.join(f'{x:.2f}' for x in row.actual_deg)}")
+        print(f"  {row.level:16} {mean.mean_deg:6.2f} [{low:.2f}, {high:.2f}]  {verdict:22} {twin}  {row.missing}")
+        print(f"  {'':16} each: {' '.join(f'{x:.2f}' for x in row.error_deg)}")
 
 
 def main(names: Sequence[str]) -> None:

@@ -60,8 +60,6 @@ def test_broad_by_each_way_of_taking_the_offset(undrift):
         assert all(trial.keys() >= FIGURES for trial in one["trials"])
         assert one["mean"].keys() == one["median"].keys() >= FIGURES
         assert (one["offset"], one["adc"]) == key
-        assert one["agreement"].keys() >= {"bias_deg", "limits_deg", "icc", "icc_interval"}
-        assert one["agreement"]["limits_deg"][0] < one["agreement"]["bias_deg"] < one["agreement"]["limits_deg"][1]
     assert end(told["rest", "auto"]) < end(told["rest", "none"]) < end(told["none", "none"])
     for trial in told["rest", "none"]["trials"]:
         assert 3.5 < trial["lag_ms"] < 4.8  # SOURCE.md: 4.14 +- 0.04 ms
@@ -83,8 +81,7 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert datetime.fromisoformat(made.provenance.created).tzinfo == UTC
     assert dict(made.provenance.versions).keys() == {"undrift", "numpy", "scipy"}
     page = (out / "report.html").read_text()
-    assert page.count("<svg") == 6  # the errors, four courses and the agreement
-    assert "Agreement over trials" in page
+    assert page.count("<svg") == 5  # the errors and four courses
     assert "leave-one-out: each recording judged by a gyroscope fit to the references of the others" in page
     assert "left in" in page
     assert all(f'<th scope="row">{name}</th><td>the same file</td>' in page for name in B)

@@ -1,15 +1,13 @@
 """undrift validate with levels of correction: what a person reads, JSON, the page, Python, and what is refused."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from benchmarks.broad_files import broad_file
 
 from testkit.bench_and_commands import make_bench
 from testkit.data import data_path, show
-from undrift.report.figures import draw_compared
-from undrift.study.compare import ComparedRow, LevelComparison
+from undrift.report.figures import draw_level_errors
+from undrift.validation.levels import LevelErrors, LevelSummary, LevelTable
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -34,11 +32,9 @@ def words(folder, people=("a", "b", "c")):
 
 def test_one_trial_has_no_interval_and_no_verdict(undrift, trials):
     answer = undrift.good("validate", *words(trials, "a"), "--compare")
-    (rest,) = [
-        line for line in answer.out.splitlines() if line.strip().startswith("rest offset ") and "decidable" in line
-    ]
-    assert rest.split()[3] == "–"
-    assert rest.rstrip().endswith("not decidable")
+    (rest,) = [line for line in answer.out.splitlines() if line.strip().startswith("rest ") and " 1 (1) " in line]
+    assert rest.split()[4] == "–"
+    assert rest.split()[-1] == "–"
 
 
 @pytest.mark.slow
@@ -47,42 +43,45 @@ def test_trials_of_a_real_device_by_the_fit_to_the_others(undrift):
         broad_file(name) for name in ("03_undisturbed_slow_rotation_C", "24_disturbed_tapping_A") if data_path("broad")
     ]
     how = ["--calibrate-from", "reference", "--leave-one-out", "--compare", "--json"]
-    found = undrift.good("validate", *files, *how).json()["compared"]
-    rows = {row["level"]: row for row in found["rows"]}
+    found = undrift.good("validate", *files, *how).json()["levels"]
+    rows = {row["level"]: row for row in found["errors"]}
     for name, row in rows.items():
         show(
             f"BROAD C, {name}: actual, simulated, largest difference, deg",
-            (row["actual_deg"], row["simulated_deg"], row["apart_deg"]),
+            (row["error_deg"], row["simulated_deg"], row["difference_deg"]),
         )
     assert found["quantity"] == "total"
-    assert rows["uncalibrated"]["mean_deg"] > 5.0 * rows["constants"]["mean_deg"]
-    assert rows["uncalibrated"]["simulated_deg"] == pytest.approx(rows["uncalibrated"]["actual_deg"], rel=0.15)
+    assert np.mean(rows["uncalibrated"]["error_deg"]) > 5.0 * np.mean(rows["constants"]["error_deg"])
+    assert np.mean(rows["uncalibrated"]["simulated_deg"]) == pytest.approx(
+        np.mean(rows["uncalibrated"]["error_deg"]), rel=0.15
+    )
 
 
 def test_the_figure_shows_every_level_that_can_be_made():
-    row = {"simulated_deg": np.array([0.2, 0.3]), "apart_deg": np.array([0.1, 0.1]), "decision": None}
-    nothing = {name: np.full(2, np.nan) for name in ("actual_deg", "simulated_deg", "apart_deg")} | {"decision": None}
-    rows = (
-        ComparedRow(
-            level="constants",
-            actual_deg=np.array([1.0, 2.0]),
-            missing="",
-            mean_deg=1.5,
-            interval_deg=(-4.9, 7.9),
-            **row,
+    def errors(level, values):
+        values = np.array(values)
+        return LevelErrors(
+            level=level, method="strapdown", error_deg=values, end_deg=values, measure_deg=np.full((2, 2), np.nan),
+            simulated_deg=0.2 * values, difference_deg=0.1 * values, findings=(), missing="",
+        )  # fmt: skip
+
+    def summary(level, people, mean, interval):
+        return LevelSummary(
+            group="all", level=level, method="strapdown", trials=people, people=people, mean_deg=mean, interval_deg=interval,
+            median_deg=mean, previous="", decision=None, agreement=None, icc=None,
+        )  # fmt: skip
+
+    nan = float("nan")
+    table = LevelTable(
+        trials=(), quantity="total", measure="mean inclination", margin_deg=0.15,
+        errors=(errors("constants", [1.0, 2.0]), errors("all tables", [nan, nan]), errors("rest", [0.1, nan])),
+        summaries=(
+            summary("constants", 2, 1.5, (-4.9, 7.9)),
+            summary("all tables", 0, nan, (nan, nan)),
+            summary("rest", 1, 0.1, (nan, nan)),
         ),
-        ComparedRow(level="all tables", missing="none", mean_deg=np.nan, interval_deg=(np.nan, np.nan), **nothing),
-        ComparedRow(
-            level="rest offset",
-            actual_deg=np.array([0.1, np.nan]),
-            missing="one",
-            mean_deg=0.1,
-            interval_deg=(np.nan, np.nan),
-            **row,
-        ),
-    )
-    made = LevelComparison(quantity="total", margin_deg=0.15, recordings=("a", "b"), tasks=(), people=(), rows=rows)
-    (panel,) = draw_compared(SimpleNamespace(compared=made)).axes
-    assert [label.get_text() for label in panel.get_yticklabels()] == ["constants", "rest offset"]
+    )  # fmt: skip
+    (panel,) = draw_level_errors(table).axes
+    assert [label.get_text() for label in panel.get_yticklabels()] == ["constants", "rest"]
     assert panel.get_xscale() == "log"
     assert panel.get_xlim()[0] > 0.0

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.base.summary import without_signed_zeros
 from undrift.commands.validate import (
     COLUMNS,
     Validated,
@@ -23,7 +22,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
 from undrift.sync import LagSettings
-from undrift.validation.agreement import summed, validate_trials
+from undrift.validation.agreement import validate_trials
 from undrift.validation.expected import Expected
 from undrift.validation.trial import TrialSettings
 
@@ -98,28 +97,6 @@ def test_sections_are_errors_what_was_done_and_one_for_each_trial(result):
         "b",
         "c",
     ]
-
-
-def test_agreement_is_a_section_from_ten_trials_on(result):
-    few = validated_again(result, 9)
-    assert few.agreement is None
-    many = validated_again(result, 10)
-    names = tuple(trial.recording for trial in many.trials)
-    shown = replace(METHOD, result=many, recordings=names, references=names).summary().sections
-    sections = [one for one in shown if one.on != "terminal"]
-    assert [section.title for section in sections[:4]] == [
-        "Errors",
-        "Further errors",
-        "Agreement over trials",
-        "Method",
-    ]
-    assert without_signed_zeros(f"bias {many.agreement.limits.bias:+.2f} deg") in sections[2].text[0]
-    assert "an ICC depends on how much the trials differ" in sections[2].text[0]
-
-
-def validated_again(result, count):
-    trials = (result.trials * 4)[:count]
-    return summed(tuple(replace(trial, recording=f"{place}") for place, trial in enumerate(trials)))
 
 
 def test_each_recording_is_shown_with_its_reference_its_lag_and_the_share_of_its_whole_file(result):

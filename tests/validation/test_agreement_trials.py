@@ -22,10 +22,6 @@ def pairs():
     return [make_recording(np.random.default_rng(seed), DEVICE, turn_s=40.0, optics_noise=5e-4) for seed in (1, 2, 3)]
 
 
-def test_agreement_needs_three_trials(pairs):
-    assert validate_trials(pairs[:2]).agreement is None
-
-
 def test_each_recording_may_bring_its_calibration(pairs):
     calibrations = [nominal_calibration(record, None) for record, _ in pairs]
     same = validate_trials(pairs, calibrations=calibrations, settings=TrialSettings(adc="none"))

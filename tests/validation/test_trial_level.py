@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.test_people import FULL, worn
 from testkit.data import show
 from undrift.frames import quaternion_of, quaternion_product, rotation_vector
 from undrift.validation.trial import TrialSettings, validate_trial
+from validation.test_levels import FULL, worn
 
 PLAIN = replace(FULL, drift=None)
 

@@ -1,17 +1,18 @@
 """``undrift validate``: what a calibration is worth in degrees, against an orientation reference.
 
-The summary has a table of errors, how far they exceed what follows from the calibration's covariance, agreement over
-trials, what was done, and the course of each trial; on request each level of correction, and what the device's twin predicts.
+The summary has a table of errors, how far they exceed what follows from the calibration's covariance, what was done, and the course
+of each trial; on request each level of correction, with the errors of a simulated device next to them.
 """
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Side, options, verb
-from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, interval, number, rows_section
+from undrift.base.summary import Origin, Result, Section, Summary, at, figure_of, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.batch import is_plain_folder, of_folder
 from undrift.commands.calibration_file import choose_calibration
@@ -29,8 +30,8 @@ from undrift.commands.files import (
     save_json,
     worn_by,
 )
-from undrift.commands.people import of_people
-from undrift.errors import InputError
+from undrift.commands.levels import levels_json, levels_sections, of_trials
+from undrift.errors import InputError, UndriftError
 from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
     from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
     from undrift.record import Record, Reference, Session
-    from undrift.study.compare import LevelComparison
     from undrift.validation.agreement import Coverage, Validation
+    from undrift.validation.levels import LevelTable
     from undrift.validation.trial import Figures, Trial, TrialSettings
 
 SHOWN = {
@@ -53,7 +54,6 @@ SHOWN = {
 }
 # shares of the time when all is read, when the fit to all recordings is made, and when they are judged before levels are compared
 READ, ALL_FITTED, JUDGED = 0.3, 0.45, 0.55
-NOTE_APART_DEG = 0.15  # largest difference of simulated and actual device in the note's Figure 3
 SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one digit shows
 _ALIGNED = {
     "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
@@ -105,7 +105,7 @@ class Validated(Result):
     settings: "TrialSettings"  # Offset, ADC, axes of the pitch, search of the lag
     output: Path | None = None
     notes: tuple[str, ...] = ()  # which calibration was taken from a folder
-    compared: "LevelComparison | None" = None  # Levels of correction, where asked for
+    levels: "LevelTable | None" = None  # levels of correction, if asked for
 
     @property
     def name(self) -> str:
@@ -134,7 +134,7 @@ class Validated(Result):
         fitted = self.calibration is not None and not self.source
         named = {"calibration": "reference" if fitted else self.source or None, "offset": self.settings.offset}
         asked = {"adc": self.settings.adc, "leave_one_out": self.leave_one_out}
-        beside: dict[str, Any] = {"compared": asdict(self.compared)} if self.compared else {}
+        beside: dict[str, Any] = {"levels": levels_json(self.levels)} if self.levels else {}
         about = {"verdict": self.judged and verdict_json(self.judged)}
         return _validation_json(self.result) | named | asked | self.gravity | beside | about
 
@@ -153,13 +153,12 @@ class Validated(Result):
             title=f"Against the reference: {len(result.trials)} recording{'s' * many}",
             answer=_answer(result, self),
             data=self.data,
-            pictures=(figure_of("figures:draw_compared", self), first) if self.compared else (first,),
+            pictures=(figure_of("figures:draw_level_errors", self.levels), first) if self.levels else (first,),
             sections=(
-                *_compared(self.compared),
+                *(levels_sections(self.levels) if self.levels else ()),
                 errors_section(self),
                 *trials_sections(result.trials, means if many else ()),
                 *_expected(result),
-                *_agreement(result),
                 _remarks(self),
                 method_section(self),
                 recordings_section(self, result.trials),
@@ -176,37 +175,59 @@ class Validated(Result):
 
 @options
 @dataclass(frozen=True, kw_only=True)
-class Comparing:
-    """Levels of correction, and the device's twin.
+class Levels:
+    """Levels of correction.
 
     Parameters
     ----------
     compare : bool
-        Also judge the recordings at each level of correction: uncalibrated, constants, static tables, all tables, and the offset of
-        the rest and of the motion subtracted; and the readings that the twin of the device predicts for the same motion.
-    study : bool
-        The folder holds trials.csv, a row a recording with its person, task, device and reference: each pipeline from readings as
-        they come to calibrated with tables, by gyroscopes alone and by VQF, over people, by task and by device.
+        Also judge the recordings at each level of correction: uncalibrated, constants, static table, all tables, the offset of the
+        rest and of the motion subtracted; with a simulated device of the same calibration in the same motion.
+    trials : Path or None
+        Table in the folder, a row per recording with person, task, device and reference: each level of correction by gyroscopes and
+        by VQF, over people, by task and by device.
     """
 
     compare: Flag = False
-    study: Flag = False
+    trials: Path | None = None
 
     def check(self) -> None:
-        """Refuse a comparison together with a study."""
-        if self.study and self.compare:
-            raise InputError("validate: `study` judges every pipeline; leave `compare` out")
+        """Refuse both options together."""
+        if self.trials and self.compare:
+            raise InputError("validate: `trials` judges every level of correction. Omit `compare`.")
 
-    def of(
+    def judge(
         self, done: Validated, pairs: list[tuple["Record", "Reference"]], paths: Sequence[Path], progress: Progress
-    ) -> "LevelComparison":
-        """Compare the levels of what was validated; of leave-one-out each recording by the fit to the others."""
-        from undrift.study.compare import compare_levels
+    ) -> "LevelTable":
+        """Judge what was validated at each level; in leave-one-out each recording by the fit to the others."""
+        import numpy as np
 
-        fitted = [replace(done.calibration, gyro=h.fit.triad.model) for h in done.result.held_out if done.calibration]
-        labels = (tuple(map(name_of, paths)), (), ())
-        how: Any = {"settings": done.settings, "margin_deg": NOTE_APART_DEG, "progress": progress}
-        return compare_levels(pairs, fitted or [done.calibration] * len(pairs), labels, **how)
+        from undrift.validation.levels import LevelTrial, judge_levels, simulate_trial_of
+
+        left_out = [replace(done.calibration, gyro=h.fit.triad.model) for h in done.result.held_out if done.calibration]
+        trials = list[LevelTrial]()
+        for k, (record, reference) in enumerate(pairs):
+            calibration, judged = left_out[k] if left_out else done.calibration, done.result.trials[k]
+            simulated = None
+            if calibration is not None and calibration.gyro is not None:
+                applied = judged.mounting is not None and judged.mounting.applied
+                mounting = judged.mounting.alignment.rotation if judged.mounting and applied else np.eye(3)
+                with suppress(UndriftError):
+                    simulated = simulate_trial_of(
+                        record, reference, calibration, mounting=mounting, rng=np.random.default_rng(k)
+                    )
+            trials.append(
+                LevelTrial(
+                    recording=name_of(paths[k]),
+                    record=record,
+                    reference=reference,
+                    calibration=calibration,
+                    mounting=done.settings.mounting,
+                    cluster=done.settings.align == "level",
+                    simulated=simulated,
+                )
+            )
+        return judge_levels(trials, settings=done.settings, progress=progress)
 
 
 def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[str, Any]:
@@ -222,7 +243,7 @@ def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[s
 
 
 @verb
-@of_people
+@of_trials
 @of_folder("", _with_reference, alone=("calibrate_from",))
 def validate(
     *records: Files,
@@ -238,12 +259,12 @@ def validate(
     up: Side | None = None,
     applying: TableUse = TableUse(),
     max_lag_s: float = 5.0,
-    comparing: Comparing = Comparing(),
+    levels: Levels = Levels(),
     output: OptionalOutput = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Validated:
-    """Compare recordings with an optical reference: lag, errors in degrees, agreement over trials.
+    """Compare recordings with an optical reference: lag, errors in degrees, levels of correction.
 
     Parameters
     ----------
@@ -278,8 +299,8 @@ def validate(
         How the tables of the calibration are applied.
     max_lag_s : float
         Largest lag between the clocks of recording and reference, either way, s.
-    comparing : Comparing
-        Levels of correction, and the device's twin.
+    levels : Levels
+        Levels of correction.
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
     opening : Opening
@@ -292,7 +313,7 @@ def validate(
     from undrift.validation.trial import TrialSettings
 
     _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
-    comparing.check()
+    levels.check()
     check_folder(output)
     chosen = choose_calibration(calibration, records, opening)
     model, calibration = chosen.model, chosen.path
@@ -306,12 +327,12 @@ def validate(
         pairs = optics.pairs(records, opening.like(model, calibration), command="validate", session=session)
     fit = ReferenceSettings(mounting=mounting or (session and session.mounting) or "each") if calibrate_from else None
     progress("aligning and integrating" if fit is None else "fitting to all recordings", READ)
-    steps = part_of(progress, READ if fit is None else ALL_FITTED, JUDGED if comparing.compare else 1.0)
+    steps = part_of(progress, READ if fit is None else ALL_FITTED, JUDGED if levels.compare else 1.0)
     named = (records, optics.reference)
     validated = _judged(pairs, named, (calibration, model), settings, (leave_one_out, steps), fit, (place, session))
     validated = replace(validated, notes=chosen.notes)
-    if comparing.compare:
-        validated = replace(validated, compared=comparing.of(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
+    if levels.compare:
+        validated = replace(validated, levels=levels.judge(validated, pairs, records, part_of(progress, JUDGED, 1.0)))
     if output is None:
         return validated
     return _write(validated, output, origin_of(*records, *optics.reference, calibration))
@@ -349,14 +370,6 @@ def _write(validated: Validated, folder: Path, origin: Origin) -> Validated:
 def _validation_json(result: "Validation") -> dict[str, object]:
     from undrift.io.store import findings_json
 
-    agreement: dict[str, object] | None = None
-    if result.agreement is not None:
-        limits, absolute = result.agreement.limits, result.agreement.absolute
-        agreement = {"quantity": "mean inclination of a trial", "bias_deg": limits.bias}
-        agreement |= {"bias_interval_deg": limits.bias_interval, "limits_deg": limits.limits, "icc": absolute.value}
-        agreement |= {"icc_interval": absolute.interval, "icc_kind": absolute.kind}
-        agreement["sem_deg"] = absolute.standard_error_of_measurement
-        agreement["mdc95_deg"] = absolute.minimal_detectable_change
     trials = [
         {"recording": t.recording}
         | asdict(t.figures)
@@ -368,7 +381,6 @@ def _validation_json(result: "Validation") -> dict[str, object]:
         "trials": trials,
         "mean": asdict(result.mean),
         "median": asdict(result.median),
-        "agreement": agreement,
         "expected_inside": None if result.coverage is None else asdict(result.coverage),
     }
 
@@ -429,48 +441,6 @@ def _judged(
 
 
 # ---- sections
-
-
-def _compared(compared: "LevelComparison | None") -> tuple[Section, ...]:
-    """Return the levels of correction: their errors, the twins' beside them, and those of each trial and task."""
-    if compared is None:
-        return ()
-    import numpy as np
-
-    who, shown, rows = "people" if compared.people else "trials", False, list[tuple[str, ...]]()
-    twins, columns, tasks = list[tuple[str, ...]](), [row.actual_deg for row in compared.rows], np.array(compared.tasks)
-    for row in compared.rows:
-        judged, both = row.decision, np.isfinite(row.apart_deg)
-        less = (number(judged.difference), interval(judged.interval, ".2f")) if judged else ("–", "–")
-        verdict = judged.verdict if judged else "not decidable" if shown and np.isfinite(row.mean_deg) else "–"
-        spread = interval(row.interval_deg, ".2f") if np.isfinite(row.interval_deg).all() else "–"
-        rows.append((row.level, number(row.mean_deg), spread, *less, verdict))
-        seen = [
-            x[both] if both.any() else np.array([np.nan]) for x in (row.actual_deg, row.simulated_deg, row.apart_deg)
-        ]
-        within = f"{(seen[-1] <= NOTE_APART_DEG).sum()} of {both.sum()}"
-        twins.append((row.level, *(number(x.mean()) for x in seen), number(seen[-1].max()), within))
-        shown |= bool(np.isfinite(row.mean_deg))
-    each = [(name, *map(number, errors)) for name, errors in zip(compared.recordings, np.array(columns).T, strict=True)]
-    kinds = dict.fromkeys(compared.tasks)
-    each += [(f"mean of {kind}", *(number(x[tasks == kind].mean()) for x in columns)) for kind in kinds]
-    text = (
-        f"{compared.quantity} error, root mean square over the motion, mean over {who}; less: than in the row before, paired",
-        f"better, equivalent or worse by a margin of {compared.margin_deg:g} deg, at 5 % over all rows, from three {who} on",
-        *(f"{row.level}: {row.missing}" for row in compared.rows if row.missing),
-    )
-    of_twins = (
-        "simulated: the device by its calibration in the motion that the reference saw, corrected alike; difference: largest "
-        f"between the two errors in a trial, mean and most; the note states {NOTE_APART_DEG:g} deg over 4 s",
-    )
-    heads = ("level", "error (deg)", "95 %", "less (deg)", "95 %", "verdict")
-    beside = ("level", "actual (deg)", "simulated", "difference", "most", f"within {NOTE_APART_DEG:g} deg")
-    names = ("recording", *(row.level for row in compared.rows))
-    return (
-        Section(title="Levels of correction", columns=heads, rows=tuple(rows), text=text),
-        Section(title="Simulated against actual", columns=beside, rows=tuple(twins), text=of_twins),
-        Section(title="Error of each trial in deg, by level", columns=names, rows=tuple(each)),
-    )
 
 
 def _answer(result: "Validation", method: Validated) -> str:
@@ -578,20 +548,6 @@ def _expected(result: "Validation") -> tuple[Section, ...]:
     )
     title = "observed and expected errors in deg (at most: 95 %)"
     return (Section(title=title, columns=heads, rows=tuple(rows), text=text),)
-
-
-def _agreement(result: "Validation") -> tuple[Section, ...]:
-    if result.agreement is None:
-        return ()
-    limits, absolute = result.agreement.limits, result.agreement.absolute
-    text = (
-        f"agreement on mean inclination over {limits.count} trials: bias {limits.bias:+.2f} deg, 95 % limits "
-        f"{limits.limits[0]:+.2f} to {limits.limits[1]:+.2f} deg; {absolute.kind} {absolute.value:.3f} "
-        f"[{absolute.interval[0]:.3f}, {absolute.interval[1]:.3f}]; standard error of measurement "
-        f"{absolute.standard_error_of_measurement:.2f} deg; an ICC depends on how much the trials differ"
-    )
-    drawing = figure_of("figures:draw_trials_agreement", result, limits)
-    return (Section(title="Agreement over trials", text=(text,), pictures=(drawing,)),)
 
 
 def method_section(method: Validated) -> Section:

@@ -31,14 +31,13 @@ if TYPE_CHECKING:
 
     from undrift.calibration.noise import NoiseFit
     from undrift.calibration.pieces import Piece
-    from undrift.commands.people import StudyOfPeople
-    from undrift.commands.validate import Validated
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
     from undrift.study.outcome import StudyOutcome, TaskOutcome
     from undrift.study.plan import Timing
     from undrift.twin.heldout import HeldOutTrial
-    from undrift.validation.agreement import BlandAltman, Validation
+    from undrift.validation.agreement import Validation
+    from undrift.validation.levels import LevelSummary, LevelTable
     from undrift.validation.trial import Trial
 
 # ---- envelope: few enough points to draw, with the least and largest value of every column
@@ -719,54 +718,49 @@ def draw_validation(result: "Validation") -> "Figure":
     return draw_bars(names, values, title="Errors against the reference", label="rms over the motion (deg)")
 
 
-def draw_trials_agreement(result: "Validation", limits: "BlandAltman") -> "Figure":
-    """Draw the agreement of device and reference on the mean inclination of each trial."""
-    pairs = np.array([trial.mean_inclination for trial in result.trials]) / RADIAN_PER_DEGREE
-    return draw_agreement(pairs.mean(axis=1), pairs[:, 0] - pairs[:, 1], limits.bias, limits.limits, unit="trial")
+def draw_people_agreement(table: "LevelTable", summary: "LevelSummary") -> "Figure":
+    """Draw the agreement of device and reference at one level of correction, one point per person."""
+    errors = next(row for row in table.errors if (row.level, row.method) == (summary.level, summary.method))
+    people = [trial.person for trial in table.trials]
+    judged = np.asarray(np.isfinite(errors.measure_deg).all(axis=1))
+    names = dict.fromkeys(person for person, valid in zip(people, judged.tolist(), strict=True) if valid)
+    means = np.array([errors.measure_deg[judged & (np.array(people) == name)].mean(axis=0) for name in names])
+    limits = summary.agreement
+    if limits is None:
+        raise InputError("agreement: expected ten people or more, got fewer. Add people.")
+    return draw_agreement(means.mean(axis=1), means[:, 0] - means[:, 1], limits.bias, limits.limits, unit="person")
 
 
-def draw_compared(validated: "Validated") -> "Figure":
-    """Draw the errors at each level of correction, simulated and actual: every trial, and the mean of the actual ones, 95 %."""
-    quantity, made = (validated.compared.quantity, validated.compared.rows) if validated.compared else ("", ())
-    rows = [row for row in made if np.isfinite(row.mean_deg)]
-    figure, (panel,) = new_figure(1, height=0.7 + 0.45 * len(rows))
-    entitle(figure, f"Levels of correction: {quantity} error, rms over the motion")
-    for name, at, colour, marker in (("actual", -0.18, DEVICE, "o"), ("simulated", 0.18, LIMIT, "d")):
-        values = np.array([getattr(row, f"{name}_deg") for row in rows])
-        places = np.repeat(np.arange(len(rows)) + at, values.shape[1])
-        panel.plot(values.ravel(), places, marker, color=colour, markersize=4.0, label=name)
-    mean = np.array([row.mean_deg for row in rows])
-    ends = np.nan_to_num(np.abs(np.array([row.interval_deg for row in rows]).T - mean))
-    ends[0] = np.minimum(ends[0], 0.9 * mean)  # an axis of logarithms has no zero
-    style: Any = {"fmt": "|", "color": OPTICS, "capsize": 2.0, "label": "mean of actual, 95 %"}
-    panel.errorbar(mean, np.arange(len(rows)), xerr=ends, **style)
-    panel.set_yticks(range(len(rows)), [row.level for row in rows])
-    panel.set(xlabel="error (deg)", xscale="log", ylim=(len(rows) - 0.5, -0.5))
-    legend_above(panel)
-    return figure
-
-
-def draw_people(found: "StudyOfPeople") -> "Figure":
-    """Draw the error of each trial by each pipeline, by gyroscopes alone and by the filter, and the mean over people, 95 %."""
-    study = found.study
-    names = list(dict.fromkeys(group.pipeline for group in study.groups if group.trials))
-    figure, (panel,) = new_figure(1, height=0.8 + 0.5 * len(names))
-    entitle(figure, f"Each pipeline: {study.quantity} error, rms over the motion")
-    for method, name, shift, colour in (("strapdown", "gyroscopes", -0.18, DEVICE), ("vqf", "VQF", 0.18, LIMIT)):
-        every = [one for one in study.errors if one.method == method and one.pipeline in names]
-        values = np.array([getattr(one, f"{study.quantity}_deg") for one in every])
-        at = np.arange(len(names)) + shift
-        panel.plot(
-            values.ravel(), np.repeat(at, values.shape[1]), "o", color=colour, markersize=3.0, alpha=0.5, label=name
-        )
-        groups = [g for g in study.groups if g.of == "all" and g.method == method and g.pipeline in names]
-        mean, ends = np.array([g.mean_deg for g in groups]), np.array([g.interval_deg for g in groups]).T
-        reach = np.nan_to_num(np.abs(ends - mean))
-        reach[0] = np.minimum(reach[0], 0.9 * mean)  # an axis of logarithms has no zero
-        style: Any = {"fmt": "|", "color": OPTICS, "capsize": 2.0, "markersize": 9.0}
-        panel.errorbar(mean, at, xerr=reach, label="mean over people, 95 %" if method == "vqf" else None, **style)
-    panel.set_yticks(range(len(names)), [textwrap.fill(name, 24) for name in names])
-    panel.set(xlabel="error (deg)", xscale="log", ylim=(len(names) - 0.5, -0.5))
+def draw_level_errors(table: "LevelTable") -> "Figure":
+    """Draw the errors at each level of correction: every trial by each method, simulated devices, and means over people, 95 %."""
+    summaries = [row for row in table.summaries if row.group == "all" and row.people]
+    levels = list(dict.fromkeys(row.level for row in summaries))
+    methods = list(dict.fromkeys(row.method for row in summaries))
+    figure, (panel,) = new_figure(1, height=0.7 + 0.45 * len(levels))
+    entitle(figure, f"Levels of correction: {table.quantity} error, rms over the motion")
+    series = [(name, "error_deg", -0.18 + 0.36 * k, (DEVICE, ERROR)[k], "o") for k, name in enumerate(methods)]
+    if any(np.isfinite(row.simulated_deg).any() for row in table.errors):
+        series.append((methods[0], "simulated_deg", 0.18, LIMIT, "d"))
+    for method, column, shift, colour, marker in series:
+        rows = [row for row in table.errors if row.method == method and row.level in levels]
+        values = np.array([getattr(row, column) for row in rows])
+        places = np.repeat([levels.index(row.level) + shift for row in rows], values.shape[1])
+        label = "simulated" if column == "simulated_deg" else {"strapdown": "gyroscopes", "vqf": "VQF"}[method]
+        panel.plot(values.ravel(), places, marker, color=colour, markersize=3.5, alpha=0.6, label=label)
+    for number, row in enumerate(summaries):
+        place = levels.index(row.level) - 0.18 + 0.36 * methods.index(row.method)
+        below, above = (row.mean_deg - row.interval_deg[0], row.interval_deg[1] - row.mean_deg)
+        # an axis of logarithms has no zero
+        reach = np.nan_to_num([[min(below, 0.9 * row.mean_deg)], [above]])
+        style: Any = {
+            "fmt": "|",
+            "color": OPTICS,
+            "capsize": 2.0,
+            "label": None if number else "mean over people, 95 %",
+        }
+        panel.errorbar([row.mean_deg], [place], xerr=reach, **style)
+    panel.set_yticks(range(len(levels)), levels)
+    panel.set(xlabel="error (deg)", xscale="log", ylim=(len(levels) - 0.5, -0.5))
     legend_above(panel)
     return figure
 

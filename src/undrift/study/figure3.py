@@ -6,10 +6,9 @@ Each of the two is calibrated and judged by the product's own functions::
     thermal session, soaks up and down -> fit_drift    tables
     trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag removed (validate_trial)
 
-Three levels of correction: none (constant offset), static (offset over temperature), full (static and dynamic). Beside them the
-rival that needs no chamber, the offset re-zeroed at a rest before the motion ("rest"), and both together ("full and rest"), as is
-recommended: the rest takes the offset of the day, the tables what a rest cannot know. Errors are those
-of the acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
+The levels of correction are those of ``validation.levels``, without the first and the last: constants, static table, all tables,
+the offset of the rest before the motion, which needs no chamber, and both together, as is recommended. Errors are those of the
+acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
 while it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is that of the
 two errors over the acquisition.
 
@@ -30,10 +29,9 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.correction.correct import correct_whole
 from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
-from undrift.model import Calibration, DriftTables
+from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.sim.device.effects import Sampling
 from undrift.sim.device.model import DeviceModel
@@ -49,9 +47,10 @@ from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_
 from undrift.study.case import WORN_S
 from undrift.study.plan import SAMPLE_RATE_HZ
 from undrift.study.run import Executor, InProcess
-from undrift.study.statistics import mean_interval
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
+from undrift.validation.agreement import mean_interval
+from undrift.validation.levels import LEVEL_NAMES, LEVELS, NOTE_DIFFERENCE_DEG, judge_level
+from undrift.validation.trial import TRIAL_SETTINGS, Trial
 
 # ---- the simulated and the actual device
 
@@ -88,8 +87,8 @@ def on_the_clock(device: DeviceModel) -> DeviceModel:
 
 # ---- the figure
 
-LEVELS = ("none", "static", "full")
-COMPARED = (*LEVELS, "rest", "full and rest")
+COMPARED = LEVEL_NAMES[1:6]
+FULL = COMPARED.index("all tables")
 ACQUISITION_S = 4.0
 SETTLED_S = 3600.0  # on for an hour before the bench, and before it is put on
 WARMING_S = 600.0
@@ -148,31 +147,24 @@ def _judged(
     back: bool = False,
 ) -> tuple[Trial, ...]:
     """Calibrate a device, wear it in a task that optics saw, and judge it for each of ``COMPARED``."""
-    levels = calibrated(device, rng=sessions, back=back)
+    full = calibrated(device, rng=sessions, back=back)
     record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial)
-    return judge_compared(levels, record, worn[1])
+    return judge_compared(full, record, worn[1])
 
 
-def judge_compared(
-    levels: tuple[Calibration, Calibration, Calibration],
-    record: Record,
-    reference: Reference,
-    names: tuple[str, ...] = COMPARED,
-) -> tuple[Trial, ...]:
-    """Compare a worn trial with the optics for each of ``COMPARED``; levels: without tables, with the static one, with all."""
-    none, _, full = levels
-    trials = [
-        validate_trial(record, reference, calibration=level, name=name)
-        for level, name in zip(levels, names[:3], strict=True)
-    ]
-    for level, name in zip((none, full), names[3:], strict=True):
-        zeroed = correct_whole(record, level, offset="rest").record
-        trials.append(validate_trial(zeroed, reference, name=name))
+def judge_compared(full: Calibration, record: Record, reference: Reference) -> tuple[Trial, ...]:
+    """Compare a worn trial with the optics for each of ``COMPARED``."""
+    trials = list[Trial]()
+    for level in LEVELS[1:6]:
+        trial = judge_level(level, record, reference, full, TRIAL_SETTINGS)
+        if isinstance(trial, str):
+            raise InputError(f"Figure 3, {level.name}: {trial}")
+        trials.append(trial)
     return tuple(trials)
 
 
 def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k: float) -> Figure3:
-    model, full = (trials[LEVELS.index("full")] for trials in (simulated, actual))
+    model, full = simulated[FULL], actual[FULL]
     start_s = max(trial.motion.start_s - trial.lag.seconds - TRIAL_SETTINGS.lead_s for trial in (model, full))
     inside = (model.time >= start_s) & (model.time < start_s + ACQUISITION_S)
     errors = {
@@ -221,9 +213,6 @@ class DrawnRow:
     largest_deg: tuple[float, ...] = ()  # Of each unit, actual device, in their order
 
 
-NOTE_APART_DEG = 0.15  # largest difference of simulated and actual device in the note
-
-
 def drawn_cohort(
     kind: str = "enc03j_3031",
     *,
@@ -262,7 +251,7 @@ def _drawn_row(
         upper_deg=of_actual[2],
         simulated_deg=of_errors,
         apart_deg=of_apart,
-        within=int((apart <= NOTE_APART_DEG).sum()),
+        within=int((apart <= NOTE_DIFFERENCE_DEG).sum()),
         correlation=float(np.tanh(middle)),
         correlation_interval=(float(np.tanh(low)), float(np.tanh(high))),
         largest_correlation=largest,
@@ -291,21 +280,13 @@ def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> Float
 # ---- what calibrates and wears a device
 
 
-def calibrated(
-    device: DeviceModel, *, rng: np.random.Generator, back: bool = True
-) -> tuple[Calibration, Calibration, Calibration]:
+def calibrated(device: DeviceModel, *, rng: np.random.Generator, back: bool = True) -> Calibration:
     """Calibrate a device on the simulated bench and in the simulated chamber."""
     bench: Any = {"settings": BENCH, "temp_c": ROOM_TEMP_C, "power_on_s": SETTLED_S}
     none = calibrate(simulate_session("bench", device, rng=rng, **bench))
     settings = replace(THERMAL, back=back, set_points_c=SET_POINTS_C)
     thermal = simulate_thermal_session("soak", device, rng=rng, settings=settings)
-    return levels_of(none, fit_drift((thermal,), none).calibration)
-
-
-def levels_of(constant: Calibration, full: Calibration) -> tuple[Calibration, Calibration, Calibration]:
-    """Return a calibration without tables, with the static one alone, and with all."""
-    static = replace(full.drift or DriftTables(), scale=None, dynamic=None)
-    return constant, replace(full, drift=static), full
+    return fit_drift((thermal,), none).calibration
 
 
 def worn_record(

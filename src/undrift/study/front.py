@@ -7,7 +7,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.study.plan import Aim
 from undrift.study.run import TaskSurface
-from undrift.study.statistics import mean_interval
+from undrift.validation.agreement import mean_interval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -42,11 +42,11 @@ from undrift.study.statistics import (
     compare_pairs,
     decide,
     decide_between,
-    mean_interval,
     mean_limits,
     three_sided,
 )
 from undrift.units import RADIAN_PER_DEGREE
+from undrift.validation.agreement import mean_interval
 
 # ---- effect of each parameter, the others at the optimum
 

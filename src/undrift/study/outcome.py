@@ -31,8 +31,9 @@ from undrift.study.figure3 import DrawnRow, Figure3, drawn_cohort, figure3
 from undrift.study.plan import AIM, DEVICE, MARGIN_DEG, TABLE_1, Aim, Study, StudyTask, column_of
 from undrift.study.rivals import TASKS, RivalPlan, RivalRow, Rivals, TriadRow, compare_rivals
 from undrift.study.space import Setting, Untried
-from undrift.study.statistics import compare_pairs, mean_interval
+from undrift.study.statistics import compare_pairs
 from undrift.units import RADIAN_PER_DEGREE
+from undrift.validation.agreement import mean_interval
 
 # ---- what the error of an optimum is made of
 

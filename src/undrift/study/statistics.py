@@ -145,17 +145,6 @@ def adjust_holm(p: ArrayLike) -> FloatArray:
     return adjusted
 
 
-def mean_interval(values: FloatArray) -> tuple[float, tuple[float, float]]:
-    """Return a mean and its 95 % interval, NaN where there are too few values."""
-    from scipy.stats import t as t_distribution
-
-    nan, mean = float("nan"), float(values.mean()) if len(values) else float("nan")
-    if len(values) < 2:
-        return mean, (nan, nan)
-    reach = float(t_distribution.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return mean, (mean - reach, mean + reach)
-
-
 def mean_limits(values: FloatArray, confidence: float) -> tuple[float, float]:
     """Return the lower and the upper limit of a mean, each alone at a confidence: mean +- t s / sqrt(n); NaN of too few."""
     from scipy.stats import t as t_distribution

@@ -35,7 +35,7 @@ from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.table_sessions import ROOM_TEMP_C
-from undrift.study.figure3 import OPTICS, judge_compared, levels_of, worn_record
+from undrift.study.figure3 import OPTICS, judge_compared, worn_record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial
 
@@ -135,13 +135,6 @@ def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell
 
 # ---- fits and the worn trial
 
-LEVELS = (
-    "constant calibration",
-    "static table",
-    "all tables",
-    "offset re-zeroed at a rest",
-    "all tables, re-zeroed at a rest",
-)
 EXCURSION_K = 12.5  # between the note's 10 and 15
 
 
@@ -169,7 +162,7 @@ def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
 
 def judge_levels(fit: BenchFit, record: Record, reference: Reference) -> tuple[Trial, ...]:
     """Compare the trial with the optics at each level of correction, and re-zeroed at the rest before it."""
-    return judge_compared(levels_of(fit.constant, fit.drift.calibration), record, reference, LEVELS)
+    return judge_compared(fit.drift.calibration, record, reference)
 
 
 # ---- comparison with the hidden truth

@@ -1,7 +1,8 @@
 """Validation: what a calibration is worth in degrees, on real motion, against an orientation reference.
 
     trial              one recording against its reference: lag, mounting, strapdown from rest, errors
-    agreement          several recordings: means, agreement of methods, leave-one-out
+    levels             each level of correction over trials, people and tasks
+    agreement          several recordings: means, leave-one-out; agreement of methods, differences against a margin
     expected           the errors that a calibration's uncertainty lets one expect
     reference_frames   do device and reference mean the same quaternions, verticals and signs
     table_worth        the angle error to expect with and without tables over temperature

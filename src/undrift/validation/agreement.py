@@ -1,20 +1,23 @@
-"""Several recordings: errors of each, means and medians, agreement over trials, and leave-one-out.
+"""Several recordings: errors of each, means and medians, leave-one-out; agreement of two methods; differences against a margin.
 
-Agreement of methods or raters: a two-way layout of n subjects (here trials) and k methods, with mean squares MSR of rows, MSC
-of columns and MSE of the rest [1]_::
+Agreement of methods over n people and k methods, with mean squares MSR of rows, MSC of columns and MSE of the rest [1]_::
 
     ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn from many
-    ICC(3,1) = (MSR - MSE) / (MSR + (k-1) MSE)                          consistency, these methods only
     SEM      = sqrt(max(MSC - MSE, 0) / n + MSE)                        standard error of one measurement
     MDC95    = 1.96 sqrt(2) SEM                                         least change between two that is real
 
-Intervals from F distributions [2]_. An ICC depends on how much the subjects differ: report it with the limits, never alone.
+The interval follows from F distributions [2]_. An ICC depends on how much the people differ: report it with the limits [3]_.
+
+A difference d of two mean errors is judged against a margin M by the three-sided test [4]_: better if d <= M is rejected, worse if
+d >= -M is rejected, equivalent if d <= -M and d >= M are both rejected (two one-sided tests), otherwise not decidable. One of the
+three is true, so a wrong verdict has at most the level of the test; over m differences each is tested at level / m.
 
 References
 ----------
 .. [1] P. E. Shrout, J. L. Fleiss, "Intraclass correlations: uses in assessing rater reliability", 1979.
 .. [2] K. O. McGraw, S. P. Wong, "Forming inferences about some intraclass correlation coefficients", 1996.
 .. [3] J. M. Bland, D. G. Altman, "Measuring agreement in method comparison studies", 1999.
+.. [4] J. J. Goeman, A. Solari, T. Stijnen, "Three-sided hypothesis testing", 2010.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,13 +61,11 @@ class BlandAltman:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IntraclassCorrelation:
-    """An intraclass correlation and what goes with it."""
+    """ICC(2,1) of single measurements, with its 95 % interval."""
 
-    kind: str  # "ICC(2,1)" or "ICC(3,1)"
     value: float  # Estimate; negative estimates are kept
     interval: Interval  # 95 % confidence interval
-    # SEM, unit of the data; for ICC(3,1) without the differences between methods
-    standard_error_of_measurement: float
+    standard_error_of_measurement: float  # SEM, unit of the data
     minimal_detectable_change: float  # MDC95, unit of the data
 
 
@@ -90,25 +91,17 @@ def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
     )
 
 
-def intraclass_correlation(
-    ratings: FloatArray, kind: Literal["ICC(2,1)", "ICC(3,1)"] = "ICC(2,1)"
-) -> IntraclassCorrelation:
-    """Return an intraclass correlation of single measurements, ratings (n, k), with its 95 % interval."""
+def intraclass_correlation(ratings: FloatArray) -> IntraclassCorrelation:
+    """Return ICC(2,1) of ratings (n, k), with its 95 % interval."""
     table = _table(ratings)
     n, k = table.shape
     rows, columns, rest = _mean_squares(table)
-    if kind not in ("ICC(2,1)", "ICC(3,1)"):
-        raise InputError(f"intraclass correlation: wanted ICC(2,1) or ICC(3,1), got {kind}; choose one")
-    absolute = kind == "ICC(2,1)"
-    bottom = rows + (k - 1) * rest + (k * (columns - rest) / n if absolute else 0.0)
+    bottom = rows + (k - 1) * rest + k * (columns - rest) / n
     value = (rows - rest) / bottom if bottom else float("nan")
-    squares = (rows, columns, rest)
-    interval = _absolute_interval(value, n, k, squares) if absolute else _consistency_interval(n, k, rows, rest)
-    sem = float(np.sqrt((max(columns - rest, 0.0) / n if absolute else 0.0) + rest))
+    sem = float(np.sqrt(max(columns - rest, 0.0) / n + rest))
     return IntraclassCorrelation(
-        kind=kind,
         value=value,
-        interval=interval,
+        interval=_interval(value, n, k, rows=rows, columns=columns, rest=rest),
         standard_error_of_measurement=sem,
         minimal_detectable_change=Z95 * float(np.sqrt(2.0)) * sem,
     )
@@ -136,10 +129,10 @@ def _mean_squares(table: FloatArray) -> tuple[float, float, float]:
     )
 
 
-def _absolute_interval(value: float, n: int, k: int, squares: tuple[float, float, float]) -> Interval:
+def _interval(value: float, n: int, k: int, *, rows: float, columns: float, rest: float) -> Interval:
+    """Return the 95 % interval of ICC(2,1): reference 2, table 7, case 2A."""
     from scipy.special import fdtri
 
-    rows, columns, rest = squares  # reference 2, table 7, case 2A
     if not np.isfinite(value) or value >= 1.0 or rest <= 0.0:
         return (value, value)
     a = k * value / (n * (1.0 - value))
@@ -152,33 +145,82 @@ def _absolute_interval(value: float, n: int, k: int, squares: tuple[float, float
     return (low, high)
 
 
-def _consistency_interval(n: int, k: int, rows: float, rest: float) -> Interval:
-    from scipy.special import fdtri
+def mean_interval(values: FloatArray) -> tuple[float, Interval]:
+    """Return a mean and Student's 95 % interval; NaN if there are too few values."""
+    from scipy.special import stdtrit
 
-    if rest <= 0.0:
-        return (1.0, 1.0)
-    low_f = rows / rest / float(fdtri(n - 1, (n - 1) * (k - 1), 0.975))  # reference 2, table 7, case 3
-    high_f = rows / rest * float(fdtri((n - 1) * (k - 1), n - 1, 0.975))
-    return ((low_f - 1.0) / (low_f + k - 1.0), (high_f - 1.0) / (high_f + k - 1.0))
+    nan, n = float("nan"), len(values)
+    mean = float(values.mean()) if n else nan
+    if n < 2:
+        return mean, (nan, nan)
+    reach = float(stdtrit(n - 1, 0.975) * values.std(ddof=1) / np.sqrt(n))
+    return mean, (mean - reach, mean + reach)
 
 
-# ---- agreement
+# ---- a difference against a margin
 
-LEAST_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
+MIN_PEOPLE = 3  # of a verdict
+MIN_PEOPLE_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
+Verdict95 = Literal["better", "equivalent", "worse", "not decidable"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedDifference:
+    """A mean error compared with another one over the same people."""
+
+    difference: float  # other mean error minus this one, unit of the data: positive if this one is better
+    interval: Interval  # 95 %, not corrected for the number of tests
+    margin: float  # smallest difference that matters
+    p_better: float  # p values of the three hypotheses, after Bonferroni
+    p_equivalent: float
+    p_worse: float
+    verdict: Verdict95
+
+
+def three_sided(difference: float, uncertainty: float, dof: int, *, margin: float) -> tuple[float, float, float]:
+    """Return the p values of better, equivalent and worse for a difference and its standard uncertainty."""
+    from scipy.special import stdtr
+
+    if uncertainty == 0.0:
+        return float(difference <= margin), float(abs(difference) >= margin), float(difference >= -margin)
+    above, below = ((sign * difference - margin) / uncertainty for sign in (1.0, -1.0))
+    # better and worse are the two tails of one test, so each is doubled
+    better, worse = (min(2.0 * float(stdtr(dof, -t)), 1.0) for t in (above, below))
+    return better, float(max(stdtr(dof, above), stdtr(dof, below))), worse
+
+
+def decide_between(
+    errors: FloatArray, others: FloatArray, *, margin: float, level: float = 0.05, tests: int = 1
+) -> PairedDifference:
+    """Judge errors (n,) against other errors (n,) of the same people; ``tests`` differences are judged together."""
+    if len(errors) < MIN_PEOPLE or len(errors) != len(others):
+        raise InputError(
+            f"comparison: expected the errors of {MIN_PEOPLE} people or more, got {len(errors)} and {len(others)}. Add people."
+        )
+    mean, interval = mean_interval(others - errors)
+    uncertainty = float((others - errors).std(ddof=1)) / float(np.sqrt(len(errors)))
+    better, equivalent, worse = (
+        min(tests * p, 1.0) for p in three_sided(mean, uncertainty, len(errors) - 1, margin=margin)
+    )
+    by_verdict: dict[Verdict95, float] = {"better": better, "equivalent": equivalent, "worse": worse}
+    return PairedDifference(
+        difference=mean,
+        interval=interval,
+        margin=margin,
+        p_better=better,
+        p_equivalent=equivalent,
+        p_worse=worse,
+        verdict=next((name for name, p in by_verdict.items() if p <= level), "not decidable"),
+    )
+
+
+# ---- several recordings
+
 ONE_DEVICE_DPS = 0.1  # BROAD: one warm device repeats its reading at rest within 0.01-0.02 deg/s over a session
 MOUNTING_ABOVE = 1.0 * RADIAN_PER_DEGREE  # a recording in a mounting of its own is turned back from here on, rad
 REFERENCE_SETTINGS = ReferenceSettings()
 
 Pair = tuple[Record, Reference]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Agreement:
-    """Agreement of sensor and reference over trials, on the mean inclination of each trial."""
-
-    limits: BlandAltman  # Bias and limits, deg
-    absolute: IntraclassCorrelation  # ICC(2,1), SEM and MDC95 in deg
-    consistency: IntraclassCorrelation  # ICC(3,1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +242,6 @@ class Validation(Shown):
     trials: tuple[Trial, ...]  # One for each recording, in order
     mean: Figures  # Over the trials, gaps left out
     median: Figures
-    agreement: Agreement | None  # None with fewer than ten trials
     held_out: tuple[HeldOut, ...] = ()  # The fit that corrected each recording, in leave-one-out
 
     @property
@@ -246,7 +287,7 @@ def validate_trials(
     Returns
     -------
     Validation
-        Trials, mean, median, agreement.
+        Trials, mean and median.
 
     Raises
     ------
@@ -310,7 +351,7 @@ def validate_leave_one_out(
     Returns
     -------
     Validation
-        Trials, mean, median, agreement, and the fits.
+        Trials, mean, median, and the fits.
 
     Raises
     ------
@@ -392,16 +433,4 @@ def summed(trials: tuple[Trial, ...]) -> Validation:
         Figures(**{name: of_known(summary, column) for name, column in table.items()})
         for summary in (np.mean, np.median)
     )
-    return Validation(trials=trials, mean=mean, median=median, agreement=_agreement(trials))
-
-
-def _agreement(trials: tuple[Trial, ...]) -> Agreement | None:
-    pairs = np.array([trial.mean_inclination for trial in trials]) / RADIAN_PER_DEGREE
-    pairs = pairs[np.isfinite(pairs).all(axis=1)]
-    if len(pairs) < LEAST_FOR_AGREEMENT:
-        return None
-    return Agreement(
-        limits=bland_altman(pairs[:, 0], pairs[:, 1]),
-        absolute=intraclass_correlation(pairs, "ICC(2,1)"),
-        consistency=intraclass_correlation(pairs, "ICC(3,1)"),
-    )
+    return Validation(trials=trials, mean=mean, median=median)

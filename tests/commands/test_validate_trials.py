@@ -1,14 +1,14 @@
-"""``undrift validate --study`` on files of three people in two tasks."""
+"""``undrift validate FOLDER --trials trials.csv`` on files of three people in two tasks."""
 
 import json
 import re
 
 import pytest
 
-from study.test_people import FULL, worn
 from testkit.worn_trials import CLUSTER, write_trial
 from undrift.cli.app import run
 from undrift.io.store import write_calibration
+from validation.test_levels import FULL, worn
 
 HEADS = "recording,reference,person,task,device,reference_up,markers,calibration"
 
@@ -27,18 +27,18 @@ def folder(tmp_path_factory):
 
 
 def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
-    assert run(["validate", "--study", str(folder), "-o", str(tmp_path / "out"), "--json"]) == 0
+    assert run(["validate", str(folder), "--trials", "trials.csv", "-o", str(tmp_path / "out"), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert [trial["person"] for trial in answer["trials"]] == ["pp001", "pp001", "pp002", "pp002", "pp003", "pp003"]
-    by_name = {(group["of"], group["pipeline"], group["method"]): group for group in answer["groups"]}
-    assert by_name["all", "calibrated", "strapdown"]["mean_deg"] < 0.3
-    assert by_name["all", "calibrated", "strapdown"]["people"] == 3
-    assert {group["of"] for group in answer["groups"]} == {"all", "chairrise", "step"}
+    rows = {(row["group"], row["level"], row["method"]): row for row in answer["summaries"]}
+    assert rows["all", "rest", "strapdown"]["mean_deg"] < 0.3
+    assert rows["all", "rest", "vqf"]["people"] == 3
+    assert {row["group"] for row in answer["summaries"]} == {"all", "chairrise", "step"}
     assert "6 recordings of 3 people in 2 tasks with 1 inertial sensors" in answer["methods"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Methods, to cite" in page
-    assert "Bland and Altman" in page
-    assert json.loads((tmp_path / "out" / "study.json").read_text())["measure"] == answer["measure"]
+    assert "Agreement with the optics" not in page  # three people
+    assert json.loads((tmp_path / "out" / "levels.json").read_text())["measure"] == answer["measure"]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_table_that_does_not_fit_is_one_line_and_nothing_is_written(folder, tm
     text = table.read_text()
     table.write_text(text.replace(*changed, 1))
     try:
-        assert run(["validate", "--study", str(folder), "-o", str(tmp_path / "out")]) == 2
+        assert run(["validate", str(folder), "--trials", "trials.csv", "-o", str(tmp_path / "out")]) == 2
     finally:
         table.write_text(text)
     said = capsys.readouterr().err
@@ -67,15 +67,13 @@ def test_a_table_that_does_not_fit_is_one_line_and_nothing_is_written(folder, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_a_study_of_files_or_without_a_table_is_refused(folder, tmp_path, capsys):
+def test_trials_need_one_folder_with_the_table(folder, tmp_path, capsys):
     files = [str(path) for path in sorted(folder.glob("data/pp001/imu_*.parquet"))]
-    assert run(["validate", "--study", *files]) == 2
-    assert "wanted one folder with trials.csv for a study, got 2 paths" in capsys.readouterr().err
-    assert run(["validate", "--study", str(tmp_path)]) == 2
-    assert (
-        "write a row a recording with columns recording, person, task, device and reference" in capsys.readouterr().err
-    )
-    assert run(["validate", "--study", str(folder), "--compare"]) == 2
-    assert "--study judges every pipeline; leave --compare" in capsys.readouterr().err
-    assert run(["validate", "--study", str(folder), "--calibration", str(folder / "a.json")]) == 2
-    assert "--calibration and --study together say two things" in capsys.readouterr().err
+    for words, said in (
+        ([*files, "--trials", "trials.csv"], "got 2 paths"),
+        ([str(tmp_path), "--trials", "trials.csv"], "there is no"),
+        ([str(folder), "--trials", "trials.csv", "--compare"], "every level"),
+        ([str(folder), "--trials", "trials.csv", "--calibration", str(folder / "a.json")], "cannot be combined"),
+    ):
+        assert run(["validate", *words]) == 2
+        assert said in capsys.readouterr().err
