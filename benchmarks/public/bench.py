@@ -16,7 +16,7 @@ from undrift.calibration.dwells import dwell_means
 from undrift.calibration.multi_position import fit_multi_position
 from undrift.calibration.noise import allan_deviation
 from undrift.calibration.norm import MG, fit_norm, judged
-from undrift.calibration.rate_table import fit_rate_axis
+from undrift.calibration.rate_table import fit_rate_table
 from undrift.drift.observe import RestBlocks, observe_rests
 from undrift.drift.static import StaticSettings, fit_static
 from undrift.model import TriadModel
@@ -214,8 +214,8 @@ def dwells_of(run: str, sensor: str) -> tuple[FloatArray, FloatArray]:
 def by_fit(run: str, sensor: str) -> tuple[float, float]:
     """Return undrift's scale and offset, deg/s."""
     record, turns = turned(run, sensor)
-    fit = fit_rate_axis(dwell_means([record], turns))
-    return float(fit.scale_factor) * np.pi / 180.0, float(fit.offset[1])
+    (line,) = fit_rate_table(dwell_means([record], turns)).linearity
+    return line.scale_factor * np.pi / 180.0, line.offset
 
 
 def by_line(run: str, sensor: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from benchmarks.erring_bench import rate_table as rate_bench
 from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.dwells import Dwells, block_means, mountings, table_axes, table_term, uneven_rate
+from undrift.calibration.dwells import Dwells, block_means, mountings, table_axes
 from undrift.calibration.observe import CalibrateSettings
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
@@ -51,10 +51,10 @@ def dwells_of(session, device):
     )
 
 
-def of_rates(found, dwells, *, alone=True):
-    """Return the covariance of D of a fit that weighs all dwells alike, with or without errors of each dwell."""
-    square = np.tile(dwells.turn_rate[:, None] ** 2, (1, 3))
-    return sum(found.shares(dwells.own, square, alone=alone).values())
+def sigma_of(found, dwells):
+    """Return the standard uncertainty of the axis of each dwell, in the two directions across it, (N, 2), rad."""
+    sigma = np.sqrt((found.columns**2).sum(axis=2))
+    return sigma[np.arange(3) != dwells.own[:, None]].reshape(-1, 2)
 
 
 def true_accel(device):
@@ -75,7 +75,7 @@ def test_the_axis_is_found_through_a_table_off_level_and_an_arm_in_dwells_of_les
     nominal = np.array([unit_vector(turn.axis) for turn in session.turns])
     assert np.abs(true - nominal).max() > 0.2 * DEG
     # What is left is of second order, 0.5 deg of mounting by 0.2 deg of level, and the prior of the arm.
-    assert np.abs(found.axis_b - true).max() < 0.01 * DEG
+    assert np.abs(found.direction - true).max() < 0.01 * DEG
     assert found.off.max() > 0.2 * DEG
 
 
@@ -137,16 +137,15 @@ def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
     parts = tuple(noisy.part(turn.start, turn.stop) for turn in session.turns)
     apart = replace(dwells, records=parts, turns=turns, mounting=mountings(turns))
     lone = table_axes(apart, table, None, G)
-    off = [place for place in range(9) if place % 4]
-    np.testing.assert_allclose(np.sqrt(np.diag(of_rates(lone, apart, alone=False))[off]), 0.5 * DEG, rtol=1e-9)
+    np.testing.assert_allclose(sigma_of(lone, apart), 0.5 * DEG, rtol=1e-9)
     whole, found = (table_axes(one, table, true_accel(device), G) for one in (dwells, apart))
     true = np.array([turn_axis(session, turn) for turn in session.turns])
-    error = np.abs(found.axis_b - true).max()
-    sigma = np.sqrt(np.diag(of_rates(found, apart))[off]).max()
+    error = np.abs(found.direction - true).max()
+    sigma = sigma_of(found, apart).max()
     # The level, 0.2 deg, is an unknown of each of six dwells; those of 20 deg/s turn by a sixth.
     assert error < 3.0 * sigma
     assert sigma < 0.2 * DEG
-    assert sigma > 1.5 * np.sqrt(np.diag(of_rates(whole, dwells))[off]).max()
+    assert sigma > 1.5 * sigma_of(whole, dwells).max()
 
 
 def test_each_recording_has_a_level_of_its_own_that_is_not_taken_for_wobble():
@@ -160,30 +159,8 @@ def test_each_recording_has_a_level_of_its_own_that_is_not_taken_for_wobble():
     rates = (dwells.reading - device.gyro.raw_offset) @ np.linalg.inv(device.gyro.forward_matrix).T
     true = rates / np.linalg.norm(rates, axis=1)[:, None] * np.sign(dwells.turn_rate)[:, None]
     # Each starts at another azimuth. A level in common would leave up to 0.2 deg, and state it as wobble.
-    assert np.abs(found.axis_b - true).max() < 0.01 * DEG
-    assert np.sqrt(np.diag(found.spread)).reshape(-1, 3)[~np.eye(3, dtype=bool)[dwells.own]].max() < 0.03 * DEG
-
-
-def test_each_dwell_has_the_axis_that_gravity_shows_where_the_table_wobbles():
-    wobbling = BenchErrors(mount_tilt=0.1 * DEG, level=0.1 * DEG, wobble=0.1 * DEG)
-    device, session = turned(table=wobbling)
-    dwells = dwells_of(session, device)
-    found = table_axes(dwells, RateTable(wobble_deg=0.01), true_accel(device), G)
-    rates = (dwells.reading - device.gyro.raw_offset) @ np.linalg.inv(device.gyro.forward_matrix).T
-    true = rates / np.linalg.norm(rates, axis=1)[:, None] * np.sign(dwells.turn_rate)[:, None]
-    error, pairs = (
-        found.axis_b - true,
-        np.abs(dwells.turn_rate[::2]) > 40.0 * DEG,
-    )  # 120 deg and more of a circle: it has a centre
-    # Both ways round at one rate the arm errs alike, and so does the mounting: wobble alone is left
-    apart, left = (one[::2][pairs] - one[1::2][pairs] for one in (true, error))
-    assert np.sqrt((apart**2).sum(axis=1).mean()) > 0.1 * DEG
-    # One axis a mounting would leave all of it; a fifth may stay
-    assert np.sqrt((left**2).sum(axis=1).mean()) < 0.2 * np.sqrt((apart**2).sum(axis=1).mean())
-    sigma = np.sqrt(np.diag(found.spread)).reshape(-1, 3)
-    across = ~np.eye(3, dtype=bool)[dwells.own]
-    # Thirty-six components of 18 dwells: 5 standard uncertainties, and second order of mounting, level and wobble
-    assert np.all(np.abs(error)[across] < 5.0 * sigma[across] + 3.0 * (0.2 * DEG) ** 2)
+    assert np.abs(found.direction - true).max() < 0.01 * DEG
+    assert sigma_of(found, dwells).max() < 0.05 * DEG
 
 
 def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_share():
@@ -195,12 +172,8 @@ def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_sh
     table = RateTable(mount_tilt_deg=5.0, table_level_deg=0.0, wobble_deg=0.0)
     dwells = dwells_of(session, device)
     found = [table_axes(replace(dwells, records=(one,)), table, accel, G) for one in (record, coarse)]
-    off = [place for place in range(9) if place % 4]
-    more = np.diag(of_rates(found[1], dwells) - of_rates(found[0], dwells))[off]
-    assert np.all(more > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
-    every = np.diag(found[1].spread).reshape(-1, 3)
-    across = np.arange(3) != dwells.own[:, None]
-    assert np.all(found[1].apart[across] < 0.5 * every[across])  # what dwells share is none of what each has on its own
+    fine, rough = (sigma_of(one, dwells) for one in found)
+    assert np.all(rough**2 - fine**2 > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
 
 
 def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
@@ -217,12 +190,30 @@ def test_without_accelerometers_the_mounting_stays_in_the_covariance_in_full():
     device, session = turned()
     dwells = dwells_of(session, device)
     found = table_axes(dwells, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4), None, G)
-    np.testing.assert_array_equal(found.axis_b, [unit_vector(turn.axis) for turn in session.turns])
-    off = [place for place in range(9) if place % 4]
-    shared = of_rates(found, dwells, alone=False)
-    np.testing.assert_allclose(np.sqrt(np.diag(shared)[off]), 0.3 * DEG, rtol=1e-9)
+    np.testing.assert_array_equal(found.direction, [unit_vector(turn.axis) for turn in session.turns])
+    np.testing.assert_allclose(sigma_of(found, dwells), 0.3 * DEG, rtol=1e-9)
     assert np.isnan(found.off).all()
-    np.testing.assert_allclose(shared[np.ix_([0, 4, 8], [0, 4, 8])], np.full((3, 3), 4e-8), rtol=1e-6)
+    assert found.rate == 2e-4
+
+
+def test_dwells_shorter_than_a_turn_ripple_alike_in_a_mounting():
+    device, session = turned()
+    dwells = dwells_of(session, device)
+    found = table_axes(dwells, RateTable(), None, G)
+    assert found.ripple.shape == (18, 6)
+    for number in range(3):
+        pair = found.ripple[:, 2 * number : 2 * number + 2]
+        np.testing.assert_array_equal((pair != 0.0).any(axis=1), dwells.mounting == np.unique(dwells.mounting)[number])
+    # the mean of a cosine over an arc a is sin(a / 2) / (a / 2)
+    seconds = np.array([(s.stop - s.start - 1) / 50.0 for s in map(dwells.settled, range(18))])
+    half = 0.5 * np.abs(dwells.turn_rate) * seconds
+    np.testing.assert_allclose(np.hypot(*found.ripple.reshape(18, 3, 2).sum(axis=1).T), np.sin(half) / half, atol=0.01)
+
+
+def test_whole_turns_are_averaged_and_do_not_ripple():
+    device, session = turned(dwell_s=21.0)
+    found = table_axes(dwells_of(session, device), RateTable(), None, G)
+    assert not found.ripple.any()
 
 
 def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
@@ -238,18 +229,6 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
     about_x = np.array([turn.axis == "x" for turn in session.turns])
     assert np.isnan(found.off[about_x]).all()
     assert np.isfinite(found.off[~about_x]).all()
-
-
-def test_a_mounting_is_known_as_stated_where_the_accelerometers_know_it_worse():
-    device, session = turned(table=BenchErrors())
-    accel = true_accel(device)
-    poor = replace(
-        accel, covariance=np.diag([*np.full(9, (0.01 * accel.matrix[0, 0]) ** 2), 0.0, 0.0, 0.0]), budget=None
-    )
-    dwells = dwells_of(session, device)
-    found = table_axes(dwells, RateTable(mount_tilt_deg=0.01, wobble_deg=0.0), poor, G)
-    sigma = np.sqrt(np.diag(found.spread)).reshape(-1, 3)[~np.eye(3, dtype=bool)[dwells.own]]
-    assert sigma.max() < 0.011 * DEG  # 1 % of the matrix is 0.6 deg
 
 
 def test_a_mounting_far_off_the_stated_one_is_said_and_one_within_it_is_not_a_doubt():
@@ -306,112 +285,10 @@ def test_settings_overrule_the_session():
     )
 
 
-def test_what_multiplies_every_rate_multiplies_the_matrix_from_the_left():
-    rng = np.random.default_rng(2)
-    matrix, D = rng.normal(size=(2, 3, 3))
-    model = replace(true_accel(turned()[0]), matrix=matrix)
-    made = (D @ matrix).ravel()
-    term = table_term(model, np.outer(D.ravel(), D.ravel()))
-    np.testing.assert_allclose(term[:9, :9], np.outer(made, made), rtol=1e-12)
-
-
-# ---- uneven rates of a table: ripple and settling are found within the dwells, and the mean rates follow
-
-NOISE = 1e-4  # rad/s, of a sample at 100 Hz: a hundredth of a deg/s in a block of 0.5 s would be 1.7e-4
-
-
-def rippled(theta, terms, *, noise=0.0, seed=1, n=600):
-    """Return dwells about x, y, z that turn both ways by theta and half of it (rad) in 6 s, and their mean rates over the stated.
-
-    ``terms`` is r(psi, t), relative; psi runs on from dwell to dwell.
-    """
-    time, rng = np.arange(n) / 100.0, np.random.default_rng(seed)
-    pieces, turns, ratio = [], [], []
-    for k, axis in enumerate("xyz"):
-        for stated in (theta / 6.0, -theta / 6.0, theta / 12.0, -theta / 12.0):
-            r = terms((0.0 if stated > 0.0 else 6.0 * abs(stated)) + stated * time, time)
-            gyro = noise * rng.standard_normal((n, 3))
-            gyro[:, k] += stated * (1.0 + r)
-            turns.append(Turn(start=len(pieces) * n, stop=(len(pieces) + 1) * n, axis=axis, turn_rate=stated))
-            pieces.append(gyro)
-            ratio.append(r.mean())
-    record = Record(time=np.arange(n * 12) / 100.0, gyro=np.vstack(pieces))
-    reading = np.array([piece.mean(axis=0) for piece in pieces])
-    dwells = Dwells(
-        records=(record,), turns=turns, mounting=np.repeat([0, 1, 2], 4), reading=reading, up=np.ones(12), settle_s=0.0
-    )
-    return dwells, np.array(ratio)
-
-
-@pytest.mark.parametrize("harmonic", [1, 2])
-def test_a_ripple_once_or_twice_a_turn_gives_the_mean_rate_of_every_dwell(harmonic):
-    dwells, true = rippled(0.7 * 2.0 * np.pi, lambda psi, _: 0.004 * np.sin(0.7 + harmonic * psi), noise=NOISE)
-    found = uneven_rate(dwells)
-    assert np.abs(true).max() > 0.0005
-    sigma = np.sqrt(np.diag(found.covariance))
-    # 4 standard uncertainties, and the second order of 0.4 %: the angle that the gyroscope shows ripples too.
-    assert np.all(np.abs(found.ratio - true) < 4.0 * sigma + 0.004**2)
-    assert sigma.max() < 0.2 * np.abs(true).max()
-    assert found.size[harmonic - 1] > 0.0
-    assert found.size[2 - harmonic] == 0.0
-
-
-@pytest.mark.parametrize("settle_s", [0.2, 0.45, 1.0])
-def test_a_rate_that_settles_late_is_a_sum_of_time_constants_within_its_uncertainty(settle_s):
-    dwells, true = rippled(4.0 * np.pi, lambda _, time: 0.003 * np.exp(-time / settle_s), noise=NOISE)
-    found = uneven_rate(dwells)
-    sigma = np.sqrt(np.diag(found.covariance))
-    # Sums of half octaves miss a time constant near the longest by 1 % of the mean
-    assert np.all(np.abs(found.ratio - true) < 4.0 * sigma + 0.01 * np.abs(true))
-    assert np.all(sigma < 0.5 * np.abs(true))
-    assert found.size[2] > 0.0
-
-
-@pytest.mark.slow
-def test_an_even_rate_is_left_as_it_is():
-    rng = range(20)
-    shown = [uneven_rate(rippled(4.0, lambda psi, _: 0.0 * psi, noise=NOISE, seed=n)[0]) for n in rng]
-    # Each of three groups appears by chance once in a thousand: two of twenty sessions once in 600.
-    assert sum(bool(one.size.any()) for one in shown) <= 1
-    assert sum(bool(one.ratio.any()) for one in shown) <= 1
-
-
-def test_a_ripple_has_a_phase_of_its_own_in_each_dwell_where_a_gap_hides_the_angle():
-    dwells, true = rippled(0.7 * 2.0 * np.pi, lambda psi, _: 0.004 * np.sin(0.7 + psi), noise=NOISE)
-    record = dwells.records[0]
-    n = len(record.time) // 12
-    keep = np.ones(len(record.time), bool)
-    gyro = np.array(record.gyro)
-    turns = [replace(turn, start=turn.start + 5) for turn in dwells.turns]
-    gyro[np.arange(12) * n] = np.nan  # before every dwell
-    gap = replace(dwells, records=(Record(time=record.time[keep], gyro=gyro),), turns=turns)
-    found, whole = uneven_rate(gap), uneven_rate(dwells)
-    sigma = np.sqrt(np.diag(found.covariance))
-    assert np.all(np.abs(found.ratio - true) < 4.0 * sigma + 0.01 * np.abs(true).max())
-    assert sigma.mean() > np.sqrt(np.diag(whole.covariance)).mean()
-
-
-def test_measured_mean_rates_hold_the_ripple_already():
-    dwells, true = rippled(0.7 * 2.0 * np.pi, lambda psi, _: 0.004 * np.sin(0.7 + psi), noise=NOISE)
-    turns = [replace(turn, turn_rate=turn.turn_rate * (1.0 + r)) for turn, r in zip(dwells.turns, true, strict=True)]
-    found = uneven_rate(replace(dwells, turns=turns))
-    np.testing.assert_array_equal(found.ratio, 0.0)
-    np.testing.assert_array_equal(found.size, 0.0)
-
-
-def test_a_rate_that_jumps_about_leaves_white_noise_in_every_mean():
-    rng = np.random.default_rng(3)
-    dwells, _ = rippled(4.0 * np.pi, lambda _, time: 0.003 * np.repeat(rng.standard_normal(12), 50), noise=NOISE)
-    sigma = np.sqrt(np.diag(uneven_rate(dwells).covariance))
-    # 0.003 of each of 12 blocks: 0.003 / sqrt(12) of the mean; all dwells of a sensor have one variance, that of 0.003 times
-    # sqrt((1 + 1 / 4) / 2) of the larger rate, and 44 squares know it within a third
-    assert sigma[::4] == pytest.approx(0.003 * (5.0 / 8.0) ** 0.5 / 12.0**0.5, rel=0.33)
-
-
 def test_dwells_that_are_too_short_to_show_gravity_are_calibrated_by_their_rates() -> None:
     device, session = turned(dwell_s=0.5)
     dwells = dwells_of(session, device)
     felt = table_axes(dwells, RateTable(), true_accel(device), G)
     assert np.isnan(felt.off).all()  # gravity is not seen: the axes are those stated, as well as a table is mounted
-    np.testing.assert_array_equal(felt.axis_b, np.eye(3)[dwells.own])
+    np.testing.assert_array_equal(felt.direction, np.eye(3)[dwells.own])
     assert block_means(np.ones((30, 4)), 50).shape == (0, 4)

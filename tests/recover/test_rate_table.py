@@ -84,8 +84,9 @@ def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
     # Settled dwells last 2 s, one whole turn: what is level averages out.
     motion = bench_motion("rate_table", rng=rng, settings=bench)
     record = simulate_device(device, motion, rng=rng).record
-    with_earth = fit_rate_table(dwell_means((record,), motion.turns), latitude_deg=41.9).model
-    without = fit_rate_table(dwell_means((record,), motion.turns)).model
+    dwells = dwell_means((record,), motion.turns, settle_s=SETTLE_S)
+    with_earth = fit_rate_table(dwells, latitude_deg=41.9).model
+    without = fit_rate_table(dwells).model
     missed = np.abs(with_earth.offset - device.gyro.raw_offset).max()
     assert missed < 1e-3  # counts; the Earth is 0.07
     assert missed < 0.02 * np.abs(without.offset - device.gyro.raw_offset).max()
@@ -117,7 +118,7 @@ def test_the_noise_of_dwells_is_told_from_the_readings() -> None:
     for _ in range(20):
         device = white_device(rng)
         record = simulate_device(device, MOTION, rng=rng).record
-        noise, known = dwell_means((record,), MOTION.turns).noise, means_of(device, rng).noise
+        noise, known = dwell_means((record,), MOTION.turns, settle_s=SETTLE_S).noise, means_of(device, rng).noise
         assert noise is not None
         assert known is not None
         estimated.append(noise.mean(axis=0))

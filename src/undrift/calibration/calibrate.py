@@ -32,7 +32,7 @@ from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnet
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
-from undrift.calibration.rate_table import NOMINAL_SD, calibrate_rates, scale_verdict
+from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.settings import FITS, FitMethod
@@ -40,6 +40,7 @@ from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
+from undrift.fit.priors import SCALE_FACTOR
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
 from undrift.plugins import load_named, names_in
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
@@ -74,12 +75,12 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
     offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
     if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
-    share = np.where(np.eye(3) > 0.0, NOMINAL_SD[True], seen.settings.cross_axis_prior)
+    share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, seen.settings.cross_axis_prior)
     covariance = np.diag(np.concatenate(((factor * share.ravel()) ** 2, variance)))
     residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
         residuals,
-        Verdict.of(finding("gyro.offset_alone", level, scale_percent=100.0 * NOMINAL_SD[True])),
+        Verdict.of(finding("gyro.offset_alone", level, scale_percent=100.0 * SCALE_FACTOR)),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",

@@ -1,48 +1,36 @@
-"""Dwells on a rate table: mean readings, at what rate and about which axis the table really turned, linearity of one axis.
+"""Dwells on a rate table: mean readings, about which axis of the case the table really turned, linearity of one axis.
 
-``uneven_rate`` finds how a ripple and settling change the rate, ``table_axes`` about which axis of the case gravity shows the table
-to turn; ``dwell_means`` and ``imposed_rates`` give a fit its readings and its inputs, ``table_errors`` what stays unknown.
+``dwell_means`` averages the steady turns of a session, ``table_axes`` measures by gravity about which axis of the case the table
+turned them, and ``imposed_rates`` returns the rates that a fit takes as its input.
+
+The start of a dwell is left out, in which the table settles. Of the rest, whole turns are averaged if there is one, so that a
+ripple of the rate and the Earth's level rate average out.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import axis_vectors, check_saturation
-from undrift.calibration.observe import middles
+from undrift.calibration.observe import middles, spans_of
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Finding, above, finding
-from undrift.fit.equations import GROUP_SHOWS, fit_components
+from undrift.fit.gls import Prior, solve
 from undrift.fit.least_squares import block_size, noise_of_means
+from undrift.fit.priors import SETTLE_S, TABLE_ARM, TABLE_MOUNTING
 from undrift.model import AXES, TriadModel
 from undrift.record import Axis, MountedFace, RateTable, Record, Still, Turn, TurnAxis
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
-# ---- table rate: a ripple of the table's rate with its angle, and how it settles, by the gyroscope of the turned axis
-#
-# Dwell i at the stated rate w_i, psi the table's angle, t since its start, turned about k::
-#
-#     reading_k = o_i + S_k w_i (1 + r(psi, t))
-#     r = a cos psi + b sin psi + c cos 2 psi + d sin 2 psi + sum_j e_j exp(-t / T_j)
-#     mean rate = w_i (1 + rho_i)        rho_i the mean of r over the dwell
-#
-# a to d are those of one mounting in one recording, since psi is the integral of the gyroscope; e_j those of a mounting. o_i is
-# free, so only what changes within a dwell determines them, and no scale factor enters. Terms once a turn, twice a turn and those
-# of settling are groups of a size of their own, each in where it shows (fit/least_squares.py). What of the rate is left beyond
-# the noise counts as white. Stated rates that are measured means hold all of that already: where the means of the readings follow
-# them better, rho is 0.
+SHOWS = 3.0  # standard errors by which one scatter must exceed another to count
+MOST_SETTLING = 0.5  # of a dwell
+FILTER_S = (
+    0.3  # in which a second-order filter at 11 Hz settles to 1e-6; gravity takes no more from the start of a dwell
+)
 
-
-SHOWS = 3.0  # standard errors of a scatter that exceeds another, for it to count
-# Half octaves: how a table settles lies between, and so does what its shape leaves unknown
-_SETTLES_S = (0.15, 0.21, 0.3, 0.42, 0.6, 0.85, 1.2)
-_LEAST_BLOCKS = 4  # in a dwell, for its unevenness
-_PASSES = 4  # of fit and noise
-_LEAST_NOISE = 1e-7  # of block means, of the rate: below any gyroscope, and sound arithmetic
-_FIRST = 1e-6  # variance of a term to begin with: 0.1 % of the rate
+# ---- the dwells of a session
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,10 +45,12 @@ class Dwells:
     settle_s: float  # Start of each that is left out, s
 
     def settled(self, k: int) -> slice:
-        """Return the settled samples of a dwell."""
-        turn = self.turns[k]
-        time = self.records[turn.recording].time[turn.start : turn.stop]
-        return slice(turn.start + int(np.searchsorted(time, time[0] + self.settle_s)), turn.stop)
+        """Return the samples of a dwell that are averaged."""
+        return steady(self.records[self.turns[k].recording], self.turns[k], self.settle_s)
+
+    def steady_gravity(self, k: int) -> slice:
+        """Return the samples of a dwell that show its axis: the rate of the table may still settle."""
+        return steady(self.records[self.turns[k].recording], self.turns[k], min(self.settle_s, FILTER_S))
 
     @property
     def sizes(self) -> list[int]:
@@ -93,14 +83,27 @@ class Dwells:
         return code_variance(code_steps(self.records, rate=rate), scatter)
 
 
+def steady(record: Record, turn: Turn, settle_s: float) -> slice:
+    """Return the samples of a dwell that are averaged: without its start, and whole turns if it has one."""
+    time = record.time[turn.start : turn.stop]
+    length_s = float(time[-1] - time[0])
+    start_s = float(time[0]) + min(settle_s, MOST_SETTLING * length_s)
+    period_s = 2.0 * np.pi / abs(turn.turn_rate) if turn.turn_rate else np.inf
+    turns = int((time[-1] - start_s) / period_s)
+    begin = int(np.searchsorted(time, start_s))
+    stop = int(np.searchsorted(time, start_s + turns * period_s)) if turns else len(time)
+    return slice(turn.start + begin, turn.start + stop)
+
+
 def _line(rate: FloatArray, reading: FloatArray) -> FloatArray:
     if len(np.unique(rate)) < 2:
         return np.full(2, np.nan)
     return np.asarray(np.linalg.lstsq(np.column_stack((rate, np.ones_like(rate))), reading, rcond=None)[0])
 
 
-def azimuths(dwells: Dwells, rows: list[int], line: FloatArray) -> list[FloatArray] | None:
-    """Return the angle of the table (M,) in the settled part of dwells of one recording; None where a gap hides it."""
+def azimuths(dwells: Dwells, rows: list[int], windows: list[slice]) -> list[FloatArray] | None:
+    """Return the angle of the table (M,) in windows of dwells of one recording; None if a gap hides it."""
+    line = dwells.lines[dwells.own[rows[0]]]
     k, record = int(dwells.own[rows[0]]), dwells.records[dwells.turns[rows[0]].recording]
     begin, end = min(dwells.turns[n].start for n in rows), max(dwells.turns[n].stop for n in rows)
     if record.gyro is None or np.isnan(line).any() or np.isnan(record.gyro[begin:end]).any():
@@ -108,7 +111,7 @@ def azimuths(dwells: Dwells, rows: list[int], line: FloatArray) -> list[FloatArr
     rate = (record.gyro[begin:end, k] - line[1]) / line[0]
     step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(record.time[begin:end])
     angle = np.concatenate(([0.0], np.cumsum(step)))
-    return [angle[dwells.settled(n).start - begin : dwells.settled(n).stop - begin] for n in rows]
+    return [angle[window.start - begin : window.stop - begin] for window in windows]
 
 
 def block_means(values: FloatArray, size: int) -> FloatArray:
@@ -117,205 +120,31 @@ def block_means(values: FloatArray, size: int) -> FloatArray:
     return np.asarray(values[: count * size].reshape(count, size, values.shape[1]).mean(axis=1))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UnevenRate:
-    """By how much the mean rate of each dwell is off the stated one, relative."""
-
-    ratio: FloatArray  # (N,), rho
-    covariance: FloatArray  # (N, N)
-    size: FloatArray  # (3,), rms of terms once a turn, twice a turn and of settling, relative; 0 where they do not show
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Piece:
-    """One dwell: the terms that may change its rate, and its reading."""
-
-    dwell: int
-    own: int  # Number of its axis
-    places: list[int]  # Of its terms among all parameters
-    mean: FloatArray  # (T,), of its terms
-    away: FloatArray  # (E, T + 1), block means of its terms and of the reading over S w, less their mean
-    drive: float  # |S w|, unit of the reading
-
-
-def uneven_rate(dwells: Dwells) -> UnevenRate:
-    """Fit ripple and settling to what the gyroscope of the turned axis reads within the dwells."""
-    count, codes = len(dwells.own), np.nan_to_num(dwells.codes(rate=True))
-    pieces, groups = _pieces(dwells)
-    width = sum(map(len, groups))
-    theta: FloatArray = np.zeros(width)
-    covariance: FloatArray = np.zeros((width, width))
-    noise, size = np.zeros(3), np.zeros(3)
-    for _ in range(_PASSES if pieces else 0):
-        noise = _left(pieces, theta, covariance, noise) + codes
-        normal, moment = np.zeros((width, width)), np.zeros(width)
-        for one in pieces:
-            weighted = one.away * one.drive / noise[one.own] ** 0.5
-            normal[np.ix_(one.places, one.places)] += weighted[:, :-1].T @ weighted[:, :-1]
-            moment[one.places] += weighted[:, :-1].T @ weighted[:, -1]
-        found = fit_components(normal, moment, np.zeros(width), groups, np.zeros(3), _FIRST)
-        theta, covariance, size = found.theta, found.covariance, np.sqrt(found.variance)
-    mean, jitter = np.zeros((count, width)), np.zeros(count)
-    more = _jitter(dwells, noise)
-    for one in pieces:
-        mean[one.dwell, one.places] = one.mean
-        jitter[one.dwell] = more[one.own] / len(one.away) / one.drive**2
-    ratio, spread = mean @ theta, mean @ covariance @ mean.T
-    if _measured(dwells, pieces, noise, ratio, np.diag(spread)):
-        ratio, spread, size = 0.0 * ratio, 0.0 * spread, np.zeros(3)
-    return UnevenRate(ratio=ratio, covariance=spread + np.diag(jitter), size=size)
-
-
-def _measured(dwells: Dwells, pieces: list[_Piece], noise: FloatArray, ratio: FloatArray, spread: FloatArray) -> bool:
-    """Return whether the stated rates are measured means: readings follow them, and not those that the terms make."""
-    better = 0.0
-    for k in range(3):
-        own = [one for one in pieces if one.own == k]
-        rows = [one.dwell for one in own]
-        variance = np.array([noise[k] / len(one.away) + one.drive**2 * spread[one.dwell] for one in own])
-        root, rates = np.sqrt(variance), dwells.turn_rate[rows]
-        for sign, rate in ((-1.0, rates), (1.0, rates * (1.0 + ratio[rows]))):
-            design, reading = (
-                np.column_stack((rate, np.ones_like(rate))) / root[:, None],
-                dwells.reading[rows, k] / root,
-            )
-            left = reading - design @ np.linalg.lstsq(design, reading, rcond=None)[0]
-            better += sign * float(left @ left)
-    return better > GROUP_SHOWS
-
-
-def _pieces(dwells: Dwells) -> tuple[list[_Piece], list[IntArray]]:
-    """Return the dwells that show how even their rate is, and the places of the terms of each group."""
-    axis, lines, rates, sizes = dwells.own, dwells.lines, dwells.turn_rate, dwells.sizes
-    phases: list[tuple[list[int], list[FloatArray]]] = []
-    for key in sorted({(t.recording, int(m)) for t, m in zip(dwells.turns, dwells.mounting, strict=True)}):
-        rows = [n for n, t in enumerate(dwells.turns) if (t.recording, int(dwells.mounting[n])) == key]
-        for group in (rows, *([n] for n in rows)):  # a gap between dwells leaves each a phase of its own
-            angles = azimuths(dwells, group, lines[axis[group[0]]])
-            if angles is not None:
-                phases.append((group, angles))
-                if group is rows:
-                    break
-    mounts = sorted(set(dwells.mounting.tolist()))
-    last, pieces = 4 * len(phases), []
-    for number, (group, angles) in enumerate(phases):
-        for n, psi in zip(group, angles, strict=True):
-            window, drive = dwells.settled(n), lines[axis[n], 0] * rates[n]
-            if rates[n] == 0.0 or len(psi) < _LEAST_BLOCKS * sizes[n]:
-                continue
-            record = dwells.records[dwells.turns[n].recording]
-            since = record.time[window] - record.time[dwells.turns[n].start]
-            waves = [np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
-            terms = np.column_stack([*waves, *(np.exp(-since / settle) for settle in _SETTLES_S)])
-            means = block_means(np.column_stack((terms, np.asarray(record.gyro)[window, axis[n]] / drive)), sizes[n])
-            late = last + len(_SETTLES_S) * mounts.index(dwells.mounting[n])
-            places = [*range(4 * number, 4 * number + 4), *range(late, late + len(_SETTLES_S))]
-            piece = _Piece(
-                dwell=n, own=int(axis[n]), places=places, mean=terms.mean(axis=0), away=means - means.mean(axis=0), drive=abs(drive)
-            )  # fmt: skip
-            pieces.append(piece)
-    turned = np.arange(last).reshape(-1, 2, 2)
-    return pieces, [turned[:, 0].ravel(), turned[:, 1].ravel(), np.arange(last, last + len(_SETTLES_S) * len(mounts))]
-
-
-def _left(pieces: list[_Piece], theta: FloatArray, covariance: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the variance (3,) of block means of each sensor about its own axis that the terms leave; 1 where it has none."""
-    square, spare = np.zeros(3), np.zeros(3)
-    for one in pieces:
-        terms = one.away[:, :-1] * one.drive
-        left = one.drive * one.away[:, -1] - terms @ theta[one.places]
-        square[one.own] += left @ left
-        spare[one.own] += len(left) - 1
-        if noise[one.own] > 0.0:  # parameters that the readings determine
-            spare[one.own] -= ((terms.T @ terms) * covariance[np.ix_(one.places, one.places)]).sum() / noise[one.own]
-    floor = np.full(3, 1e-300)
-    for one in pieces:  # the last digit of readings without noise
-        floor[one.own] = max(floor[one.own], (_LEAST_NOISE * one.drive) ** 2)
-    return np.where(spare > 0.5, np.maximum(square / np.maximum(spare, 0.5), floor), 1.0)
-
-
-def _jitter(dwells: Dwells, noise: FloatArray) -> FloatArray:
-    """Return by how much the variance (3,) of block means about the own axis exceeds that about the others, where it shows."""
-    more, axis = np.zeros(3), dwells.own
-    windows = [np.asarray(dwells.records[t.recording].gyro)[dwells.settled(n)] for n, t in enumerate(dwells.turns)]
-    parts = [block_means(window, size) for window, size in zip(windows, dwells.sizes, strict=True)]
-    for k in range(3):
-        others = [parts[n][:, k] for n in np.flatnonzero(axis != k) if len(parts[n]) > 1]
-        spare = sum(len(part) - 1 for part in others)
-        if spare and (axis == k).any():
-            usual = sum(float(((part - part.mean()) ** 2).sum()) for part in others) / spare
-            blocks = sum(len(parts[n]) - 1 for n in np.flatnonzero(axis == k))
-            shows = 1.0 + SHOWS * (2.0 / spare + 2.0 / max(blocks, 1)) ** 0.5
-            more[k] = noise[k] - usual if noise[k] > shows * usual else 0.0
-    return more
-
-
-# ---- table axis: about which axis of the case a rate table really turned, by the gravity felt, and what stays unknown
+# ---- table axis: about which axis of the case a rate table really turned, by the gravity that the accelerometers feel
 #
-# In one mounting, axis k of the case along the table's, dwell i turns the device about u_i = k + d + e_i, d and e small and across
-# k, e the wobble from dwell to dwell. The table's axis is off the vertical by l + h_i, the accelerometers off it by an arm r. The
-# dwell, at rate w_i and azimuth psi, feels across k::
+# In one mounting, axis k of the case lies along the table's. Dwell i turns the device about k + d + e_i: d and e_i are small and
+# across k, and e_i is the wobble from dwell to dwell. The table's axis is off the vertical by l, and the accelerometers are off
+# the table's axis by an arm r. At the rate w_i and the azimuth psi, block means of the specific force across k are
 #
-#     mean f_i / g = d + e_i + mean R_k(-psi) (l + h_i) - r w_i^2 / g          two components each, l anew for each recording
+#     f / g = d + e_i + R_k(-psi) l - r w_i^2 / g
 #
-#     minimise  sum |residual|^2 / s^2 + |l|^2 / level^2 + |r|^2 / arm^2 + (|e|^2 + |h|^2) / wobble^2
-#
-# wobble is the stated one, or the larger one that the likelihood shows. psi is the integral of the gyroscope of the axis within a
-# recording, so dwells need no whole turns. All mountings share the accelerometers' errors; the mean axis of each is that felt and
-# k +- m, by their covariances, averaged over m by the likelihood of what is felt; without accelerometers it is k +- mount. The
-# mean rate is w_i (1 + rho_i) (above). Errors of axis and rate that are left are those of dwells, weighed as the fit weighs them,
-# and multiply every rate: w_true = (I + D) w::
-#
-#     dM = D M        dG = D G        D = sum_i c_i du_i k_i' + diag(relative error of the rate)
+# Least squares give d with its covariance; the variances of noise and wobble are excess variances (fit/gls.py). psi is the integral
+# of the gyroscope of the axis within a recording. All mountings share the errors of the accelerometers: df = dM s - M do.
+# Without accelerometers d is zero with the stated uncertainty of the mounting.
 
-ARM_SD_M = 0.1  # m, of the accelerometers from the table's axis: half the plate of a small table
-UNEVEN_PERCENT = (0.1, 2.0)  # of the scale factor, 1 sigma: marginal above the first, bad above the second
-_MOUNTED = 2.0  # times the stated size, rms
-# Sizes of a mounting over the stated one, m, as likely beforehand as 1 / m^3: rms 1.08. A machined block is square to 0.1 deg,
-# a device mounted by hand to 0.3 deg [assumed]
-MOUNT_SIZES = np.geomspace(0.6, 3.0, 25)
-_SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
-_LEAST_TILT_VARIANCE = 1e-12  # variance of block means of the direction of gravity, rad2: 1 ug, and sound arithmetic
+MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableAxes:
-    """The rates of the dwells over the stated ones, and what stays unknown of them."""
+    """About which axes of the case the dwells turned, and what is not known about them."""
 
-    axis_b: FloatArray  # (N, 3), mean rate over the stated one: the axis, of length 1 + rho
-    spread: FloatArray  # (3N, 3N), its covariance, dwell by dwell
-    apart: FloatArray  # (N, 3), variance that each dwell has on its own, on the diagonal of ``spread``
-    covariance: FloatArray  # (9, 9), of D row by row, without ``spread``
-    off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN where gravity did not show it
-    mounted: float  # Size of the mountings by what is felt, over the stated one; 0 where nothing is felt
-    uneven: FloatArray  # (3,), standard uncertainty of the mean rate about x, y, z by ripple and settling, relative
-    size: FloatArray  # (3,), rms of ripple once, twice a turn and of settling, relative; 0 where they do not show
-    # of ``covariance``, by the session's temperature
-    creep: FloatArray = field(default_factory=lambda: np.zeros((9, 9)))
-
-    def shares(self, axis: IntArray, square: FloatArray, *, alone: bool) -> dict[str, FloatArray]:
-        """Return the covariances (9, 9) of D by source of a budget, where dwells (N,) about ``axis`` weigh by ``square`` (N, 3).
-
-        ``alone`` counts also what each dwell has on its own; a fit whose noise holds that leaves it out.
-        """
-        share, rows = np.zeros((9, 3 * len(axis))), np.arange(len(axis))
-        for a in range(3):
-            total = np.bincount(axis, square[:, a], minlength=3)
-            share[3 * a + axis, 3 * rows + a] = square[:, a] / np.maximum(total, 1e-300)[axis]
-        spread = share @ (self.spread - (0.0 if alone else np.diag(self.apart.ravel()))) @ share.T
-        along = np.outer(np.eye(3), np.eye(3)) > 0.0
-        ripple, mounting = np.where(along, spread, 0.0), np.where(along, 0.0, spread)
-        return {"rate": self.covariance - self.creep, "ripple": ripple, "mounting": mounting, "temperature": self.creep}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Mounted:
-    """One mounting as gravity shows it."""
-
-    rows: list[int]  # Its n dwells
-    tilt: FloatArray  # (2n,), d + e of each as felt
-    covariance: FloatArray  # (2n, 2n), without that of the accelerometers
-    of_accel: FloatArray  # (2, 12), what errors of the accelerometers' matrix and offset make of d
+    direction: FloatArray  # (N, 3), mean axis of each dwell
+    columns: FloatArray  # (N, 3, C), errors of ``direction`` by C independent causes of one standard deviation each
+    off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN if gravity did not show it
+    ripple: FloatArray  # (N, R), change of the rate by R independent ripples, relative, of an amplitude of one each
+    rate: float  # standard uncertainty of all stated rates in common, relative
+    wobble: float  # stated standard uncertainty of the axis from dwell to dwell, rad
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -347,185 +176,105 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
 
 
 def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravity_m_s2: float) -> TableAxes:
-    """Return the axes about which the dwells turned the case, and at what part of the stated rates."""
-    axis, lines, count = dwells.own, dwells.lines, len(dwells.own)
-    axis_b, off, spread = np.eye(3)[axis], np.full(count, np.nan), np.zeros((3 * count, 3 * count))
-    apart, mounted = np.zeros((count, 3)), 0.0
-    wobble, mount = (np.square(deg * RADIAN_PER_DEGREE) for deg in (table.wobble_deg, table.mount_tilt_deg))
-    codes = np.zeros(3) if accel is None else dwells.codes(rate=False)
-    seen: list[_Mounted] = []
-    blocks: dict[tuple[int, int, float], list[int]] = {}
+    """Return the axes about which the dwells turned the case; accelerometers measure them if there are any."""
+    axis, count = dwells.own, len(dwells.own)
+    groups: dict[tuple[int, int, float], list[int]] = {}
     for n in sorted(range(count), key=lambda n: dwells.turns[n].recording):
-        blocks.setdefault((int(dwells.mounting[n]), int(axis[n]), float(dwells.up[n])), []).append(n)
-    for (_, k, up), rows in blocks.items():
+        groups.setdefault((int(dwells.mounting[n]), int(axis[n]), float(dwells.up[n])), []).append(n)
+    direction, off = np.eye(3)[axis], np.full(count, np.nan)
+    own_columns = np.zeros((count, 3, 2 * len(groups)))
+    by_accel = np.zeros((count, 3, 12))
+    for number, ((_, k, up), rows) in enumerate(groups.items()):
         across = [(k + 1) % 3, (k + 2) % 3]
-        felt = None if accel is None or up == 0.0 else _felt(dwells, rows, lines[k], table, accel, gravity_m_s2)
-        if felt is None or accel is None:
-            for a in across:
-                spread[np.ix_(*[[3 * n + a for n in rows]] * 2)] = mount + wobble * np.eye(len(rows))
-                apart[rows, a] = wobble
-            continue
-        # df = dM s - M do, s = M^-1 g k: what an error of the accelerometers makes of the axis
-        at_rest = np.linalg.solve(accel.matrix, np.eye(3)[k])
-        jacobian = np.hstack((np.kron(np.eye(3), at_rest), -up / gravity_m_s2 * accel.matrix))[across]
-        # all dwells feel the same gravity, and so read the same codes
-        rounding = accel.matrix[across] / gravity_m_s2
-        whole = felt[1] + np.kron(np.ones((len(rows), len(rows))), (rounding * codes) @ rounding.T)
-        seen.append(_Mounted(rows=rows, tilt=felt[0], covariance=whole, of_accel=jacobian))
-    if seen and accel is not None:
-        tilts, found, mounted = _with_prior(seen, accel, mount)
-        axes = [np.array([3 * n + (axis[n] + c) % 3 for n in one.rows for c in (1, 2)]) for one in seen]
-        places = np.concatenate(axes)
-        axis_b.reshape(-1)[places] = tilts
-        spread[np.ix_(places, places)] = found
-        for one, place in zip(seen, axes, strict=True):
-            off[one.rows] = np.hypot(*one.tilt.reshape(-1, 2).mean(axis=0))
-            for c in (0, 1):
-                apart.reshape(-1)[place[c::2]] = _alone(spread[np.ix_(place[c::2], place[c::2])])
-    axis_b /= np.linalg.norm(axis_b, axis=1)[:, None]
-    rate = uneven_rate(dwells)
-    along = 3 * np.arange(count) + axis
-    spread[np.ix_(along, along)] = rate.covariance
-    for k in range(3):
-        apart.reshape(-1)[along[axis == k]] = _alone(rate.covariance[np.ix_(axis == k, axis == k)])
-    share = np.where(axis == np.arange(3)[:, None], dwells.turn_rate**2, 0.0)
-    share /= np.maximum(share.sum(axis=1), 1e-300)[:, None]
+        felt = (
+            None if accel is None or up == 0.0 else _mounting_by_gravity(dwells, rows, table, accel, up / gravity_m_s2)
+        )
+        tilt, root = felt or (np.zeros(2), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2))
+        direction[np.ix_(rows, across)] = tilt
+        own_columns[np.ix_(rows, across, [2 * number, 2 * number + 1])] = root
+        if felt is not None and accel is not None:
+            off[rows] = np.hypot(*tilt)
+            reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
+            by_accel[np.ix_(rows, across)] = np.hstack(
+                (np.kron(np.eye(3), reading), -up / gravity_m_s2 * accel.matrix)
+            )[across]
+    columns = [own_columns]
+    if accel is not None:
+        variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
+        columns.append(by_accel @ (vectors * np.sqrt(variance.clip(0.0))))
     return TableAxes(
-        axis_b=axis_b * (1.0 + rate.ratio)[:, None],
-        spread=spread,
-        apart=apart,
-        covariance=table.rate_uncertainty**2 * np.outer(np.eye(3), np.eye(3)),  # of all rates in common
+        direction=direction / np.linalg.norm(direction, axis=1)[:, None],
+        columns=np.concatenate(columns, axis=2),
         off=off,
-        mounted=mounted,
-        uneven=np.sqrt(np.diag(share @ rate.covariance @ share.T)),
-        size=rate.size,
+        ripple=_ripples(dwells),
+        rate=table.rate_uncertainty,
+        wobble=table.wobble_deg * RADIAN_PER_DEGREE,
     )
 
 
-def _alone(covariance: FloatArray) -> FloatArray:
-    """Return the variance (n,) of each of n errors beyond what all have in common."""
-    count, variance = len(covariance), np.diag(covariance)
-    if count < 2:
-        return np.zeros(count)
-    common = (covariance.sum() - variance.sum()) / (count * (count - 1))
-    return np.asarray(variance - np.clip(common, 0.0, variance))
+def _ripples(dwells: Dwells) -> FloatArray:
+    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch in which it is known.
+
+    The rate ripples once a turn, by a cos psi + b sin psi. Over whole turns this averages out. Shorter dwells of one mounting start
+    where the ones before ended, and err alike.
+    """
+    columns = list[FloatArray]()
+    for key in sorted({(turn.recording, int(n)) for turn, n in zip(dwells.turns, dwells.mounting, strict=True)}):
+        of = zip(dwells.turns, dwells.mounting, strict=True)
+        rows = [n for n, (turn, mounting) in enumerate(of) if (turn.recording, int(mounting)) == key]
+        angles = azimuths(dwells, rows, [dwells.settled(n) for n in rows])
+        pair = np.zeros((len(dwells.turns), 2))
+        for n, angle in zip(rows, angles or [], strict=bool(angles)):
+            if np.ptp(angle) < 0.99 * 2.0 * np.pi:
+                pair[n] = np.cos(angle).mean(), np.sin(angle).mean()
+        columns.append(pair)
+    return np.hstack([np.zeros((len(dwells.turns), 0)), *columns])
 
 
-def _with_prior(seen: list[_Mounted], accel: TriadModel, mount: float) -> tuple[FloatArray, FloatArray, float]:
-    """Return the axes across k of all dwells (2N,), their covariance, and the size of the mounting over the stated one."""
-    felt = np.concatenate([one.tilt for one in seen])
-    jacobian = np.vstack([np.tile(one.of_accel, (len(one.rows), 1)) for one in seen])
-    spread = jacobian @ accel.covariance[:12, :12] @ jacobian.T
-    mean, start = np.zeros((2 * len(seen), len(felt))), 0
-    for number, one in enumerate(seen):
-        own = slice(start, start + len(one.tilt))
-        spread[own, own] += one.covariance
-        mean[2 * number : 2 * number + 2, own] = np.tile(np.eye(2), len(one.rows)) / len(one.rows)
-        start = own.stop
-    variance, basis = np.linalg.eigh(mean @ spread @ mean.T)
-    gain, off = spread @ mean.T @ basis, basis.T @ (mean @ felt)
-    total = variance.clip(1e-24) + mount * MOUNT_SIZES[:, None] ** 2  # (T, 2 mountings), of off: N(0, C + m^2 I)
-    likelihood = -0.5 * (np.log(total) + off**2 / total).sum(axis=1) - 2.0 * np.log(MOUNT_SIZES)
-    share = np.exp(likelihood - likelihood.max())
-    share /= share.sum()
-    correction = share @ (off / total)
-    apart = off / total - correction
-    left = (apart.T * share) @ apart - np.diag(share @ (1.0 / total))
-    return felt - gain @ correction, spread + gain @ left @ gain.T, float(share @ MOUNT_SIZES**2) ** 0.5
-
-
-def _felt(
-    dwells: Dwells, rows: list[int], line: FloatArray, table: RateTable, accel: TriadModel, gravity_m_s2: float
+def _mounting_by_gravity(
+    dwells: Dwells, rows: list[int], table: RateTable, accel: TriadModel, gain: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return d + e (2n,) of the dwells of one mounting and its covariance, without that of the accelerometers; None unseen."""
-    up = float(dwells.up[rows[0]])
+    """Return d (2,) of one mounting and a root of its covariance (2, 2); None if gaps hide the azimuth or the force."""
+    k = int(dwells.own[rows[0]])
     recordings = sorted({dwells.turns[n].recording for n in rows})
-    parts: list[FloatArray] = []  # of each dwell, its block means: cos psi, sin psi, the two components felt
-    for recording in recordings:
-        own = [n for n in rows if dwells.turns[n].recording == recording]
-        parts += _across(dwells, own, line, accel, up / gravity_m_s2) or [np.empty((0, 4))]
-    if any(len(block) == 0 for block in parts):
+    design, across, dwell = list[FloatArray](), list[FloatArray](), list[int]()
+    for number, recording in enumerate(recordings):
+        rows_here = [n for n in rows if dwells.turns[n].recording == recording]
+        windows = [dwells.steady_gravity(n) for n in rows_here]
+        record, angles = dwells.records[recording], azimuths(dwells, rows_here, windows)
+        if record.accel is None or angles is None:
+            return None
+        for n, angle, window in zip(rows_here, angles, windows, strict=True):
+            force = gain * (np.asarray(record.accel[window]) - accel.offset) @ accel.matrix.T
+            parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
+            means = block_means(parts, dwells.sizes[n])
+            for cosine, sine, *felt in means[~np.isnan(means).any(axis=1)]:
+                block = np.zeros((2, 4 + 2 * len(recordings)))
+                block[:, :2], block[:, 2:4] = np.eye(2), abs(gain) * dwells.turn_rate[n] ** 2 * np.eye(2)
+                block[:, 4 + 2 * number : 6 + 2 * number] = [[cosine, sine], [-sine, cosine]]
+                design.append(block)
+                across.append(np.array(felt))
+                dwell.append(n)
+    if len(set(dwell)) < len(rows):
         return None
-    designs, across, wobbles = [], [], 4 + 2 * len(recordings)
-    for number, (n, block) in enumerate(zip(rows, parts, strict=True)):
-        square, place = dwells.turn_rate[n] ** 2 / gravity_m_s2, 4 + 2 * recordings.index(dwells.turns[n].recording)
-        design = np.zeros((len(block), 2, wobbles + 4 * len(rows)))
-        design[:, [0, 1], [0, 1]], design[:, [0, 1], [2, 3]] = 1.0, square
-        e = wobbles + 4 * number
-        design[:, [0, 1], [e, e + 1]] = 1.0
-        for level in (place, e + 2):
-            design[:, [0, 1], [level, level + 1]] = block[:, :1]
-            design[:, 0, level + 1], design[:, 1, level] = block[:, 1], -block[:, 1]
-        designs.append(design.reshape(-1, design.shape[2]))
-        across.append(block[:, 2:].ravel())
-    off_level = max(table.table_level_deg * RADIAN_PER_DEGREE, 1e-9)
-    precision = np.zeros(wobbles + 4 * len(rows))
-    precision[2:wobbles] = [ARM_SD_M**-2] * 2 + [off_level**-2] * 2 * len(recordings)
-    stated = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
-    theta, covariance = _posterior(np.vstack(designs), np.concatenate(across), precision, wobbles, stated)
-    tilt = np.zeros((2 * len(rows), len(theta)))
-    for number in range(len(rows)):
-        for c in (0, 1):
-            tilt[2 * number + c, [c, wobbles + 4 * number + c]] = 1.0
-    return tilt @ theta, tilt @ covariance @ tilt.T
+    of_dwell, component = np.repeat(dwell, 2), np.tile([0, 1], len(dwell))
+    one_dwell = (of_dwell[:, None] == of_dwell) & (component[:, None] == component)
+    level = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD)
+    sizes = np.array([TABLE_MOUNTING] * 2 + [TABLE_ARM] * 2 + [level] * (2 * len(recordings)))
+    white = np.eye(len(of_dwell))
+    fit = solve(
+        np.vstack(design),
+        np.concatenate(across),
+        {"noise": MIN_TILT_SD**2 * white, "wobble": (table.wobble_deg * RADIAN_PER_DEGREE) ** 2 * one_dwell},
+        excess={"noise": white, "wobble": one_dwell.astype(float)},
+        prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
+    )
+    rounding = accel.matrix[[(k + 1) % 3, (k + 2) % 3]] * gain  # all dwells feel one gravity, and so read one code
+    covariance = fit.covariance[:2, :2] + (rounding * np.nan_to_num(dwells.codes(rate=False))) @ rounding.T
+    return fit.theta[:2], np.linalg.cholesky(covariance)
 
 
-def _across(
-    dwells: Dwells, rows: list[int], line: FloatArray, accel: TriadModel, gain: float
-) -> list[FloatArray] | None:
-    """Return block means (E, 4) of the dwells of one recording: cosine and sine of the azimuth, what is felt across the axis."""
-    k, record = int(dwells.own[rows[0]]), dwells.records[dwells.turns[rows[0]].recording]
-    angles = azimuths(dwells, rows, line)
-    if record.accel is None or angles is None:
-        return None
-    blocks, sizes = [], dwells.sizes
-    for n, angle in zip(rows, angles, strict=True):
-        force = gain * (np.asarray(record.accel[dwells.settled(n)]) - accel.offset) @ accel.matrix.T
-        parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
-        means = block_means(parts, sizes[n])
-        blocks.append(means[~np.isnan(means).any(axis=1)])
-    return blocks
-
-
-def _posterior(
-    design: FloatArray, reading: FloatArray, precision: FloatArray, wobbles: int, stated: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return parameters and covariance: block means (E,) whose noise is not known, wobble from a place on."""
-    square, product = design.T @ design, design.T @ reading
-    group = np.arange(wobbles, design.shape[1])
-    plain = design[:, :wobbles]
-    residual = reading - plain @ np.linalg.lstsq(plain, reading, rcond=None)[0]
-    noise = max(float(residual @ residual) / max(len(residual) - wobbles, 1), _LEAST_TILT_VARIANCE)
-    for _ in range(_PASSES):
-        found = fit_components(square / noise, product / noise, precision, [group], np.array([stated]), _FIRST)
-        residual = reading - design @ found.theta
-        fitted = float((square * found.covariance).sum()) / noise  # parameters that the readings determine
-        noise = max(float(residual @ residual) / max(len(residual) - fitted, 1.0), _LEAST_TILT_VARIANCE)
-    return found.theta, found.covariance
-
-
-def table_findings(axes: TableAxes, mount_tilt: float) -> Iterator[Finding]:
-    """Yield what the axes of a table show that a user can act on."""
-    if np.isfinite(axes.off).any():
-        off = float(np.nanmax(axes.off))
-        beyond = axes.mounted > _MOUNTED and off > _SMALL_ANGLE
-        degrees, stated = off / RADIAN_PER_DEGREE, mount_tilt / RADIAN_PER_DEGREE
-        yield finding("rate_table.mounting", "warn" if beyond else "info", angle_deg=degrees, stated_deg=stated)
-    if axes.size.any():
-        ripple, settle = 100.0 * float(np.hypot(*axes.size[:2])), 100.0 * float(axes.size[2])
-        yield finding("rate_table.ripple", "info", ripple_percent=ripple, settle_percent=settle)
-    worst, axis = 100.0 * float(axes.uneven.max()), AXES[int(axes.uneven.argmax())]
-    yield from above("rate_table.uneven_rate", worst, UNEVEN_PERCENT, axis=axis, uncertainty_percent=worst)
-
-
-def table_term(model: TriadModel, covariance: FloatArray) -> FloatArray:
-    """Return what multiplies every rate, with its covariance (9, 9), as a term of that of a model."""
-    jacobian = np.zeros((len(model.covariance), 9))
-    jacobian[:9] = np.kron(np.eye(3), model.matrix.T)
-    if model.g_sensitivity is not None:
-        jacobian[12:21] = np.kron(np.eye(3), model.g_sensitivity.T)
-    return np.asarray(jacobian @ covariance @ jacobian.T)
-
+# ---- mean readings of the dwells
 
 _LEAST_SAMPLES = 8
 
@@ -546,8 +295,9 @@ class DwellMeans:
     # (3,), step of the codes, 0 or NaN for none, and the variance that they leave in a mean, which is in ``noise`` too
     step: FloatArray = field(default_factory=lambda: np.zeros(3))
     codes: FloatArray = field(default_factory=lambda: np.zeros(3))
-    axes: TableAxes | None = None  # About which axes the table turned the case; None takes ``axis`` as true
-    mount_tilt: float = 0.0  # Standard uncertainty of the mounting, rad; used with ``axes`` alone
+    span: FloatArray | None = None  # (N, 2), start and stop of each dwell, s, on that clock
+    mount_tilt: float = 0.0  # stated standard uncertainty of the mounting, rad
+    axes: TableAxes | None = None  # about which axes the table turned the case; None takes ``axis`` as exact
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -558,12 +308,12 @@ class DwellMeans:
 
 
 def dwell_means(
-    records: Sequence[Record], turns: Sequence[Turn], *, settle_s: float = 0.3, cutoff_hz: float | None = None
+    records: Sequence[Record], turns: Sequence[Turn], *, settle_s: float = SETTLE_S, cutoff_hz: float | None = None
 ) -> DwellMeans:
     """Average the steady turns of a session.
 
-    The first ``settle_s`` of each dwell are discarded: a second-order filter at 11 Hz settles to 0.1 % in 0.15 s. The note's
-    smoothing spline halves the signal at ``cutoff_hz``; None leaves it out, which changes no mean.
+    The first ``settle_s`` of each dwell are left out, but no more than half of it. The note's smoothing spline halves the signal at
+    ``cutoff_hz``; None leaves it out, which changes no mean.
     """
     used = [t for t in turns if t.axis is not None and t.turn_rate is not None]
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
@@ -586,6 +336,7 @@ def dwell_means(
         up=np.array([_points_up(record, axis) for record, axis in zip(parts, about, strict=True)]),
         unit=unit,
         time=middles(records, used),
+        span=spans_of(records, used),
         step=step,
         codes=codes,
     )
@@ -625,12 +376,12 @@ def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
             f"rate table: wanted gyroscope readings in {unit} in every recording, got "
             f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
         )
-    dwell = record.part(turn.start, turn.stop)
-    dwell = dwell.part(int(np.searchsorted(dwell.time, dwell.time[0] + settle_s)), len(dwell))
+    used = steady(record, turn, settle_s)
+    dwell = record.part(used.start, used.stop)
     if len(dwell) < _LEAST_SAMPLES:
         raise InputError(
-            f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after {settle_s:g} s of settling, got "
-            f"{len(dwell)}; dwell longer"
+            f"dwell [{turn.start}, {turn.stop}): wanted {_LEAST_SAMPLES} samples or more after the start in which the table "
+            f"settles, got {len(dwell)}; dwell longer"
         )
     values = np.asarray(dwell.gyro)
     gaps = int(np.isnan(values).any(axis=1).sum())
@@ -651,26 +402,8 @@ def _points_up(part: Record, axis: int) -> float:
 def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
-    axis_b = axis_vectors(dwells.axis) if dwells.axes is None else dwells.axes.axis_b
+    axis_b = axis_vectors(dwells.axis) if dwells.axes is None else dwells.axes.direction
     return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
-
-
-def table_errors(model: TriadModel, dwells: DwellMeans, sigma: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Return, by source, the covariance of a model that the scatter of the readings does not show: table, mounting, creep.
-
-    sigma (N, 3) are the standard deviations that weighed the dwells, with the errors that each has on its own; None without.
-    """
-    if dwells.axes is None:
-        return {}
-    weight = np.ones((len(dwells.axis), 3)) if sigma is None else sigma**-2
-    own = np.array([AXES.index(axis) for axis in dwells.axis])
-    shares = dwells.axes.shares(own, weight * dwells.turn_rate[:, None] ** 2, alone=sigma is None)
-    return {name: table_term(model, part) for name, part in shares.items()}
-
-
-def with_errors(model: TriadModel, errors: Mapping[str, FloatArray]) -> TriadModel:
-    """Return a model whose covariance also holds errors by source."""
-    return replace(model, covariance=model.covariance + sum(errors.values()))
 
 
 # ---- linearity of one axis (IEEE Std 1431, clause 12 terms)

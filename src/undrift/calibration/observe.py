@@ -157,6 +157,11 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
             )
 
 
+def settling(length: int, settle_s: float, rate_hz: float) -> int:
+    """Return how many samples at the start of a dwell of so many samples are left out: half of it at most."""
+    return min(round(settle_s * rate_hz), length // 2)
+
+
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
     spoilt, rates_hz = [], [record.sample_rate_hz for record in session.records]
@@ -164,7 +169,7 @@ def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
         record = session.records[turn.recording]
         if record.gyro is not None:
             steady = turn.turn_rate is not None
-            start = turn.start + (round(settle_s * rates_hz[turn.recording]) if steady else 0)
+            start = turn.start + (settling(turn.stop - turn.start, settle_s, rates_hz[turn.recording]) if steady else 0)
             part = record.gyro[start : turn.stop]
             if stuck_at_rate(part) if steady else stuck_in_motion([part]):
                 spoilt.append(k)
@@ -186,7 +191,7 @@ def _smooth_rate(
         return np.empty(0)  # nothing shows the offset
     means = np.array([np.nanmean(values) for values in rests or [column[t.start : t.stop] for t in alike]])
     offset = float(means.mean() if rests else np.polynomial.Polynomial.fit(rates, means, 1)(0.0))
-    skip = 0 if turn.turn_rate is None else round(settle_s * rate_hz)
+    skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, rate_hz)
     width, values = max(1, round(_SMOOTH_S * rate_hz)), column[turn.start + skip : turn.stop] - offset
     if len(values) < 2 * width or np.isnan(values).any():
         return np.empty(0)

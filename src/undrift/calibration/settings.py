@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
+from undrift.fit.priors import SETTLE_S
+
 Kind = TypeVar("Kind", bound=type)
 _HEAD = "Parameters\n----------\n"
 
@@ -60,7 +62,7 @@ class Fitting:
     window_s : float
         Longest stretch of each face that is averaged, s.
     settle_s : float
-        Start of each dwell at a known rate that is left out, s.
+        Start of each dwell at a known rate that is left out, s; at most half of the dwell.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
     axis_uncertainty_deg : float
@@ -77,7 +79,7 @@ class Fitting:
     """
 
     window_s: float = 6.0
-    settle_s: float = 0.3
+    settle_s: float = SETTLE_S
     angle_uncertainty_deg: float = 1.0
     axis_uncertainty_deg: float = 0.5
     scale_tolerance: float = 0.25

@@ -456,6 +456,7 @@ def judge_pieces(
     """Return the corrected records of a session, and those of its pieces that the calibration used."""
     import numpy as np
 
+    from undrift.calibration.observe import settling
     from undrift.correction.correct import correct_whole
 
     # a triad that the calibration has no model of is left out: its unit may be counts
@@ -466,8 +467,9 @@ def judge_pieces(
     unknown, judged = np.full(3, np.nan), []
     for piece in (piece for piece in pieces if not piece.why):
         record, turn = records[piece.recording], rates.get((piece.recording, piece.start))
-        skip = round(settings.settle_s * record.sample_rate_hz) if piece.kind == "turn" else 0
-        inner = slice(piece.start + skip, max(piece.start + skip + 1, piece.stop - skip))
+        length = piece.stop - piece.start
+        skip = settling(length, settings.settle_s, record.sample_rate_hz) if piece.kind == "turn" else 0
+        inner = slice(piece.start + skip, max(piece.start + skip + 1, piece.stop))
         accel, gyro = (unknown if v is None else np.nanmean(v[inner], axis=0) for v in (record.accel, record.gyro))
         stated = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
         judged.append(CorrectedPiece(piece=piece, accel=accel, gyro=gyro, stated=stated))

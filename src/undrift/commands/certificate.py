@@ -43,7 +43,7 @@ SOURCE_ROWS = {
     "rate": ("Rig: stated rate", "B", "gyro"),
     "angle": ("Rig: stated angle of turns", "B", "gyro"),
     "axis": ("Rig: axis of turns", "B", "gyro"),
-    "ripple": ("Rig: ripple and settling of the rate", "A", "gyro"),
+    "ripple": ("Rig: rate that ripples or differs from dwell to dwell", "A", "gyro"),
     "mounting": ("Rig: mounting, level of the table and wobble", "A, B", "gyro"),
     "level": ("Level of the faces", "A", "accel"),
     "gravity": ("Local gravity", "B", "accel"),
@@ -53,6 +53,7 @@ SOURCE_ROWS = {
     "adc": ("ADC: rounding to codes", "B", ""),
     "instability": ("Fit: instability of the offset", "A", ""),
     "repeatability": ("Repeatability: scatter beyond the noise", "A", ""),
+    "prior": ("Fit: what the session does not show", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
 LONGEST = 200  # characters of what is stated

@@ -15,7 +15,7 @@ Sources whose size is not known make a family V(t): it is solved on a grid of t,
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,100 +280,9 @@ def mixed(
     return theta, np.einsum("t,tij->ij", share, covariances) + (share[:, None] * apart).T @ apart
 
 
-def geometric_peak(grid: FloatArray, likelihood: FloatArray, best: int) -> float:
-    """Return where a parabola through the best point of a geometric grid and its neighbours is highest."""
-    if best == len(grid) - 1:
-        return float(grid[best])
-    left, middle, right = likelihood[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right
-    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(grid[best] * (grid[best + 1] / grid[best]) ** np.clip(shift, -1.0, 1.0))
-
-
-# ---- offsets that drift: least squares with a random walk of unknown size
-#
-# Readings at times t follow X theta + b(t) + n: n white with known standard deviations, b a random walk that is zero in the
-# middle t_m of the session and spreads by q sqrt(|t - t_m|) either way:
-#
-#     V(q) = diag(sigma^2) + q^2 min(|t_i - t_m|, |t_j - t_m|)     t_i, t_j on one side of t_m, else diagonal
-#
-# One session knows its q to a factor of two or so, and its offset and g-sensitivity depend on it. So no single q is taken: the
-# parameters are averaged over all, weighted by L(q), and the covariance is that of the error over every q (Gelman 2006). E0 takes
-# every q >= 0 as equally likely beforehand: nothing milder gives intervals that hold where the walk is too small to show. E1 takes
-# 1 / (q + q0), with q0 a walk that ends a tenth of one reading's noise off: without drift the error of the offset is then 1.1 times
-# the least possible, where E0 makes it 1.3 times.
-#
-# Sensors of one part walk alike: theirs are q_s = q exp(0.4 z), z ~ N(0, 1) [assumed], but for one in ten, which is a part of its
-# own. So each is weighed by what the others say of q too; by itself it was stated 1.15 to 1.5 times as wide as it erred.
-#
-# A warm-up may be beside the walk, of an amplitude ~ N(0, a^2) at the first reading, fading with a time constant from 10 s to the
-# length of the session: V(q) + a^2 f f', f = exp(-(t - t_0) / time constant). None is as likely beforehand as all these together.
+# ---- offsets that settle after the power is switched on
 
 _SHORTEST_S, _TIME_CONSTANTS = 10.0, 8
-_LARGEST = 1e5  # of a warm-up, in units of the median sigma: V stays invertible
-_LEAST_SPARE_EQUATIONS = 4  # with fewer, the average over q has no finite variance
-# q sqrt(half the session) in units of the median sigma: steps of a tenth
-_SPREAD = np.concatenate(([0.0], np.geomspace(0.02, 1e6, 180)))
-_SMALL_WALK = 0.1  # q0, in the same unit
-_WEIGHT = np.log(np.gradient(_SPREAD) / (_SPREAD + _SMALL_WALK))
-_EVIDENCE = 3.84  # 95 %: chi-square of one degree of freedom
-_APART, _UNLIKE = 0.4, 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WalkFit:
-    """One sensor's parameters and the random walk of its offset."""
-
-    theta: FloatArray  # (P,)
-    covariance: FloatArray  # (P, P)
-    walk: float  # most likely q, reading per root second; 0 where it is not significant
-    square: float  # r' V^-1 r at the most likely q; E - P is expected
-    warm_up: float = 0.0  # probability that the offset settles
-    settles_s: float = np.nan  # its time constant, s
-
-
-def fit_with_walks(
-    design: FloatArray, readings: FloatArray, sigma: FloatArray, time: FloatArray | None, warm_up: FloatArray
-) -> list[WalkFit]:
-    """Fit sensors, sigma and readings (E, S), whose offsets may drift, each by itself, and settle, all together.
-
-    design (E, P), time (E,): no walk without times; warm_up (S,) is a of each sensor: none where all are 0.
-    """
-    sensors = list(zip(readings.T, sigma.T, warm_up, strict=True))
-    if time is None or len(readings) < design.shape[1] + _LEAST_SPARE_EQUATIONS:
-        plain = [solutions(design, reading, noise[None]) for reading, noise, _ in sensors]
-        return [
-            WalkFit(theta=p.theta[0], covariance=p.covariance[0], walk=0.0, square=float(p.square[0])) for p in plain
-        ]
-    settling, warm = fading(np.column_stack((time, time)), np.ones(len(time)))
-    if not warm_up.any() or np.ptp(time) <= 2.0 * _SHORTEST_S:
-        settling, warm = settling[:0], warm[:0]
-    fits = [[_over_walks(design, *one, time, columns) for columns in (warm[:0, :, 0].T, *warm)] for one in sensors]
-    evidence = np.sum([[np.logaddexp.reduce(each.likelihood + _WEIGHT) for each in one] for one in fits], axis=0)
-    of_times, units = shares(evidence, settling), [_unit(noise, time) for noise in sigma.T]
-    by_likelihood = np.array([[each.likelihood for each in one] for one in fits])
-    over = zip(*(_of_one_part(by_likelihood, prior) for prior in (1.0, 1.0 / (_SPREAD + _SMALL_WALK))), strict=True)
-    return [_over_warm_ups(one, unit, by, of_times) for one, unit, by in zip(fits, units, over, strict=True)]
-
-
-def _of_one_part(likelihood: FloatArray, prior: FloatArray | float) -> FloatArray:
-    """Return the share of each walk (S, C, T) by log likelihoods of the sensors of one part, which walk alike; prior (T,) of q."""
-    likely, before = np.exp(likelihood - likelihood.max(axis=-1, keepdims=True)), _steps(_SPREAD) * prior
-    share = likely * before
-    if len(share) > 1:
-        size, alike = np.log(_SPREAD[1:]), np.zeros((len(_SPREAD), len(_SPREAD)))
-        alike[0, 0], alike[1:, 1:] = 1.0, np.exp(-0.5 * ((size - size[:, None]) / _APART) ** 2)
-        alike /= alike.sum(axis=1, keepdims=True)
-        of_part = np.log(np.maximum(likely @ alike.T, 1e-300))
-        others = of_part.sum(axis=0) - of_part
-        of_part = before * np.exp(others - others.max(axis=-1, keepdims=True))
-        of_part /= of_part.sum(axis=-1, keepdims=True)
-        share = likely * (of_part @ alike * (1.0 - _UNLIKE) + _UNLIKE / len(_SPREAD))
-    return np.asarray(share / share.sum(axis=-1, keepdims=True))
-
-
-def _unit(sigma: FloatArray, time: FloatArray) -> float:
-    return float(np.median(sigma) / max(0.5 * float(np.ptp(time)), 1e-9) ** 0.5)
 
 
 def fading(span: FloatArray, extent: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -393,137 +302,6 @@ def shares(evidence: FloatArray, times: FloatArray) -> tuple[FloatArray, float, 
     share /= share.sum()
     settles = float(share[1:].sum())
     return share, settles, float(share[1:] @ times) / max(settles, 1e-300)
-
-
-def _over_walks(
-    design: FloatArray, reading: FloatArray, sigma: FloatArray, warm_up: float, time: FloatArray, columns: FloatArray
-) -> Solutions:
-    """Solve one sensor for every walk, beside a warm-up that adds columns (E, c) of one time constant."""
-    away = time - 0.5 * (time.min() + time.max())
-    same = np.sign(away)[:, None] == np.sign(away)[None, :]
-    shape = np.where(same, np.minimum(np.abs(away)[:, None], np.abs(away)[None, :]), 0.0)
-    size = min(warm_up, _LARGEST * float(np.median(sigma)))
-    left, singular, _ = np.linalg.svd(size * columns / sigma[:, None], full_matrices=False)
-    spread = 1.0 + singular**2
-    whitener = np.eye(len(time)) + left * (spread**-0.5 - 1.0) @ left.T
-    # V(q) is diagonal in this basis for every q
-    gain, basis = np.linalg.eigh(whitener @ (shape * _unit(sigma, time) ** 2 / np.outer(sigma, sigma)) @ whitener)
-    root = np.sqrt(1.0 + _SPREAD[:, None] ** 2 * gain.clip(0.0))
-    each = solutions(basis.T @ (whitener @ (design / sigma[:, None])), basis.T @ (whitener @ (reading / sigma)), root)
-    return replace(each, likelihood=each.likelihood - 0.5 * np.log(spread).sum())
-
-
-def _over_warm_ups(
-    fits: list[Solutions],
-    unit: float,
-    over: tuple[FloatArray, FloatArray],
-    of_times: tuple[FloatArray, float, float],
-) -> WalkFit:
-    """Average one sensor over walks by E0 and E1 (C, T), then over none and all times of a warm-up, by their ``shares``."""
-    share, settles, settles_s = of_times
-    each = fits[int(np.argmax(share))]
-    best = int(np.argmax(each.likelihood))
-    shows = 2.0 * (each.likelihood[best] - each.likelihood[0]) > _EVIDENCE
-    likely = float(_SPREAD[best]) if best < 2 else geometric_peak(_SPREAD, each.likelihood, best)
-    averages = (mixed(one.theta, one.covariance, *by) for one, *by in zip(fits, *over, strict=True))
-    thetas, covariances = zip(*averages, strict=True)
-    theta, covariance = mixed(np.array(thetas), np.array(covariances), share)
-    return WalkFit(
-        theta=theta,
-        covariance=covariance,
-        walk=unit * likely if shows else 0.0,
-        square=float(each.square[best]),
-        warm_up=settles,
-        settles_s=settles_s,
-    )
-
-
-# ---- groups of parameters that scatter about 0 by an unknown size: the data give size and parameters
-#
-#     y = X theta + n,  n white of variance 1     theta_g ~ N(0, v_g) for each group g, the others by a precision given
-#     maximise over v    2 log p(y | v) = c' theta - log|X'X + P| + log|P|        c = X'y, P = diag(1 / v_g)
-#     v_g <- |theta_g|^2 / gamma_g     gamma_g = n_g - tr(C_g) / v_g,  C = (X'X + P)^-1     (MacKay, "Bayesian interpolation", 1992)
-#
-# A group leaves its least size, 0 for none of it, only where chance makes such a gain of likelihood once in a thousand.
-
-GROUP_SHOWS = 9.55  # of 2 log p: chi-square of one degree of freedom on the boundary, chance 1e-3
-_STEPS = 20  # of v, unless it stops before
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Components:
-    """Parameters of all groups."""
-
-    theta: FloatArray  # (P,)
-    covariance: FloatArray  # (P, P)
-    variance: FloatArray  # (G,), v of each group
-    likelihood: float  # log p(y | v), to a constant
-
-
-def fit_components(
-    normal: FloatArray,
-    moment: FloatArray,
-    precision: FloatArray,
-    groups: Sequence[IntArray],
-    least: FloatArray,
-    first: float,
-) -> Components:
-    """Fit X'X (P, P) and X'y (P,); groups of places start at the variance ``first`` and never go below ``least`` (G,)."""
-    chosen: set[int] = set()
-    best = _at_sizes(normal, moment, precision, groups, least)
-    while len(chosen) < len(groups):
-        tries = []
-        for number in set(range(len(groups))) - chosen:
-            free = [*chosen, number]
-            variance = best.variance.copy()
-            variance[number] = max(first, least[number])
-            tries.append((number, _climbed(normal, moment, precision, groups, (variance, least), free)))
-        number, made = max(tries, key=lambda one: one[1].likelihood)
-        if 2.0 * (made.likelihood - best.likelihood) < GROUP_SHOWS:
-            break
-        chosen.add(number)
-        best = made
-    return best
-
-
-def _climbed(
-    normal: FloatArray,
-    moment: FloatArray,
-    precision: FloatArray,
-    groups: Sequence[IntArray],
-    sizes: tuple[FloatArray, FloatArray],
-    free: Sequence[int],
-) -> Components:
-    variance, least = sizes
-    fit = _at_sizes(normal, moment, precision, groups, variance)
-    for _ in range(_STEPS):
-        before = variance.copy()
-        for number in free:
-            own = groups[number]
-            left = len(own) - float(fit.covariance[own, own].sum()) / max(float(fit.variance[number]), 1e-300)
-            size = float(fit.theta[own] @ fit.theta[own]) / max(left, 1e-3 * len(own))
-            variance[number] = max(size, least[number], 1e-6 * float(fit.variance[number]))
-        fit = _at_sizes(normal, moment, precision, groups, variance)
-        if (np.abs(variance - before) <= 1e-3 * before).all():
-            break
-    return fit
-
-
-def _at_sizes(
-    normal: FloatArray, moment: FloatArray, precision: FloatArray, groups: Sequence[IntArray], variance: FloatArray
-) -> Components:
-    prior, on, logs = precision.copy(), np.ones(len(moment), bool), 0.0
-    for own, size in zip(groups, variance, strict=True):
-        on[own] = size > 0.0
-        if size > 0.0:
-            prior[own] = 1.0 / size
-            logs -= len(own) * float(np.log(size))
-    theta, covariance = np.zeros(len(moment)), np.zeros_like(normal)
-    whole = normal[np.ix_(on, on)] + np.diag(prior[on])
-    covariance[np.ix_(on, on)] = np.linalg.inv(whole) if on.any() else 0.0
-    theta[on] = covariance[np.ix_(on, on)] @ moment[on]
-    likelihood = 0.5 * (float(moment @ theta) - float(np.linalg.slogdet(whole)[1]) + logs)
-    return Components(theta=theta, covariance=covariance, variance=variance.copy(), likelihood=likelihood)
 
 
 # ---- rows that are not linear in the unknowns: Levenberg and Marquardt's steps of fixed weights, priors as rows among the others
