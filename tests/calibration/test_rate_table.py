@@ -145,7 +145,7 @@ def test_mode_paper_needs_three_axes():
 def test_one_rate_shows_no_scale():
     one = about("y")
     lonely = replace(one, reading=one.reading[:1], turn_rate=one.turn_rate[:1], axis=("y",))
-    with pytest.raises(NotObservable, match="expected dwells at two different rates about an axis, got one"):
+    with pytest.raises(NotObservable, match="two different rates or more about an axis, got none about x, y, z"):
         fit_rate_table(lonely)
 
 

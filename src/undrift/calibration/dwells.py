@@ -19,7 +19,7 @@ from undrift.calibration.observe import middles, spans_of
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import Prior, solve
 from undrift.fit.least_squares import block_size, noise_of_means
-from undrift.fit.priors import SETTLE_S, TABLE_ARM, TABLE_MOUNTING
+from undrift.fit.priors import ACCEL_FLICKER, SETTLE_S, TABLE_ARM, TABLE_MOUNTING
 from undrift.model import AXES, TriadModel
 from undrift.record import Axis, MountedFace, RateTable, Record, Still, Turn, TurnAxis
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
@@ -122,15 +122,17 @@ def block_means(values: FloatArray, size: int) -> FloatArray:
 
 # ---- table axis: about which axis of the case a rate table really turned, by the gravity that the accelerometers feel
 #
-# In one mounting, axis k of the case lies along the table's. Dwell i turns the device about k + d + e_i: d and e_i are small and
-# across k, and e_i is the wobble from dwell to dwell. The table's axis is off the vertical by l, and the accelerometers are off
-# the table's axis by an arm r. At the rate w_i and the azimuth psi, block means of the specific force across k are
+# In one mounting, axis k of the case lies along the table's. Dwell i turns the device about k + d_i with d_i = d + e_i: d and e_i
+# are small and across k, and e_i is the wobble from dwell to dwell. The table's axis is off the vertical by l_i = l + e'_i, of the
+# same wobble, and the accelerometers are off the table's axis by an arm r. At the rate w_i and the azimuth psi, block means of the
+# specific force across k are
 #
-#     f / g = d + e_i + R_k(-psi) l - r w_i^2 / g
+#     f / g = d_i + R_k(-psi) l_i - r w_i^2 / g
 #
-# Least squares give d with its covariance; the variances of noise and wobble are excess variances (fit/gls.py). psi is the integral
-# of the gyroscope of the axis within a recording. All mountings share the errors of the accelerometers: df = dM s - M do.
-# Without accelerometers d is zero with the stated uncertainty of the mounting.
+# The sizes of noise and wobble are excess variances (fit/gls.py). With them, each d_i and the covariance of all of them follow from
+# the same rows. psi is the integral of the gyroscope of the axis within a recording. All mountings share the errors of the
+# accelerometers: df = dM s - M do. Without accelerometers d is zero with the stated uncertainty of the mounting, and e_i with the
+# stated wobble.
 
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
 
@@ -139,12 +141,12 @@ MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound ari
 class TableAxes:
     """About which axes of the case the dwells turned, and what is not known about them."""
 
-    direction: FloatArray  # (N, 3), mean axis of each dwell
+    direction: FloatArray  # (N, 3), axis of each dwell
     columns: FloatArray  # (N, 3, C), errors of ``direction`` by C independent causes of one standard deviation each
-    off: FloatArray  # (N,), measured angle between case axis and table axis, rad; NaN if gravity did not show it
+    off: FloatArray  # (N, 2), angle between case axis and table axis and its uncertainty, rad; NaN if gravity did not show it
     ripple: FloatArray  # (N, R), change of the rate by R independent ripples, relative, of an amplitude of one each
     rate: float  # standard uncertainty of all stated rates in common, relative
-    wobble: float  # stated standard uncertainty of the axis from dwell to dwell, rad
+    wobble: FloatArray  # (N,), stated standard uncertainty of the axis from dwell to dwell, rad; 0 if gravity showed the axis
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -181,24 +183,31 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
     groups: dict[tuple[int, int, float], list[int]] = {}
     for n in sorted(range(count), key=lambda n: dwells.turns[n].recording):
         groups.setdefault((int(dwells.mounting[n]), int(axis[n]), float(dwells.up[n])), []).append(n)
-    direction, off = np.eye(3)[axis], np.full(count, np.nan)
-    own_columns = np.zeros((count, 3, 2 * len(groups)))
+    direction, off = np.eye(3)[axis], np.full((count, 2), np.nan)
+    wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
+    own_columns = np.zeros((count, 3, 2 * count + 3 * len(groups)))
     by_accel = np.zeros((count, 3, 12))
-    for number, ((_, k, up), rows) in enumerate(groups.items()):
+    start = 0
+    for (_, k, up), rows in groups.items():
         across = [(k + 1) % 3, (k + 2) % 3]
-        felt = (
-            None if accel is None or up == 0.0 else _mounting_by_gravity(dwells, rows, table, accel, up / gravity_m_s2)
-        )
-        tilt, root = felt or (np.zeros(2), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2))
+        felt = None
+        if accel is not None and up != 0.0:
+            felt = _axes_by_gravity(dwells, rows, table, accel, up / gravity_m_s2)
+        if felt is None:
+            own_columns[np.ix_(rows, across, [start, start + 1])] = table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2)
+            start += 2
+            continue
+        tilt, root, off[rows] = felt
         direction[np.ix_(rows, across)] = tilt
-        own_columns[np.ix_(rows, across, [2 * number, 2 * number + 1])] = root
-        if felt is not None and accel is not None:
-            off[rows] = np.hypot(*tilt)
+        own_columns[np.ix_(rows, across, range(start, start + root.shape[2]))] = root
+        start += root.shape[2]
+        wobble[rows] = 0.0
+        if accel is not None:
             reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
             by_accel[np.ix_(rows, across)] = np.hstack(
                 (np.kron(np.eye(3), reading), -up / gravity_m_s2 * accel.matrix)
             )[across]
-    columns = [own_columns]
+    columns = [own_columns[:, :, :start]]
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
         columns.append(by_accel @ (vectors * np.sqrt(variance.clip(0.0))))
@@ -208,7 +217,7 @@ def table_axes(dwells: Dwells, table: RateTable, accel: TriadModel | None, gravi
         off=off,
         ripple=_ripples(dwells),
         rate=table.rate_uncertainty,
-        wobble=table.wobble_deg * RADIAN_PER_DEGREE,
+        wobble=wobble,
     )
 
 
@@ -231,13 +240,17 @@ def _ripples(dwells: Dwells) -> FloatArray:
     return np.hstack([np.zeros((len(dwells.turns), 0)), *columns])
 
 
-def _mounting_by_gravity(
+def _axes_by_gravity(
     dwells: Dwells, rows: list[int], table: RateTable, accel: TriadModel, gain: float
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return d (2,) of one mounting and a root of its covariance (2, 2); None if gaps hide the azimuth or the force."""
+) -> tuple[FloatArray, FloatArray, tuple[float, float]] | None:
+    """Return d_i (R, 2) of the dwells of one mounting, a root of their covariance (R, 2, C), and |d| with its uncertainty.
+
+    Return None if gaps hide the azimuth or the force.
+    """
     k = int(dwells.own[rows[0]])
     recordings = sorted({dwells.turns[n].recording for n in rows})
-    design, across, dwell = list[FloatArray](), list[FloatArray](), list[int]()
+    common = 4 + 2 * len(recordings)  # d, r, and l of each recording; then e_i and e'_i of each dwell
+    design, across = list[FloatArray](), list[FloatArray]()
     for number, recording in enumerate(recordings):
         rows_here = [n for n in rows if dwells.turns[n].recording == recording]
         windows = [dwells.steady_gravity(n) for n in rows_here]
@@ -248,30 +261,51 @@ def _mounting_by_gravity(
             force = gain * (np.asarray(record.accel[window]) - accel.offset) @ accel.matrix.T
             parts = np.column_stack((np.cos(angle), np.sin(angle), force[:, [(k + 1) % 3, (k + 2) % 3]]))
             means = block_means(parts, dwells.sizes[n])
-            for cosine, sine, *felt in means[~np.isnan(means).any(axis=1)]:
-                block = np.zeros((2, 4 + 2 * len(recordings)))
-                block[:, :2], block[:, 2:4] = np.eye(2), abs(gain) * dwells.turn_rate[n] ** 2 * np.eye(2)
-                block[:, 4 + 2 * number : 6 + 2 * number] = [[cosine, sine], [-sine, cosine]]
-                design.append(block)
-                across.append(np.array(felt))
-                dwell.append(n)
-    if len(set(dwell)) < len(rows):
-        return None
-    of_dwell, component = np.repeat(dwell, 2), np.tile([0, 1], len(dwell))
-    one_dwell = (of_dwell[:, None] == of_dwell) & (component[:, None] == component)
+            means = means[~np.isnan(means).any(axis=1)]
+            if not len(means):
+                return None
+            turned = np.stack((means[:, [0, 1]], means[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
+            block = np.zeros((len(means), 2, common + 4 * len(rows)))
+            block[:, :, :2], block[:, :, 2:4] = np.eye(2), abs(gain) * dwells.turn_rate[n] ** 2 * np.eye(2)
+            block[:, :, 4 + 2 * number : 6 + 2 * number] = turned
+            wobble = common + 4 * rows.index(n)
+            block[:, :, wobble : wobble + 2], block[:, :, wobble + 2 : wobble + 4] = np.eye(2), turned
+            design.append(block.reshape(-1, block.shape[2]))
+            across.append(means[:, 2:].ravel())
+    matrix, felt = np.vstack(design), np.concatenate(across)
     level = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD)
     sizes = np.array([TABLE_MOUNTING] * 2 + [TABLE_ARM] * 2 + [level] * (2 * len(recordings)))
-    white = np.eye(len(of_dwell))
+    stated = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
+    wobbles = matrix[:, common:] @ matrix[:, common:].T
+    scatter = solve(
+        matrix[:, :common],
+        felt,
+        {"noise": np.full(len(felt), MIN_TILT_SD**2), "wobble": stated * wobbles},
+        excess={"noise": np.ones(len(felt)), "wobble": wobbles},
+        prior=Prior(mean=np.zeros(common), precision=np.diag(sizes**-2)),
+    )
+    # the same rows, with the wobble of each dwell among the parameters
+    wobble_sd = max(stated + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
+    sizes = np.concatenate((sizes, np.full(4 * len(rows), wobble_sd)))
     fit = solve(
-        np.vstack(design),
-        np.concatenate(across),
-        {"noise": MIN_TILT_SD**2 * white, "wobble": (table.wobble_deg * RADIAN_PER_DEGREE) ** 2 * one_dwell},
-        excess={"noise": white, "wobble": one_dwell.astype(float)},
+        matrix,
+        felt,
+        {"noise": np.full(len(felt), MIN_TILT_SD**2 + scatter.excess_bound("noise"))},
         prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
     )
+    to_axes = np.zeros((len(rows), 2, len(sizes)))  # d + e_i
+    for number in range(len(rows)):
+        to_axes[number, :, :2] = to_axes[number, :, common + 4 * number : common + 4 * number + 2] = np.eye(2)
+    to_axes = to_axes.reshape(2 * len(rows), -1)
+    flicker = (ACCEL_FLICKER * gain) ** 2 * np.eye(2 * len(rows))
+    root = np.linalg.cholesky(to_axes @ fit.covariance @ to_axes.T + flicker)
     rounding = accel.matrix[[(k + 1) % 3, (k + 2) % 3]] * gain  # all dwells feel one gravity, and so read one code
-    covariance = fit.covariance[:2, :2] + (rounding * np.nan_to_num(dwells.codes(rate=False))) @ rounding.T
-    return fit.theta[:2], np.linalg.cholesky(covariance)
+    codes = rounding * np.sqrt(np.nan_to_num(dwells.codes(rate=False)))
+    return (
+        (to_axes @ fit.theta).reshape(-1, 2),
+        np.concatenate((root.reshape(len(rows), 2, -1), np.broadcast_to(codes, (len(rows), 2, 3))), axis=2),
+        (float(np.hypot(*fit.theta[:2])), float(np.sqrt(fit.covariance[0, 0]))),
+    )
 
 
 # ---- mean readings of the dwells

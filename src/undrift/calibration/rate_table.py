@@ -11,7 +11,7 @@ The errors of dwell or rest i, in the frame of the case, by source:
 
     noise, adc     M n_i                       noise and rounding of the mean
     rate           w_i r                       stated rates, wrong in common
-    mounting       w_i (d_m + e_i)             the table's axis in mounting m, and its wobble across the axis from dwell to dwell
+    mounting       w_i (d_i + e_i)             the table's axis as gravity shows it or as stated, and its wobble beyond that
     ripple         w_i (p_m(psi_i) + u_i)      the rate about the dwell's axis: it ripples with the azimuth psi of the table, if a
                                                dwell is shorter than a turn, and differs from dwell to dwell
     temperature    warmth_i (alpha + beta w_i) offset and scale follow the temperature
@@ -161,7 +161,7 @@ def _check_turned(dwells: DwellMeans, scale_tolerance: float) -> tuple[Linearity
             check_own_scale(lines[-1].scale_factor, dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
     if not lines:
         raise NotObservable(
-            "rate table: expected dwells at two different rates about an axis, got one. Record both signs."
+            "rate table: expected dwells at two different rates or more about an axis, got none about x, y, z. Record both signs."
         )
     return tuple(lines)
 
@@ -170,7 +170,7 @@ def _check_turned(dwells: DwellMeans, scale_tolerance: float) -> tuple[Linearity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class _TableRows:
     """Dwells, then rests: E pieces, three rows each."""
 
     reading: FloatArray  # (E, 3), unit of the dwells
@@ -182,12 +182,12 @@ class _Rows:
     creep: Creep | None
 
 
-def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None, creep: Creep | None) -> _Rows:
+def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None, creep: Creep | None) -> _TableRows:
     if rests is None:
-        return _Rows(
+        return _TableRows(
             reading=dwells.reading, rate=rates, force=None, noise=dwells.noise, time=dwells.time, span=dwells.span, creep=creep
         )  # fmt: skip
-    return _Rows(
+    return _TableRows(
         reading=np.vstack((dwells.reading, rests.reading)),
         rate=np.vstack((rates, np.zeros_like(rests.reading))),
         force=np.vstack((rests.dwell_force, rests.force)),
@@ -202,7 +202,7 @@ def _joined(first: FloatArray | None, second: FloatArray | None) -> FloatArray |
     return None if first is None or second is None else np.concatenate((first, second))
 
 
-def _start(rows: _Rows, turned: Sequence[int], unit: str) -> FloatArray:
+def _start(rows: _TableRows, turned: Sequence[int], unit: str) -> FloatArray:
     """Return a first matrix M: least squares for the turned axes, the nominal scale factor for the others."""
     design = np.column_stack((rows.rate[:, turned], np.ones(len(rows.rate))))
     slopes = np.linalg.lstsq(design, rows.reading, rcond=None)[0][:-1]
@@ -214,7 +214,7 @@ def _start(rows: _Rows, turned: Sequence[int], unit: str) -> FloatArray:
 
 
 def _solve(
-    rows: _Rows, matrix: FloatArray, turned: Sequence[int], cross_axis_prior: float, dwells: DwellMeans
+    rows: _TableRows, matrix: FloatArray, turned: Sequence[int], cross_axis_prior: float, dwells: DwellMeans
 ) -> GlsFit:
     """Fit M, c and G (21 parameters; 12 without a specific force)."""
     size = 12 if rows.force is None else 21
@@ -237,7 +237,7 @@ def _solve(
     )
 
 
-def _sources(rows: _Rows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, FloatArray]:
+def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, FloatArray]:
     """Return the stated covariances (3 E, 3 E) of the rows, (rad/s)^2."""
     count = len(rows.rate)
     floor = (MIN_NOISE * np.abs(rows.reading).max(axis=0)) ** 2 + 1e-300
@@ -262,11 +262,12 @@ def _sources(rows: _Rows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, F
         columns = columns.reshape(3 * count, -1)  # type: ignore[assignment]
         common = dwells.axes.rate * rows.rate.ravel()
         sources["rate"] = np.outer(common, common)
-        sources["mounting"] = columns @ columns.T + np.diag((dwells.axes.wobble * across.ravel()) ** 2)
+        across[: len(dwells.turn_rate)] *= dwells.axes.wobble[:, None]
+        sources["mounting"] = columns @ columns.T + np.diag(across.ravel() ** 2)
     return sources
 
 
-def _excess(rows: _Rows, dwells: DwellMeans) -> dict[str, FloatArray]:
+def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
     """Return the shapes of errors whose sizes the residuals show: (3 E, 3 E), or its diagonal (3 E,)."""
     count = len(rows.rate)
     if rows.noise is None:
@@ -321,7 +322,9 @@ def walk_about_mean(time: FloatArray) -> FloatArray:
 # ---- model and findings
 
 
-def _model(rows: _Rows, fit: GlsFit, dwells: DwellMeans, *, felt: bool) -> tuple[TriadModel, FloatArray, list[Finding]]:
+def _model(
+    rows: _TableRows, fit: GlsFit, dwells: DwellMeans, *, felt: bool
+) -> tuple[TriadModel, FloatArray, list[Finding]]:
     matrix, constant = fit.theta[:9].reshape(3, 3), fit.theta[9:12]
     offset, jacobian = offset_of(matrix, constant, len(fit.theta))
     parts = dict(fit.budget)
@@ -389,9 +392,9 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
         yield finding("rate_table.scatter", level, residual_percent=residual, **_against(level, RESIDUAL_PERCENT))
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     if dwells.axes is not None and np.isfinite(dwells.axes.off).any():
-        off = float(np.nanmax(dwells.axes.off))
+        off, uncertainty = dwells.axes.off[np.nanargmax(dwells.axes.off[:, 0])]
         stated = dwells.mount_tilt
-        beyond = off > max(MOUNTED * 2.0**0.5 * stated, SMALL_ANGLE)
+        beyond = off - 2.0 * uncertainty > max(MOUNTED * 2.0**0.5 * stated, SMALL_ANGLE)
         yield finding(
             "rate_table.mounting", "warn" if beyond else "info",
             angle_deg=off / RADIAN_PER_DEGREE, stated_deg=stated / RADIAN_PER_DEGREE,
