@@ -293,10 +293,10 @@ def _axes_by_gravity(
         {"noise": np.full(len(felt), MIN_TILT_SD**2 + scatter.excess_bound("noise"))},
         prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
     )
-    to_axes = np.zeros((len(rows), 2, len(sizes)))  # d + e_i
+    to_axes = np.zeros((2 * len(rows), len(sizes)))  # d + e_i
     for number in range(len(rows)):
-        to_axes[number, :, :2] = to_axes[number, :, common + 4 * number : common + 4 * number + 2] = np.eye(2)
-    to_axes = to_axes.reshape(2 * len(rows), -1)
+        own = slice(common + 4 * number, common + 4 * number + 2)
+        to_axes[2 * number : 2 * number + 2, :2] = to_axes[2 * number : 2 * number + 2, own] = np.eye(2)
     flicker = (ACCEL_FLICKER * gain) ** 2 * np.eye(2 * len(rows))
     root = np.linalg.cholesky(to_axes @ fit.covariance @ to_axes.T + flicker)
     rounding = accel.matrix[[(k + 1) % 3, (k + 2) % 3]] * gain  # all dwells feel one gravity, and so read one code
