@@ -170,7 +170,7 @@ def test_a_disk_that_is_full_at_any_write_leaves_what_was_recorded(ending):
 
 
 class Operator(Screen):
-    """Reads the screen and does what it asks for, with an emulated device in its hands."""
+    """Reads the screen and does what it asks for, with a simulated device in its hands."""
 
     def __init__(self, hands: HandHeld) -> None:
         self.hands, self.said = hands, list[str]()

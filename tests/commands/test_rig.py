@@ -2,13 +2,11 @@
 
 import io
 import json
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from testkit.emulated.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
 from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
 from undrift.cli.app import run
@@ -113,36 +111,6 @@ def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code,
     assert out == ""
     assert message in err
     assert err.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_a_stop_while_the_device_is_mounted_ends_the_run_before_the_motor_is_on_again(tmp_path):
-    (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=15.0))) as bench:
-        words = [
-            "rig",
-            "run",
-            str(tmp_path / "protocol.toml"),
-            "--rig",
-            bench.rig_address,
-            "--device",
-            bench.device_address,
-        ]
-        code = f"from undrift.cli.app import main; main({[*words, '-o', str(tmp_path / 'run'), '--yes']!r})"
-        with subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as process:
-            assert process.stdin is not None
-            assert process.stderr is not None
-            shown = ""
-            while "press Enter" not in shown:
-                said = process.stderr.read(1)
-                assert said, shown
-                shown += said
-            assert run(["rig", "stop", "--rig", bench.rig_address]) == 0
-            _, err = process.communicate(timeout=20.0)
-            assert process.returncode == 130
-        assert "stopped; nothing was left half written" in err
 
 
 def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):

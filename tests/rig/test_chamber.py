@@ -1,21 +1,20 @@
-"""The chamber's driver: against answers that are written down, then against the emulated chamber over a socket."""
+"""The chamber's driver: against answers that are written down, then against the simulated chamber behind its language."""
 
 import math
-import time
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit.emulated.emulator import AirSettings, EmulatedChamber
-from testkit.scripted_server import Scripted
-from undrift.base.clock import Clock
+from testkit.rig_bench import simulated
+from testkit.scripted_server import Scripted, VirtualScripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.chamber import ChamberSetup, ScpiChamber, SoakSettings, Steadiness, open_chamber
+from undrift.rig.chamber import ChamberSetup, SoakSettings, Steadiness, open_chamber
+from undrift.sim.bench import AirSettings
 
-SPEED = 200.0
 SOAK = SoakSettings(window_s=60.0)
-SETTINGS = ChamberSetup(clock=Clock(SPEED), soak=SOAK, reply_timeout_s=20.0)
+SETTINGS = ChamberSetup(soak=SOAK, reply_timeout_s=20.0)
 TRUE = {
     "*IDN?": b"maker,model,7,1.2\n",
     "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?": b"45.0\n",
@@ -30,22 +29,31 @@ def scripted(**changed):
     return Scripted(answers.get, terminator=b"\n")
 
 
-@pytest.fixture
-def emulated():
-    chamber = EmulatedChamber(AirSettings(ramp_c_per_min=10.0, period_s=30.0), Clock.started(SPEED))
-    try:
-        yield chamber
-    finally:
-        chamber.close()
+class ScpiAir:
+    """The simulated chamber of a bench behind the language, on the bench's clock; ``spoil`` changes its answers."""
+
+    def __init__(self, **air):
+        self.bench = simulated(air=AirSettings(**{"ramp_c_per_min": 10.0, "period_s": 30.0, **air}))
+        self.spoil = lambda answer: answer
+        self.server = VirtualScripted(self.answer, self.bench.clock, terminator=b"\n")
+
+    def answer(self, command):
+        chamber = self.bench.chamber
+        if asked := re.fullmatch(r"TEMP:SPO ([\d.]+);:OUTP ON;:TEMP:SPO\?", command):
+            return self.spoil(f"{chamber.set(float(asked[1])):.2f}\n".encode())
+        if command == "OUTP OFF;:OUTP?":
+            chamber.switch_off()
+        reading = f"{chamber.read():.2f}\n".encode()
+        return self.spoil(reading if command == "MEAS:TEMP?" else TRUE[command])
+
+    def opened(self):
+        return open_chamber(self.server.url, replace(SETTINGS, clock=self.bench.clock, reply_timeout_s=0.3))
 
 
-def soak(chamber, deadline_s):
+def soak(chamber, within_s):
     """Wait until the temperature is steady at the set-point."""
-    last = time.monotonic() + deadline_s / SPEED
-    while not chamber.soaked():
-        if time.monotonic() >= last:
-            raise RigTimeout("not steady in time")
-        time.sleep(chamber.criterion.window_s / 30.0 / SPEED)
+    if not chamber.settings.clock.until(chamber.soaked, within_s, 2.0):
+        raise RigTimeout("not steady in time")
     return chamber.read()
 
 
@@ -112,68 +120,56 @@ def test_a_chamber_that_stays_on_is_told():
         chamber.switch_off()
 
 
-def test_the_heater_is_off_after_every_end(emulated):
-    chamber = ScpiChamber(emulated.address, SETTINGS)
+def test_the_heater_is_off_after_every_end():
+    scpi = ScpiAir()
+    chamber = scpi.opened()
     chamber.set(60.0)
-    assert emulated.air.on
-    emulated.inject("half_reply", answers=1)
-    patience(chamber, 0.3)
-    with pytest.raises(RigError):
+    assert scpi.bench.air.on
+    scpi.spoil = lambda answer: answer[:2]
+    with pytest.raises(RigTimeout):
         chamber.read()
-    patience(chamber, SETTINGS.reply_timeout_s)
+    scpi.spoil = lambda answer: answer
     chamber.close()
     chamber.close()
-    assert not emulated.air.on
+    assert not scpi.bench.air.on
 
 
-def test_a_soak_ends_when_the_air_is_steady_at_its_set_point(emulated):
-    with open_chamber(emulated.address, SETTINGS) as chamber:
+def test_a_soak_ends_when_the_air_is_steady_at_its_set_point():
+    scpi = ScpiAir()
+    with scpi.opened() as chamber:
         chamber.set(45.0)
-        temp = soak(chamber, 1200.0)
-        times = np.linspace(emulated.air.time[-1] - SETTINGS.soak.window_s, emulated.air.time[-1], 100)
-        air = emulated.air.at(times)[0]
-        assert temp == pytest.approx(45.0, abs=0.1)
-        # the criterion sees readings rounded to 0.01 degC, and a fast clock moves on while the last one travels
-        assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.15
+        assert soak(chamber, 1200.0) == pytest.approx(45.0, abs=0.1)
+        now = scpi.bench.now()
+        times = np.linspace(now - SOAK.window_s, now, 100)
+        air = scpi.bench.air.at(times)[0]
+        # the criterion sees readings rounded to 0.01 degC
+        assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.12
         assert np.ptp(air) < 2.0 * SOAK.tolerance_c
 
 
-@pytest.mark.parametrize("fault", ["stuck_heater", "open_door"])
-def test_a_chamber_that_does_not_get_there_is_never_soaked(emulated, fault):
-    emulated.inject(fault)
-    with open_chamber(emulated.address, SETTINGS) as chamber:
+def test_a_chamber_that_does_not_get_there_is_never_soaked():
+    with ScpiAir(ramp_c_per_min=1e-3).opened() as chamber:  # a heater that heats no more
         chamber.set(45.0)
         with pytest.raises(RigTimeout):
             soak(chamber, 120.0)
-        assert 20.0 <= chamber.read() < 30.0
+        assert chamber.read() == pytest.approx(25.0, abs=0.1)
 
 
-@pytest.mark.slow
-def test_a_door_that_opens_ends_a_soak_and_one_that_closes_lets_it_come(emulated):
-    with open_chamber(emulated.address, SETTINGS) as chamber:
-        chamber.set(40.0)
-        soak(chamber, 1200.0)
-        emulated.inject("open_door")
-        end = time.monotonic() + 60.0 / SPEED
-        while time.monotonic() < end:
-            assert chamber.read() < 41.0
-        assert not chamber.soaked()
-        emulated.clear()
-        assert soak(chamber, 1200.0) == pytest.approx(40.0, abs=0.1)
-
-
-@pytest.mark.parametrize("fault", ["stall", "garbage", "half_reply", "drop_bytes", "disconnect"])
-def test_a_link_that_fails_is_an_error_and_never_a_hang(emulated, fault):
-    with open_chamber(emulated.address, SETTINGS) as chamber:
-        emulated.inject(fault)
-        patience(chamber, 0.3)
-        start = time.monotonic()
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda answer: None, lambda answer: b"\xff\xfe\n", lambda answer: answer[:-1], lambda answer: b"x" + answer],
+    ids=["silence", "no text", "cut", "garbage"],
+)
+def test_a_link_that_fails_is_an_error_and_the_heater_is_off_at_the_end(spoil):
+    scpi = ScpiAir()
+    with scpi.opened() as chamber:
+        scpi.spoil = spoil
+        began = scpi.bench.now()
         with pytest.raises(RigError):
             chamber.set(45.0)
-        assert time.monotonic() - start < 30.0
-        emulated.clear()
-        patience(chamber, SETTINGS.reply_timeout_s)
-    assert not emulated.air.on
+        assert scpi.bench.now() - began < 1.0
+        scpi.spoil = lambda answer: answer
+    assert not scpi.bench.air.on
 
 
 def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_temperature():
@@ -187,9 +183,9 @@ def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_t
     assert seldom.slope_c_per_min() > 0.1
 
 
-def test_a_soak_needs_a_set_point(emulated):
+def test_a_soak_needs_a_set_point():
     with (
-        open_chamber(emulated.address, SETTINGS) as chamber,
+        ScpiAir().opened() as chamber,
         pytest.raises(InputError, match=r"chamber: wanted a set-point before a soak, got none; set it first"),
     ):
         chamber.soaked()

@@ -7,26 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from testkit.emulated.emulator import (
-    AirSettings,
-    BenchHands,
-    EmulatedBench,
-    EmulatedBenchSettings,
-    EmulatedChamber,
-    EmulatorSettings,
-)
-from testkit.rig_bench import SHORT, Device, Hands, at_rest, emulated, opened
+from testkit.rig_bench import SHORT, Device, at_rest, simulated
+from testkit.rig_bench import run as run_on
+from testkit.talking_device import TalkingDevice
 from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
 from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
-from undrift.rig.folder import RunFolder
-from undrift.rig.judge import RunSettings
-from undrift.rig.programme import programme_of
-from undrift.rig.run import RigBench, run_programme
-from undrift.units import STANDARD_GRAVITY
+from undrift.sim.bench import AirSettings
 
-SPEED = 40.0
 QUICK = AirSettings(ramp_c_per_min=300.0, period_s=1.0, board_lag_s=1.0)
 RISE_C = 1.5  # of the board above the air, by its own power
 SOAK = SoakSettings(window_s=10.0)
@@ -35,44 +24,20 @@ SOAK = SoakSettings(window_s=10.0)
 class WithThermometer(Device):
     """The device of the bench, on a board in the chamber."""
 
-    def __init__(self, emulator, hands, chamber):
-        super().__init__(emulator, hands)
-        self.chamber = chamber
-
     def stop(self):
-        record = super().stop()
-        return replace(record, temp_c=RISE_C + self.chamber.board_temp(record.time))
+        record = self.readings.stop()
+        return replace(record, temp_c=record.temp_c + RISE_C)
 
 
-def hand_run(tmp_path, temperatures, person, *, thermometer=True):
+def hand_run(path, temperatures, person, *, readings=WithThermometer):
     """Run a protocol at a bench whose chamber obeys nobody but the person at it."""
-    with emulated() as emulator:
-        chamber = EmulatedChamber(QUICK, emulator.clock)
-        hands = Hands()
-        readings = WithThermometer(emulator, hands, chamber) if thermometer else Device(emulator, hands)
-        protocol, settings = (
-            replace(SHORT, temperatures_c=temperatures),
-            ChamberSetup(clock=emulator.clock, soak=SOAK),
-        )
-        try:
-            with (
-                RunFolder(tmp_path, protocol) as folder,
-                open_chamber("manual:", settings, ask=lambda line: person(line, chamber)) as by_hand,
-            ):
-                bench = RigBench(
-                    rig=opened(emulator), readings=readings, mounting=hands, chamber=by_hand, clock=emulator.clock
-                )
-                run_programme(
-                    programme_of(protocol),
-                    bench,
-                    folder,
-                    report=lambda progress: None,
-                    gravity_m_s2=STANDARD_GRAVITY,
-                    settings=RunSettings(device_lag_s=0.0),
-                )
-        finally:
-            assert at_rest(emulator)
-            chamber.close()
+    bench = simulated(air=QUICK)
+    settings = ChamberSetup(clock=bench.clock, soak=SOAK)
+    try:
+        with open_chamber("manual:", settings, ask=lambda line: person(line, bench.chamber)) as by_hand:
+            run_on(bench, path, replace(SHORT, temperatures_c=temperatures), chamber=by_hand, readings=readings)
+    finally:
+        assert at_rest(bench)
 
 
 def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_set_wrong(tmp_path, caplog):
@@ -82,7 +47,7 @@ def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_
         asked.append(line)
         temp = float(re.search(r"to ([\d.]+) degC", line)[1])
         if len(asked) != 2:  # the second time the person presses Enter and forgets the chamber
-            chamber.obey(f"TEMP:SPO {temp};:OUTP ON")
+            chamber.set(temp)
         return ""
 
     hand_run(tmp_path, (30.0, 42.0), person)
@@ -97,16 +62,13 @@ def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_
 
 
 def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\nq\n"))
     (tmp_path / "protocol.toml").write_text(
         "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
     )
-    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=SPEED))) as bench:
-        monkeypatch.setattr("undrift.rig.manual.AskedOperator", lambda ask: BenchHands(bench.hands_address))
-        places = ["--rig", bench.rig_address, "--device", bench.device_address]
-        words = ["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]
-        assert run([*words, "--chamber", "manual:"]) == 3
-        assert at_rest(bench.rig)
+    with TalkingDevice() as device:
+        places = ["--rig", "manual:", "--device", device.address, "--chamber", "manual:"]
+        assert run(["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]) == 3
     said = capsys.readouterr().err
     assert "Set the chamber to 30 degC, then press Enter (q gives up): " in said
     assert "chamber: wanted it set to 30 degC, got 'q'; continue with --resume when it can be" in said
@@ -114,7 +76,7 @@ def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):
 
 def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):
     with pytest.raises(InputError, match=r"wanted a thermometer in it, as the chamber is set by hand, got none"):
-        hand_run(tmp_path / "a", (30.0, 42.0), lambda line, chamber: "", thermometer=False)
+        hand_run(tmp_path / "a", (30.0, 42.0), lambda line, chamber: "", readings=Device)
     with pytest.raises(RigFault, match=r"chamber: wanted it set to 30 degC, got 'q'; continue with `resume`"):
         hand_run(tmp_path / "b", (30.0, 42.0), lambda line, chamber: "q")
     with pytest.raises(InputError, match=r"chamber: wanted a person to ask, got none"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.rig_bench import SHORT, emulated, run
+from testkit.rig_bench import SHORT, run, simulated
 from undrift.errors import UndriftError
 from undrift.io.session import read_session
 from undrift.rig.folder import RunFolder
@@ -15,8 +15,8 @@ from undrift.rig.folder import RunFolder
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     path = tmp_path_factory.mktemp("flips") / "run"
-    with emulated() as emulator:
-        run(emulator, path)
+    bench = simulated()
+    run(bench, path)
     return path
 
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.cards import Card
 from testkit.rig_bench import mean_turn_rate
-from testkit.scripted_server import Card, Scripted, VirtualScripted
+from testkit.scripted_server import Scripted, VirtualScripted
 from undrift.base.clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import galil as axis_module

@@ -2,7 +2,8 @@
 
 import pytest
 
-from testkit.scripted_server import Card, Scripted, transcript
+from testkit.cards import Card
+from testkit.scripted_server import Scripted, transcript
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigFault, RigTimeout
 from undrift.rig.galil import GalilCard, wrong_switches

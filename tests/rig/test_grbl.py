@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.cards import Board
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from undrift.base.clock import VirtualClock
@@ -22,59 +23,6 @@ ERRORS, ALARMS = (
 DEGREE = math.pi / 180.0
 SAFE = "the table was stopped and its motor put to sleep"
 LOST = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
-
-
-class Board:
-    """A board of one rotary axis that is where its jogs end at once, and that answers badly when told to."""
-
-    def __init__(self) -> None:
-        self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
-        self.state = "Idle"
-        self.place = 0.0
-        self.jogs: list[tuple[float, float]] = []
-        self.spoilt: dict[str, list[bytes | None]] = {}
-        self.stays = 0
-        self.wakes_to = "Idle"
-
-    def __call__(self, command: str) -> bytes | None:
-        for start, answers in self.spoilt.items():
-            if command.startswith(start) and answers:
-                return answers.pop(0)
-        if command == "?":
-            self.stays = max(self.stays - 1, 0)
-            if self.state == "Jog" and not self.stays:
-                self.state = "Idle"
-            return f"<{self.state}|MPos:{self.place:.3f}|FS:0,0>\r\n".encode()
-        if command == "\x18":
-            was, self.state = self.state, self.wakes_to
-            if was == "Sleep":
-                self.state = "Alarm"
-            return b"\r\nGrbl 1.1h ['$' for help]\r\n"
-        if command == "\x85":
-            self.state = "Idle"
-            return None
-        return self.line(command)
-
-    def line(self, command: str) -> bytes:
-        if found := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
-            self.jogs.append((float(found.group(1)), float(found.group(2))))
-            self.place += self.jogs[-1][0]
-            self.state, self.stays = "Jog", 3
-            return b"ok\r\n"
-        if command == "$$":
-            return "".join(f"${n}={v}\r\n" for n, v in self.settings.items()).encode() + b"ok\r\n"
-        if command == "$I":
-            return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
-        if found := re.fullmatch(r"\$(\d+)=([\d.]+)", command):
-            self.settings[found.group(1)] = found.group(2)
-            return b"ok\r\n"
-        if command == "$SLP":
-            self.state = "Sleep"
-            return b"ok\r\n"
-        if command == "$X":
-            self.state = "Idle"
-            return b"[MSG:Caution: Unlocked]\r\nok\r\n"
-        return b"error:3\r\n"
 
 
 class Bench:

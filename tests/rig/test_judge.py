@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import DPS, GAIN, OFFSET, SHORT, UP, Device, emulated, run
+from testkit.rig_bench import DPS, GAIN, OFFSET, SHORT, UP, Device, Hands, run, simulated
 from undrift.errors import RigFault
 from undrift.io.parquet import read_parquet
 from undrift.record import FACES, Record
@@ -141,16 +141,10 @@ def test_in_counts_two_faces_that_read_the_same_are_both_in_doubt():
 
 
 class InCounts(Device):
-    """Reads counts, as faces that were mounted wrongly at some of the mountings."""
-
-    def __init__(self, emulator, hands, wrong):
-        super().__init__(emulator, hands)
-        self.wrong = dict(wrong)  # number of the mounting -> what is up then
+    """Reads counts."""
 
     def stop(self):
-        up, self.hands.up = self.hands.up, self.wrong.get(len(self.hands.mounted), self.hands.up)
         record = super().stop()
-        self.hands.up = up
         accel = np.rint(1700.0 * record.accel + [300.0, -80.0, 40.0])
         return replace(record, accel=accel, accel_unit="count")
 
@@ -168,86 +162,76 @@ SIX = ("+x", "-x", "+y", "-y", "+z", "-z")
         ({3: "+z"}, "+x -x +y -y +z -z +y"),  # with -y the faces before show at once that +y is wrong
     ],
 )
-def test_a_run_in_counts_takes_the_face_again_that_was_wrong(tmp_path, monkeypatch, wrong, mounted):
-    monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: InCounts(emulator, hands, wrong))
-    with emulated() as emulator:
-        result, hands = run(emulator, tmp_path / "run", replace(SHORT, faces=SIX, axes=()))
+def test_a_run_in_counts_takes_the_face_again_that_was_wrong(tmp_path, wrong, mounted):
+    bench, protocol = simulated(), replace(SHORT, faces=SIX, axes=())
+    result, hands = run(bench, tmp_path / "run", protocol, readings=InCounts, hands=Hands(bench, wrong))
     assert hands.mounted == mounted.split()
     assert (result.added, len(result.pieces)) == (6, 6)
     read = {piece.up: read_parquet(tmp_path / "run" / piece.name).record.accel.mean(axis=0) for piece in result.pieces}
     for up in SIX:
         assert np.allclose(read[up], 1700.0 * STANDARD_GRAVITY * UP[up] + [300.0, -80.0, 40.0], atol=5.0)
     assert len(list((tmp_path / "run").glob("aside/*"))) == mounted.endswith(("+x", "+y"))
-    with emulated() as emulator:  # what was taken back stays so
-        assert run(emulator, tmp_path / "run", replace(SHORT, faces=SIX, axes=()), resume=True)[0].added == 0
+    assert run(bench, tmp_path / "run", protocol, readings=InCounts, resume=True)[0].added == 0  # taken back for good
 
 
-def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path, monkeypatch):
-    always = dict.fromkeys(range(1, 99), "+y")
-    monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: InCounts(emulator, hands, always))
-    with emulated() as emulator:
-        with pytest.raises(RigFault, match=r"wanted .x up in step .*, got the readings of .x; one of the two is not"):
-            run(emulator, tmp_path, replace(SHORT, faces=("+x", "-x"), axes=()))
-        assert not emulator.motor_on
+def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path):
+    bench = simulated()
+    always = Hands(bench, dict.fromkeys(range(1, 99), "+y"))
+    with pytest.raises(RigFault, match=r"wanted .x up in step .*, got the readings of .x; one of the two is not"):
+        run(bench, tmp_path, replace(SHORT, faces=("+x", "-x"), axes=()), readings=InCounts, hands=always)
+    assert not bench.servo.powered
 
 
 class Clumsy(Device):
-    """Is pushed, or holds the face before, in some of its readings."""
+    """Is pushed in some of its readings, counted from 1."""
 
-    def __init__(self, emulator, hands, *, pushed=(), forgot=()):
-        super().__init__(emulator, hands)
-        self.taken, self.pushed, self.forgot, self.before = 0, pushed, forgot, None
+    def __init__(self, bench, pushed=()):
+        super().__init__(bench)
+        self.taken, self.pushed = 0, pushed
 
     def stop(self):
         self.taken += 1
-        up, self.hands.up = self.hands.up, self.before if self.taken in self.forgot else self.hands.up
         record = super().stop()
-        self.hands.up = self.before = up
         return bumped(record) if self.taken in self.pushed else record
 
 
-@pytest.mark.parametrize("how", [{"pushed": (1, 3)}, {"forgot": (2,)}])
-def test_a_run_takes_a_disturbed_rest_again_and_keeps_sound_ones_alone(tmp_path, monkeypatch, how):
-    made = {}
-
-    def device(emulator, hands):
-        made["device"] = Clumsy(emulator, hands, **how)
-        return made["device"]
-
-    monkeypatch.setattr("testkit.rig_bench.Device", device)
-    with emulated() as emulator:
-        result, hands = run(emulator, tmp_path, FACES_ALONE)
+@pytest.mark.parametrize(
+    ("pushed", "forgot"), [((1, 3), {}), ((), {2: "+z"})], ids=["pushed twice", "one mounting forgotten"]
+)
+def test_a_run_takes_a_disturbed_rest_again_and_keeps_only_sound_ones(tmp_path, pushed, forgot):
+    bench = simulated()
+    device = Clumsy(bench, pushed)
+    result, hands = run(bench, tmp_path, FACES_ALONE, readings=lambda bench: device, hands=Hands(bench, forgot))
     assert result.added == 3
-    assert made["device"].taken == 3 + len(next(iter(how.values())))
-    assert len(hands.mounted) == made["device"].taken  # mounted again each time
+    assert device.taken == 3 + len(pushed) + len(forgot)
+    assert len(hands.mounted) == device.taken  # mounted again each time
     for piece in result.pieces:
         record = read_parquet(tmp_path / piece.name).record
         assert np.allclose(record.accel.mean(axis=0), STANDARD_GRAVITY * UP[piece.up], atol=0.01)
         assert np.ptp(record.gyro, axis=0).max() < 0.2
 
 
-def test_a_rest_that_is_always_disturbed_ends_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr("testkit.rig_bench.Device", lambda emulator, hands: Clumsy(emulator, hands, pushed=range(99)))
-    with emulated() as emulator:
-        with pytest.raises(RigFault, match=r"wanted it at rest in step 1 .*continue with `resume`"):
-            run(emulator, tmp_path, FACES_ALONE)
-        assert not emulator.motor_on
+def test_a_rest_that_is_always_disturbed_ends_the_run(tmp_path):
+    bench = simulated()
+    with pytest.raises(RigFault, match=r"wanted it at rest in step 1 .*continue with `resume`"):
+        run(bench, tmp_path, FACES_ALONE, readings=lambda bench: Clumsy(bench, range(99)))
+    assert not bench.servo.powered
 
 
-def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path, monkeypatch):
-    with emulated() as emulator:
-        run(emulator, tmp_path, FACES_ALONE)
-        journal = (tmp_path / "journal.jsonl").read_text().splitlines(keepends=True)
-        (tmp_path / "journal.jsonl").write_text("".join(journal[:-1]))  # the last face is taken anew
+def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path):
+    bench = simulated()
+    run(bench, tmp_path, FACES_ALONE)
+    journal = (tmp_path / "journal.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "journal.jsonl").write_text("".join(journal[:-1]))  # the last face is taken anew
 
-        class Loud(Device):
-            def stop(self):
-                record = super().stop()
-                return replace(record, gyro=record.gyro + 2.0 * STILL * 0.02 * self.rng.normal(size=record.gyro.shape))
+    class Loud(Device):
+        def stop(self):
+            record = super().stop()
+            noise = np.random.default_rng(1).normal(size=record.gyro.shape)
+            return replace(record, gyro=record.gyro + 2.0 * STILL * 0.02 * noise)
 
-        monkeypatch.setattr("testkit.rig_bench.Device", Loud)
-        with pytest.raises(RigFault, match="times the spread of this rig's rests"):
-            run(emulator, tmp_path, FACES_ALONE, resume=True)
+    with pytest.raises(RigFault, match="times the spread of this rig's rests"):
+        run(bench, tmp_path, FACES_ALONE, resume=True, readings=Loud)
 
 
 # ---- turns
@@ -328,10 +312,10 @@ def test_a_rest_that_reads_as_a_turn_is_not_kept_and_one_at_another_temperature_
 
 def test_a_run_learns_from_the_disk_what_turns_read(tmp_path, monkeypatch):
     shown = {}
-    with emulated() as emulator:
-        run(emulator, tmp_path / "run")
-        monkeypatch.setattr(
-            TurnCheck, "keep", lambda _, step, rate, record: shown.setdefault(step.purpose, []).append(rate)
-        )
-        run(emulator, tmp_path / "run", resume=True)
+    bench = simulated()
+    run(bench, tmp_path / "run")
+    monkeypatch.setattr(
+        TurnCheck, "keep", lambda _, step, rate, record: shown.setdefault(step.purpose, []).append(rate)
+    )
+    run(bench, tmp_path / "run", resume=True)
     assert np.allclose(np.array(shown["rate"]) / DPS, [30.0, -30.0, 60.0, -60.0], atol=0.5)

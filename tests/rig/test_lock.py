@@ -1,24 +1,21 @@
 """One run for one table: by a lock on this computer, and by what the controller says of its motor."""
 
+import math
 import os
-import random
-import re
 import socket
-import subprocess
-import sys
-import time
 from contextlib import closing
 
-import numpy as np
 import pytest
 
-from testkit.emulated.emulator import EmulatedBench, EmulatedBenchSettings, EmulatorSettings
-from testkit.rig_bench import PROTOCOL, on_host, opened
+from testkit.cards import TurningBoard, TurningCard
+from testkit.rig_bench import PROTOCOL, driven, simulated
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
-from undrift.io.session import read_session
 from undrift.rig.lock import check_free, one_run, place_of, stop_rig
+from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
+
+TABLE = "galil:tcp://127.0.0.1:9"  # nothing is opened
 
 
 def test_the_spelling_of_an_address_does_not_matter(tmp_path):
@@ -32,82 +29,57 @@ def test_the_spelling_of_an_address_does_not_matter(tmp_path):
     assert place_of(f"grbl:serial://{tmp_path / 'by-id'}") == place_of(f"grbl:serial://{tmp_path / 'tty'}")
 
 
+@pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
 def test_a_lock_is_held_by_one_and_free_after_it():
-    with on_host() as emulator:
-        address = f"galil:tcp://127.0.0.1:{emulator.port}"
-        with (
-            one_run(address, "the first"),
-            pytest.raises(
-                RigFault, match=r"for this run alone, got it in use by the first \(process \d+ of .*\); wait"
-            ),
-            one_run(f"galil:tcp://localhost:{emulator.port}", "the second"),
-        ):
-            pass
-        with one_run(address, "the third"):
-            pass
-
-
-def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
-    with on_host() as emulator:
-        address = f"galil:tcp://127.0.0.1:{emulator.port}"
-        check_free(address)
-        with closing(opened(emulator)) as rig:
-            rig.enable(True)
-            with pytest.raises(RigFault, match="got its motor on: another program drives it"):
-                check_free(address)
-            check_free(address, motor_on=True)
-            rig.turn_for(30.0 * DPS, 600.0)
-            time.sleep(0.2)
-            for motor_on in (False, True):
-                with pytest.raises(RigFault, match=r"got moving: another program.*undrift rig stop with `rig`"):
-                    check_free(address, motor_on=motor_on)
-            time.sleep(0.2)
-            _, rate = emulator.axis_states(np.array([emulator.now()]), mean_s=1.0)
-            assert abs(rate[0] / DPS - 30.0) < 1.0
-        stop_rig(address)
-        check_free(address)
-
-
-def test_a_stepper_board_that_moves_is_refused():
-    """One jog of six minutes: a chain of jogs comes to rest where the computer is too busy to send the next."""
-    with on_host(kind="grbl", speed=1.0) as emulator:
-        address = f"grbl:tcp://127.0.0.1:{emulator.port}"
-        check_free(address)
-        with socket.create_connection(("127.0.0.1", emulator.port), 60.0) as board, board.makefile("rb") as answers:
-            board.sendall(b"$J=G91A3600F600\n")
-            assert any(answer.strip() == b"ok" for answer in answers)
-            with pytest.raises(RigFault, match=r"got state Jog: another program drives it"):
-                check_free(address)
+    with (
+        one_run(TABLE, "the first"),
+        pytest.raises(RigFault, match=r"for this run alone, got it in use by the first \(process \d+ of .*\); wait"),
+        one_run(TABLE.replace("127.0.0.1", "localhost"), "the second"),
+    ):
+        pass
+    with one_run(TABLE, "the third"):
+        pass
 
 
 @pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
-def test_ten_second_runs_are_refused_and_the_first_is_complete(tmp_path, capsys):
-    """The first waits for its operator before each of six faces, so that it lasts, however busy the computer is."""
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_a_second_run_is_refused_before_there_is_a_folder(tmp_path, capsys, host):
     (tmp_path / "p.toml").write_text(PROTOCOL)
-    rng, refused = random.Random(1), 0
-    with EmulatedBench(EmulatedBenchSettings(rig=EmulatorSettings(speed=20.0))) as bench:
-        words = ["rig", "run", str(tmp_path / "p.toml"), "--yes", "--rig", bench.rig_address]
-        words += ["--device", bench.device_address]
-        other = [word.replace("127.0.0.1", "localhost") for word in words]
-        called = [sys.executable, "-m", "undrift", *words, "-o", str(tmp_path / "one")]
-        with subprocess.Popen(called, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as first:
-            for number in range(6):
-                said = ""
-                while "press Enter" not in said:
-                    letter = first.stderr.read(1)
-                    assert letter, said
-                    said += letter
-                bench.mount(re.search(r"with ([+-][xyz]) up", said)[1])
-                first.stdin.write("\n")
-                first.stdin.flush()
-                for _ in range(2 if number < 5 else 0):
-                    time.sleep(0.2 * rng.random())
-                    assert run([*(words if rng.random() < 0.5 else other), "-o", str(tmp_path / "two")]) == 3
-                    refused += "for this run alone, got it in use by undrift rig run into" in capsys.readouterr().err
-            first.communicate(timeout=120.0)
-    assert (first.returncode, refused) == (0, 10)
+    words = ["rig", "run", str(tmp_path / "p.toml"), "--yes", "--rig", TABLE.replace("127.0.0.1", host)]
+    with one_run(TABLE, "the first"):
+        assert run([*words, "--device", "tcp://127.0.0.1:9", "-o", str(tmp_path / "two")]) == 3
+    assert "got it in use by the first" in capsys.readouterr().err
     assert not (tmp_path / "two").exists()
-    assert len(read_session(tmp_path / "one").records) == 30
+
+
+def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
+    card = TurningCard(simulated())
+    bench, settings = card.bench, RigSettings(clock=card.bench.clock)
+    check_free(card.address, settings)
+    with closing(driven(card)) as rig:
+        rig.enable(True)
+        with pytest.raises(RigFault, match="got its motor on: another program drives it"):
+            check_free(card.address, settings)
+        check_free(card.address, settings, motor_on=True)
+        rig.turn_for(30.0 * DPS, 600.0)
+        bench.clock.wait(1.0)
+        for motor_on in (False, True):
+            with pytest.raises(RigFault, match=r"got moving: another program.*undrift rig stop with `rig`"):
+                check_free(card.address, settings, motor_on=motor_on)
+        before = bench.angle()
+        bench.clock.wait(1.0)
+        assert math.degrees(bench.angle() - before) == pytest.approx(30.0, abs=0.1)
+    stop_rig(card.address, settings)
+    check_free(card.address, settings)
+
+
+def test_a_stepper_board_that_moves_is_refused():
+    board = TurningBoard(simulated())
+    settings = RigSettings(clock=board.bench.clock)
+    check_free(board.address, settings)
+    assert board("$J=G91G21A3600F600") == b"ok\r\n"
+    with pytest.raises(RigFault, match=r"got state Jog: another program drives it"):
+        check_free(board.address, settings)
 
 
 def test_a_table_that_does_not_answer_is_named():

@@ -2,7 +2,8 @@
 
 import pytest
 
-from testkit.scripted_server import Card, Scripted
+from testkit.cards import Card
+from testkit.scripted_server import Scripted
 from undrift.errors import InputError, LimitError, LinkError
 from undrift.rig.galil import GalilRig
 from undrift.rig.manual import ManualRig

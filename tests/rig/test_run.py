@@ -1,13 +1,12 @@
-"""Runs on the emulator: achieved rates reach the session, and every ending is at rest."""
+"""Runs on the simulated bench: achieved rates reach the session, and every ending is at rest."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit import rig_bench
-from testkit.emulated_axis import axis_angle
-from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, emulated, gain_of, run
+from testkit.cards import TurningBoard, TurningCard
+from testkit.rig_bench import GAIN, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.judge import Contradiction, RestCheck, RunSettings
@@ -23,9 +22,9 @@ def grid(low, high, step, **more):
 
 def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
     said = []
-    with emulated() as emulator:
-        result, hands = run(emulator, tmp_path, report=said.append)
-        assert at_rest(emulator)
+    bench = simulated()
+    result, hands = run(bench, tmp_path, report=said.append)
+    assert at_rest(bench)
     session = read_session(tmp_path)
     assert hands.mounted == ["+z"]
     assert [round(turn.turn_rate / DPS) for turn in session.turns] == [30, -30, 60, -60]
@@ -38,6 +37,18 @@ def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
     assert phases == {"mounting", "enabling", "ramping", "settling", "dwelling", "resting", "writing", "closing"}
     left = [progress.left_s for progress in said]
     assert left[0] > left[-1] >= 0.0
+
+
+@pytest.mark.parametrize("controller", [TurningCard, TurningBoard])
+def test_a_run_through_a_driver_turns_at_every_rate(tmp_path, controller):
+    bench = simulated()
+    card = controller(bench)
+    result, _ = run(bench, tmp_path, rig=lambda: driven(card))
+    assert at_rest(bench)
+    turns = [piece for piece in result.pieces if piece.purpose == "rate"]
+    assert [round(piece.turn_rate / DPS) for piece in turns] == [30, -30, 60, -60]
+    gain, uncertainty = gain_of(read_session(tmp_path))
+    assert gain == pytest.approx(GAIN[2, 2], abs=max(5.0 * uncertainty, 1e-3))
 
 
 class Slow(Oven):
@@ -60,9 +71,9 @@ class Slow(Oven):
 def test_soaks_that_are_over_correct_the_forecast_of_those_to_come(tmp_path, takes_s):
     protocol, said = replace(SHORT, temperatures_c=(35.0, 45.0, 55.0)), []
     programme = programme_of(protocol)
-    with emulated() as emulator:
-        oven = Slow(emulator.clock, takes_s)
-        result, _ = run(emulator, tmp_path, protocol, chamber=oven, report=said.append)
+    bench = simulated()
+    oven = Slow(bench.clock, takes_s)
+    result, _ = run(bench, tmp_path, protocol, chamber=oven, report=said.append)
     begun = {progress.step: progress.left_s for progress in reversed(said) if progress.phase == "soaking"}
     dwells_s = sum(dwell.duration_s for dwell in programme.dwells)
     assert begun["soak at 35 degC"] == pytest.approx(programme.duration_s - 30.0, abs=1.0)  # as the protocol says
@@ -78,8 +89,8 @@ def test_soaks_that_are_over_correct_the_forecast_of_those_to_come(tmp_path, tak
 def test_nominal_rates_would_bias_the_scale_factor_where_the_card_rounds(
     tmp_path, capsys, name, low, high, step, dwell_s
 ):
-    with emulated() as emulator:
-        result, _ = run(emulator, tmp_path, grid(low, high, step, dwell_s=dwell_s))
+    bench = simulated()
+    result, _ = run(bench, tmp_path, grid(low, high, step, dwell_s=dwell_s))
     pieces = result.pieces
     gain, uncertainty = gain_of(read_session(tmp_path))
     nominal, _ = gain_of(read_session(tmp_path), [piece.nominal_turn_rate for piece in pieces])
@@ -98,17 +109,17 @@ def test_nominal_rates_would_bias_the_scale_factor_where_the_card_rounds(
 
 
 def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
-    with emulated() as emulator:
-        motor = []
-        result, _ = run(
-            emulator,
-            tmp_path,
-            replace(SHORT, temperatures_c=(30.0, 40.0)),
-            chamber=Oven(),
-            report=lambda progress: motor.append(emulator.motor_on) if progress.phase == "soaking" else None,
-        )
-        assert motor
-        assert not any(motor)
+    bench = simulated()
+    motor = []
+    result, _ = run(
+        bench,
+        tmp_path,
+        replace(SHORT, temperatures_c=(30.0, 40.0)),
+        chamber=Oven(),
+        report=lambda progress: motor.append(bench.servo.powered) if progress.phase == "soaking" else None,
+    )
+    assert motor
+    assert not any(motor)
     assert {piece.temp_c for piece in result.pieces} == {30.0, 40.0}
     assert {turn.temp_c for turn in read_session(tmp_path).turns} == {30.0, 40.0}
     assert read_session(tmp_path).kind == "thermal"
@@ -116,8 +127,8 @@ def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
 
 def test_faces_at_room_temperature_come_before_the_chamber_and_state_what_it_reads(tmp_path):
     protocol = replace(SHORT, faces=("+x", "+z"), faces_at="room", temperatures_c=(30.0, 40.0))
-    with emulated() as emulator:
-        result, hands = run(emulator, tmp_path, protocol, chamber=Oven())
+    bench = simulated()
+    result, hands = run(bench, tmp_path, protocol, chamber=Oven())
     assert hands.mounted == ["+x", "+z", "+z"]
     assert [(piece.purpose, piece.temp_c) for piece in result.pieces[:3]] == [
         ("face", None),
@@ -140,38 +151,38 @@ def test_a_face_for_room_temperature_is_not_read_in_a_chamber_that_was_heated(tm
             raise error
 
     monkeypatch.setattr(RestCheck, "check", withdraw)
-    with emulated() as emulator:
-        with pytest.raises(
-            RigFault, match=r"wanted it at room temperature for step \d+ \(rest, \+x up\), got it after a soak"
-        ):
-            run(emulator, tmp_path, heated, chamber=Oven())
-        assert at_rest(emulator)
-        result, _ = run(emulator, tmp_path, heated, chamber=Oven(), resume=True)
+    bench = simulated()
+    with pytest.raises(
+        RigFault, match=r"wanted it at room temperature for step \d+ \(rest, \+x up\), got it after a soak"
+    ):
+        run(bench, tmp_path, heated, chamber=Oven())
+    assert at_rest(bench)
+    result, _ = run(bench, tmp_path, heated, chamber=Oven(), resume=True)
     assert result.added == 1
 
 
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
-    with emulated() as emulator:
-        with pytest.raises(InputError, match="wanted a chamber for the programme's temperatures, got none"):
-            run(emulator, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
-        with pytest.raises(InputError, match=r"turn rate: wanted at most 200 deg/s, got 210; mend the protocol"):
-            run(emulator, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
-        assert at_rest(emulator)
-        assert axis_angle(emulator) == 0.0
+    bench = simulated()
+    with pytest.raises(InputError, match="wanted a chamber for the programme's temperatures, got none"):
+        run(bench, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
+    with pytest.raises(InputError, match=r"turn rate: wanted at most 200 deg/s, got 210; mend the protocol"):
+        run(bench, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
+    assert at_rest(bench)
+    assert bench.angle() == 0.0
 
 
 def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(Oven, "soaked", lambda self: False)
-    with emulated() as emulator:
-        with pytest.raises(RigTimeout, match=r"chamber: wanted 30 degC steady to 0.1 K/min within 5 s, got 30.00 degC"):
-            run(
-                emulator,
-                tmp_path,
-                replace(SHORT, temperatures_c=(30.0,)),
-                chamber=Oven(),
-                giving_up=RunSettings(soak_timeout_s=5.0),
-            )
-        assert at_rest(emulator)
+    bench = simulated()
+    with pytest.raises(RigTimeout, match=r"chamber: wanted 30 degC steady to 0.1 K/min within 5 s, got 30.00 degC"):
+        run(
+            bench,
+            tmp_path,
+            replace(SHORT, temperatures_c=(30.0,)),
+            chamber=Oven(),
+            giving_up=RunSettings(soak_timeout_s=5.0),
+        )
+    assert at_rest(bench)
 
 
 def test_hands_that_give_up_or_are_not_there_are_a_fault():
@@ -184,16 +195,16 @@ def test_hands_that_give_up_or_are_not_there_are_a_fault():
 
 
 def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
-    with emulated() as emulator:
-        with pytest.raises(
-            RigFault, match=r"rad/s held within .* in step 3 .*look at the table, its amplifier and its encoder"
-        ):
-            run(emulator, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
-        with pytest.raises(
-            RigTimeout, match=r"device: wanted 9900% of .* readings in step 1 .*look at the device and its link"
-        ):
-            run(emulator, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
-        assert at_rest(emulator)
+    bench = simulated()
+    with pytest.raises(
+        RigFault, match=r"rad/s held within .* in step 3 .*look at the table, its amplifier and its encoder"
+    ):
+        run(bench, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
+    with pytest.raises(
+        RigTimeout, match=r"device: wanted 9900% of .* readings in step 1 .*look at the device and its link"
+    ):
+        run(bench, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
+    assert at_rest(bench)
 
 
 def test_an_exception_in_the_middle_of_a_dwell_ends_at_rest(tmp_path):
@@ -201,10 +212,10 @@ def test_an_exception_in_the_middle_of_a_dwell_ends_at_rest(tmp_path):
         if progress.phase == "dwelling" and progress.number == 4:
             raise KeyboardInterrupt
 
-    with emulated() as emulator:
-        with pytest.raises(KeyboardInterrupt):
-            run(emulator, tmp_path, report=report)
-        assert at_rest(emulator)
+    bench = simulated()
+    with pytest.raises(KeyboardInterrupt):
+        run(bench, tmp_path, report=report)
+    assert at_rest(bench)
     assert len(read_session(tmp_path).records) == 3
 
 
@@ -214,9 +225,9 @@ HEATED = Protocol(faces=("+z",), face_s=3.0, temperatures_c=(40.0,))
 class Warm(Device):
     """A device with a thermometer: 30 degC at first, 40 when it has followed the chamber with 60 s; in a dwell as told."""
 
-    def __init__(self, emulator, hands, in_dwell=lambda t: 0.0 * t):
-        super().__init__(emulator, hands)
-        self.born, self.in_dwell, self.phase = emulator.now(), in_dwell, ""
+    def __init__(self, bench, in_dwell=lambda t: 0.0 * t):
+        super().__init__(bench)
+        self.born, self.in_dwell, self.phase = bench.now(), in_dwell, ""
 
     def stop(self):
         record = super().stop()
@@ -225,22 +236,20 @@ class Warm(Device):
         return replace(record, temp_c=follows + away)
 
 
-def heated(emulator, path, monkeypatch, device, chamber=None):
-    made = []
-    monkeypatch.setattr(rig_bench, "Device", lambda *a: made.append(device(*a)) or made[-1])
+def heated(bench, path, device):
+    """Run with a device that knows the phase of the run."""
 
     def report(progress):
-        made[-1].phase = progress.phase
+        device.phase = progress.phase
 
-    return run(emulator, path, HEATED, chamber=chamber or Oven(), report=report)[0]
+    return run(bench, path, HEATED, chamber=Oven(), report=report, readings=lambda bench: device)[0]
 
 
-def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path, monkeypatch):
-    with emulated() as emulator:
-        devices = []
-        monkeypatch.setattr(rig_bench, "Device", lambda *a: devices.append(Warm(*a)) or devices[-1])
-        piece = run(emulator, tmp_path, HEATED, chamber=Oven())[0].pieces[0]
-        took_s = emulator.now() - devices[0].born
+def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path):
+    bench = simulated()
+    device = Warm(bench)
+    piece = run(bench, tmp_path, HEATED, chamber=Oven(), readings=lambda bench: device)[0].pieces[0]
+    took_s = bench.now() - device.born
     assert took_s > 60.0 * np.log(10.0 / 0.1), "10 K at 60 s falls below 0.1 K/min after 4.6 time constants"
     assert piece.temp_c == 40.0
     assert 39.8 < piece.device_c < 40.0
@@ -248,16 +257,16 @@ def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mea
 
 
 def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constants(tmp_path):
-    with emulated() as emulator:
-        begun, said = emulator.now(), []
-        run(
-            emulator,
-            tmp_path,
-            HEATED,
-            chamber=Oven(),
-            giving_up=RunSettings(device_lag_s=20.0),
-            report=lambda progress: said.append((progress.phase, emulator.now() - begun)),
-        )
+    bench = simulated()
+    begun, said = bench.now(), []
+    run(
+        bench,
+        tmp_path,
+        HEATED,
+        chamber=Oven(),
+        giving_up=RunSettings(device_lag_s=20.0),
+        report=lambda progress: said.append((progress.phase, bench.now() - begun)),
+    )
     assert next(at for phase, at in said if phase == "settling") > 100.0
     assert read_session(tmp_path).stills[0].temp_c == 40.0
     assert read_session(tmp_path).kind == "calibration"  # one temperature makes no tables
@@ -272,24 +281,22 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
         if progress.phase == "dwelling":
             oven.temp_c = 25.0
 
-    with emulated() as emulator:
-        with pytest.raises(
-            RigFault, match=r"chamber: wanted 40 degC within 0.5 K throughout step 3 .*, got 25.00 degC"
-        ):
-            run(emulator, tmp_path, replace(SHORT, faces=(), temperatures_c=(40.0,)), chamber=oven, report=report)
-        assert at_rest(emulator)
+    bench = simulated()
+    with pytest.raises(RigFault, match=r"chamber: wanted 40 degC within 0.5 K throughout step 3 .*, got 25.00 degC"):
+        run(bench, tmp_path, replace(SHORT, faces=(), temperatures_c=(40.0,)), chamber=oven, report=report)
+    assert at_rest(bench)
     assert len(read_session(tmp_path).stills) == 1
 
 
 @pytest.mark.parametrize("away", [lambda t: -0.5 * t, lambda t: np.where(t > 1.5, 3.0, 0.0)], ids=["slope", "jump"])
-def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, monkeypatch, away):
-    with emulated() as emulator:
-        with pytest.raises(RigFault, match=r"device: wanted its thermometer steady within 0.5 K throughout step 2"):
-            heated(emulator, tmp_path, monkeypatch, lambda *a: Warm(*a, away))
-        assert at_rest(emulator)
+def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, away):
+    bench = simulated()
+    with pytest.raises(RigFault, match=r"device: wanted its thermometer steady within 0.5 K throughout step 2"):
+        heated(bench, tmp_path, Warm(bench, away))
+    assert at_rest(bench)
 
 
-def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path, monkeypatch):
+def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
     def device(lost):
         class Gappy(Device):
             def stop(self):
@@ -300,17 +307,14 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path, monkeypatch):
         return Gappy
 
     still = Protocol(faces=("+z",), face_s=2.0)
-    with emulated() as emulator:
-        monkeypatch.setattr(rig_bench, "Device", device(1))
-        piece = run(emulator, tmp_path / "few", still)[0].pieces[0]
-        assert 0.09 < piece.missing / piece.samples < 0.11
-        monkeypatch.setattr(rig_bench, "Device", device(3))
-        with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 1 .*the others missing"):
-            run(emulator, tmp_path / "many", still)
+    bench = simulated()
+    piece = run(bench, tmp_path / "few", still, readings=device(1))[0].pieces[0]
+    assert 0.09 < piece.missing / piece.samples < 0.11
+    with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 1 .*the others missing"):
+        run(bench, tmp_path / "many", still, readings=device(3))
 
 
 def test_hands_that_are_there_mount():
     asked = []
     AskedOperator(lambda line: asked.append(line) or "").mount("-y")
     assert "Mount the device with -y up" in asked[0]
-    assert Hands().up is None

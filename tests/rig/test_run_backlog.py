@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit import rig_bench
-from testkit.emulated_axis import axis_rate
-from testkit.rig_bench import LIMITS, SHORT, UP, Device, Hands, at_rest, emulated, run
+from testkit.rig_bench import LIMITS, SHORT, UP, Device, Hands, at_rest, run, simulated
 from testkit.waiting import LONG_S
 from undrift.errors import RigTimeout
 from undrift.io.session import read_session
@@ -25,9 +23,9 @@ FACES = Protocol(faces=("+x", "-x", "+z"), face_s=1.0)
 class TimedHands(Hands):
     """Mount, and remember when."""
 
-    def __init__(self, clock):
-        super().__init__()
-        self.clock, self.since = clock, []
+    def __init__(self, bench):
+        super().__init__(bench)
+        self.clock, self.since = bench.clock, []
 
     def mount(self, up):
         super().mount(up)
@@ -66,15 +64,15 @@ class Late:
         return Chunk(host_time=np.full(len(counts), now), counter=counts + 0.0, values=np.array(values))
 
 
-def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path, monkeypatch):
-    emulator = emulated()
-    clock, hands = emulator.clock, TimedHands(emulator.clock)
-    monkeypatch.setattr(rig_bench, "Hands", lambda: hands)
+def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path):
+    bench = simulated()
+    hands = TimedHands(bench)
     late = Late(
         hands, behind_s=30.0, speed=4.0
     )  # caught up 10 s after the connection; the first dwell would be over by then
-    with emulator, Recorder(late, RecorderSettings(silence_s=LONG_S), clock) as recorder:
-        result, _ = run(emulator, tmp_path, FACES, readings=DwellReadings(recorder, deadline_s=LONG_S))
+    with Recorder(late, RecorderSettings(silence_s=LONG_S), bench.clock) as recorder:
+        readings = DwellReadings(recorder, deadline_s=LONG_S)
+        result, _ = run(bench, tmp_path, FACES, readings=lambda bench: readings, hands=hands)
     session = read_session(tmp_path)
     assert [still.face for still in session.stills] == ["+x", "-x", "+z"] == hands.mounted
     for still in session.stills:
@@ -83,7 +81,7 @@ def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path, monk
     assert min(piece.samples for piece in result.pieces) >= 100
 
 
-def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path, monkeypatch):
+def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path):
     class LateOnce(Device):
         stops = 0
 
@@ -92,44 +90,40 @@ def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path, monkeyp
             LateOnce.stops += 1
             return record.part(len(record) // 2, len(record)) if LateOnce.stops == 1 else record
 
-    monkeypatch.setattr(rig_bench, "Device", LateOnce)
-    with emulated() as emulator:
-        result, _ = run(emulator, tmp_path, Protocol(faces=("+z",), face_s=2.0))
+    bench = simulated()
+    result, _ = run(bench, tmp_path, Protocol(faces=("+z",), face_s=2.0), readings=LateOnce)
     assert LateOnce.stops == 2
     assert result.pieces[0].samples >= 200
 
 
-def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_path, monkeypatch):
+def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_path):
     class LateOnce(Device):
         turning = 0
 
         def stop(self):
             record = super().stop()
-            if abs(axis_rate(self.emulator)) < 0.1:
+            if abs(self.bench.turn_rate()) < 0.1:
                 return record
             LateOnce.turning += 1
             return record.part(len(record) // 2, len(record))
 
-    monkeypatch.setattr(rig_bench, "Device", LateOnce)
-    limits = replace(LIMITS, travel=1000.0)
-    with emulated() as emulator:
-        with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 3 .*, got \d+"):
-            run(emulator, tmp_path, SHORT, limits=limits)
-        assert at_rest(emulator)
+    bench = simulated(limits=replace(LIMITS, travel=1000.0))
+    with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 3 .*, got \d+"):
+        run(bench, tmp_path, SHORT, readings=LateOnce)
+    assert at_rest(bench)
     assert LateOnce.turning == 1
 
 
-def test_a_backlog_is_waited_out_before_the_table_turns(tmp_path, monkeypatch):
+def test_a_backlog_is_waited_out_before_the_table_turns(tmp_path):
     rates = []
 
     class Asked(Device):
         def start(self, *, certain=True):
-            rates.append(axis_rate(self.emulator))
+            rates.append(self.bench.turn_rate())
             super().start()
 
-    monkeypatch.setattr(rig_bench, "Device", Asked)
-    with emulated() as emulator:
-        run(emulator, tmp_path, replace(SHORT, faces=(), bracket_s=0.0))
+    bench = simulated()
+    run(bench, tmp_path, replace(SHORT, faces=(), bracket_s=0.0), readings=Asked)
     assert len(rates) == 1 + 4
     assert rates[0] == 0.0
     assert min(np.abs(rates[1:])) > 0.1

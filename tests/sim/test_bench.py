@@ -1,9 +1,5 @@
-"""The simulated bench: a run on it is a session that calibrates, whatever breaks ends at rest, and a killed one is resumed."""
+"""The simulated bench: a run on it is a session that calibrates, whatever breaks ends at rest."""
 
-import os
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -16,8 +12,8 @@ from undrift.calibration.calibrate import calibrate
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.record import FACES
-from undrift.rig.folder import JOURNAL, RunFolder, read_journal
-from undrift.rig.programme import programme_of, write_protocol
+from undrift.rig.folder import RunFolder
+from undrift.rig.programme import programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import RigBench, run_programme
 from undrift.sim.bench import AirSettings, SimulatedBench, SimulatedSettings
@@ -146,28 +142,3 @@ def test_a_pace_is_kept_and_time_stands_still_while_nobody_waits():
     assert clock.now() == 2.0
     time.sleep(0.05)
     assert clock.now() == 2.0
-
-
-def test_a_run_that_is_killed_is_resumed_and_a_second_one_is_refused(tmp_path):
-    write_protocol(replace(SHORT, dwell_s=3.0), tmp_path / "p.toml")
-    words = ["rig", "run", "p.toml", "--rig", "simulated:?clock_speed=20", "--device", "simulated:?seed=3", "--yes"]
-
-    def started(*more):
-        called = [sys.executable, "-m", "undrift", *words, *more]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        return subprocess.Popen(called, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
-
-    first, last = started("-o", "run"), time.monotonic() + 120.0
-    while len(read_journal(tmp_path / "run" / JOURNAL)[0]) < 3 and time.monotonic() < last:
-        time.sleep(0.01)
-    second = started("-o", "other")
-    assert "got it in use by undrift rig run into run" in second.communicate(timeout=120.0)[1] or first.poll() == 0
-    first.send_signal(signal.SIGKILL)
-    first.communicate(timeout=60.0)
-    kept = len(read_journal(tmp_path / "run" / JOURNAL)[0]) - 1
-    assert kept >= 2
-    words[4] = "simulated:?clock_speed=1e6"
-    again = started("-o", "run", "--resume")
-    _, said = again.communicate(timeout=120.0)
-    assert again.returncode == 0, said
-    assert len(read_session(tmp_path / "run").turns) == 4

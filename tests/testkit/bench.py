@@ -21,6 +21,14 @@ from typing import Any
 FORKS = get_context("forkserver")
 COMMANDS = ("calibrate", "certificate", "correct", "info", "orient", "validate")
 IMPORTED = ("undrift.web.app", "undrift.cli.bench", "undrift.report.page", "undrift.report.figures", "scipy.stats")
+IMPORTED += (
+    "undrift.commands.rig",
+    "undrift.live.recorder",
+    "undrift.rig.run",
+    "undrift.rig.galil",
+    "undrift.sim.bench",
+)
+IMPORTED += ("cyclopts", "rich.console", "undrift.kernels.device", "undrift.io.parquet", "pyarrow.parquet", "pandas")
 FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
 
 

@@ -1,22 +1,18 @@
-"""A run's bench over the emulator: a device that does not exist on its axis, hands and a chamber that obey at once."""
+"""The simulated bench for tests of a run: a device whose errors are known, hands that mount at once, an oven that soaks at once."""
 
-import contextlib
 import math
-import time
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from testkit.emulated.emulator import Emulator, EmulatorSettings
-from testkit.emulated.stream import EmulatedDevice, StreamSettings
-from testkit.emulated_axis import axis_rate
-from undrift.base.clock import VirtualClock
-from undrift.record import Record
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import RigBench, run_programme
+from undrift.sim.bench import SimulatedBench, SimulatedSettings
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -24,7 +20,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 DPS = RADIAN_PER_DEGREE
 GAIN = np.array([[1.02, 0.01, -0.005], [0.0, 0.97, 0.008], [0.012, -0.004, 1.01]])
 OFFSET = np.array([1.5, -0.8, 0.4])  # dps
-NOISE_DPS = 0.02
+NOISE_DPS, RATE_HZ = 0.02, 100.0
 LIMITS = Limits(turn_rate=200.0 * DPS, acceleration=50.0, travel=None)
 UP = {sign + axis: (1 if sign == "+" else -1) * np.eye(3)[k] for k, axis in enumerate("xyz") for sign in "+-"}
 SHORT = Protocol(
@@ -52,43 +48,57 @@ seconds = 3.0
 bracket_s = 2.0
 """
 
+# gyro = GAIN rate + OFFSET in deg/s, accel = force, with white noise
+DEVICE = DeviceModel(
+    serial="made",
+    gyro=SensorChain(
+        unit="dps",
+        scale=Scale(
+            nominal_sensitivity=1.0 / DPS,
+            error=np.diag(GAIN) - 1.0,
+            cross_axis=GAIN / np.diag(GAIN) - np.eye(3),
+        ),
+        offset=Offset(constant=OFFSET * DPS),
+        white_noise=WhiteNoise(random_walk=np.full(3, NOISE_DPS * DPS / math.sqrt(RATE_HZ))),
+    ),
+    accel=SensorChain(
+        unit="m/s2",
+        scale=Scale(nominal_sensitivity=1.0),
+        white_noise=WhiteNoise(random_walk=np.full(3, 1e-3 / math.sqrt(RATE_HZ))),
+    ),
+)
+
+
+def simulated(clock=None, *, devices=1, **settings):
+    """Return a simulated bench with such devices; on a clock of its own no time passes but what the test waits for."""
+    return SimulatedBench((DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock)
+
 
 class Hands:
-    """Mount at once, and remember how."""
+    """Mount at once and remember it; at some mountings, counted from 1, another face than was asked for."""
 
-    def __init__(self):
-        self.up = None
-        self.mounted = []
+    def __init__(self, bench, wrong: Mapping[int, str] = {}):
+        self.bench, self.wrong, self.mounted = bench, dict(wrong), []
 
     def mount(self, up):
-        self.up = up
         self.mounted.append(up)
+        self.bench.mount(self.wrong.get(len(self.mounted), up))
 
 
 class Device:
-    """Reads the emulator's true axis through a matrix, an offset and noise, 100 times an emulated second."""
+    """The readings of a device on the bench, for tests that change what it reads; without a thermometer."""
 
-    def __init__(self, emulator, hands, seed=1):
-        self.emulator, self.hands = emulator, hands
-        self.rng = np.random.default_rng(seed)
-        self.began = self.ended = None
+    def __init__(self, bench, number=0):
+        self.bench, self.readings = bench, bench.readings[number]
 
     def start(self, *, certain=True):
-        self.began, self.ended = self.emulator.now(), None
+        self.readings.start(certain=certain)
 
     def end(self):
-        self.ended = self.emulator.now()
+        self.readings.end()
 
     def stop(self):
-        times = np.arange(self.began, self.emulator.now() if self.ended is None else self.ended, 0.01)
-        _, rate = self.emulator.axis_states(times, mean_s=0.01)
-        up = self.up()
-        gyro = (rate[:, None] / DPS * up) @ GAIN.T + OFFSET + NOISE_DPS * self.rng.normal(size=(len(times), 3))
-        accel = np.tile(STANDARD_GRAVITY * up, (len(times), 1)) + 1e-3 * self.rng.normal(size=(len(times), 3))
-        return Record(time=times, gyro=gyro, accel=accel, gyro_unit="dps", accel_unit="m/s2", device="made")
-
-    def up(self):
-        return UP[self.hands.up]
+        return replace(self.readings.stop(), temp_c=None)
 
     def latest(self):
         return ""
@@ -124,45 +134,14 @@ class Oven:
         pass
 
 
-def streaming(emulator, seed=1):
-    """Return the same device as one that sends: +z up, 25 degC, listened to over its socket."""
-    noise = NOISE_DPS * DPS * np.sqrt(0.01)
-    device = DeviceModel(
-        serial="made",
-        gyro=SensorChain(
-            unit="dps",
-            scale=Scale(nominal_sensitivity=1.0 / DPS, error=np.diag(GAIN) - 1.0),
-            offset=Offset(constant=OFFSET * DPS),
-            white_noise=WhiteNoise(random_walk=np.full(3, noise)),
-        ),
-        accel=SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)),
-    )
-    return EmulatedDevice(
-        device, emulator, lambda times: np.full(len(times), 25.0), emulator.clock, StreamSettings(seed=seed)
-    )
-
-
-def emulated(**settings):
-    """Return an emulated table on a clock of its own, on which no time passes but what the test waits for."""
-    return Emulator(EmulatorSettings(**settings), clock=VirtualClock())
-
-
-def on_host(speed=20.0, **settings):
-    """Return one behind real sockets, on the host's clock, for other processes."""
-    return Emulator(EmulatorSettings(speed=speed, **settings))
-
-
-def opened(emulator, **settings):
-    """Open the table; on the host's clock answers have time, as other programs may keep the computer busy."""
-    reply_timeout_s = 2.0 if isinstance(emulator.clock, VirtualClock) else 20.0
-    return open_rig(
-        f"{emulator.settings.kind}:tcp://{emulator.host}:{emulator.port}",
-        RigSettings(**{"clock": emulator.clock, "reply_timeout_s": reply_timeout_s, "limits": LIMITS, **settings}),
-    )
+def driven(card, **settings):
+    """Open the driver of a card on the clock of its bench: Galil or GRBL."""
+    clock = card.bench.clock
+    return open_rig(card.address, RigSettings(**{"clock": clock, "limits": LIMITS, **settings}))
 
 
 def run(
-    emulator,
+    bench,
     path,
     protocol=SHORT,
     *,
@@ -170,29 +149,30 @@ def run(
     report=lambda progress: None,
     chamber=None,
     giving_up=RunSettings(device_lag_s=0.0),
-    readings=None,
-    **settings,
+    readings=Device,
+    hands=None,
+    rig=None,
 ):
-    """Run a protocol on an emulator; return the result and the hands. Readings are the fake device's, made likewise, or given."""
-    hands, readings = Hands(), readings or Device
+    """Run a protocol on a bench, on its own table or a driver; return the result and the hands."""
+    hands = hands or Hands(bench)
     with RunFolder(path, protocol, resume=resume) as folder:
-        bench = RigBench(
-            rig=opened(emulator, **settings),
-            readings=readings(emulator, hands) if callable(readings) else readings,
+        connected = RigBench(
+            rig=rig() if rig else bench.table,
+            readings=readings(bench),
             mounting=hands,
             chamber=chamber,
-            clock=emulator.clock,
+            clock=bench.clock,
         )
-        made = run_programme(
+        result = run_programme(
             programme_of(protocol),
-            bench,
+            connected,
             folder,
             report=report,
             serial="made",
             gravity_m_s2=STANDARD_GRAVITY,
             settings=giving_up,
         )
-    return made, hands
+    return result, hands
 
 
 def mean_turn_rate(rig, clock, duration_s):
@@ -203,11 +183,9 @@ def mean_turn_rate(rig, clock, duration_s):
     return (last.angle - first.angle) / (last.time - first.time)
 
 
-def at_rest(emulator, within_s=60.0):
+def at_rest(bench, within_s=60.0):
     """Wait until the true axis is at rest with its motor off; False when it never is."""
-    return emulator.clock.host.until(
-        lambda: abs(axis_rate(emulator)) <= 1e-3 and not emulator.motor_on, within_s, 0.005
-    )
+    return bench.clock.until(lambda: abs(bench.turn_rate()) <= 1e-3 and not bench.servo.powered, within_s, 0.1) is True
 
 
 def gain_of(session, turn_rates=None):
@@ -221,10 +199,3 @@ def gain_of(session, turn_rates=None):
     left = means - shape @ fit
     scatter = math.sqrt(max(left @ left / max(1, len(rates) - 2), NOISE_DPS**2 / 50))
     return fit[0], scatter * math.sqrt(np.linalg.inv(shape.T @ shape)[0, 0])
-
-
-@contextlib.contextmanager
-def timed(label, log):
-    start = time.monotonic()
-    yield
-    log.append((label, time.monotonic() - start))

@@ -1,7 +1,6 @@
 """Servers that answer as they are told to, for the rig's drivers: over a real socket on loopback, or within a virtual clock."""
 
 import contextlib
-import re
 import socket
 import threading
 from collections.abc import Callable, Iterable
@@ -162,7 +161,11 @@ class VirtualScripted(Scripted):
 
     def refuse_from_now_on(self) -> None:
         self._clock.forget("127.0.0.1", self._port)
-        self.hang_up()
+        for line in self._lines:
+            line.cut = True
+
+    def accept_again(self) -> None:
+        self._clock.listen("127.0.0.1", self._port, self._connect)
 
     def close(self) -> None:
         self._clock.forget("127.0.0.1", self._port)
@@ -184,78 +187,3 @@ def transcript(lines: Iterable[tuple[str, bytes]]) -> tuple[Answer, list[str]]:
         return left.pop(0)[1]
 
     return answer, wrong
-
-
-class Card:
-    """A card that believes everything: what was set is read back, a move is over after some polls, and answers can be spoilt."""
-
-    def __init__(self, polls: int = 1) -> None:
-        self.held: dict[str, str] = {
-            "AC": "256000",
-            "DC": "256000",
-            "MO": "1",
-            "TP": "0",
-            "TE": "0",
-            "SC": "1",
-            "TS": "44",
-        }
-        self.spoilt: dict[str, list[bytes | None]] = {}
-        self.polls = polls
-        self.moving = 0
-        self.refused: dict[str, int] = {}
-        self.code = 0
-        self.arrives = True
-
-    def spoil(self, command: str, *answers: bytes | None) -> None:
-        """Answer the next times that a command begins so with these bytes instead."""
-        self.spoilt[command] = list(answers)
-
-    def __call__(self, command: str) -> bytes | None:
-        for start, answers in self.spoilt.items():
-            if command.startswith(start) and answers:
-                return answers.pop(0)
-        for start, code in self.refused.items():
-            if command.startswith(start):
-                self.code = code
-                return b"?"
-        return self.answer(command)
-
-    def answer(self, command: str) -> bytes:
-        if command == "TC1":
-            return f"{self.code} Some words\r\n:".encode()
-        if command == "\x12\x16":
-            return b"DMC1415 Rev 1.0u\r\n:"
-        if found := re.fullmatch(r"MG (\d+)", command):
-            return f" {found.group(1)}.0000\r\n:".encode()
-        if command == "MG _BGX":
-            self.moving = max(self.moving - 1, 0)
-            return f" {int(self.moving > 0)}.0000\r\n:".encode()
-        if found := re.fullmatch(r"MG _([A-Z]{2})X?", command):
-            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
-        if found := re.fullmatch(r"(TP|TE)X", command):
-            value = int(self.held[found.group(1)])
-            return f"{'-' if value < 0 else ' '}{abs(value):010d}\r\n:".encode()
-        if found := re.fullmatch(r"(TS|SC)X", command):
-            return f" {int(self.held[found.group(1)]):03d}\r\n:".encode()
-        if found := re.fullmatch(r"([A-Z]{2}) \?", command):
-            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
-        if found := re.fullmatch(r"([A-Z]{2}) (-?[\d.]+)", command):
-            self.held[found.group(1)] = found.group(2)
-            return b":"
-        return self.act(command)
-
-    def act(self, command: str) -> bytes:
-        if command == "SHX":
-            self.held["MO"] = "0"
-        elif command == "MOX":
-            self.held["MO"] = "1"
-        elif command == "BGX":
-            self.moving = self.polls
-            if "PR" in self.held and self.arrives:
-                self.held["TP"] = str(int(self.held["TP"]) + int(self.held["PR"]))
-        elif command in ("STX", "AB"):
-            self.moving = 0
-        else:
-            self.code = 1
-            return b"?"
-        return b":"

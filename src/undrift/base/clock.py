@@ -1,6 +1,6 @@
 """Time: the host's clock, and virtual ones that jump to what happens next, as fast as the host can or at a pace.
 
-Whoever waits asks a clock: drivers, links, emulators and runs. On the host's clock a wait sleeps and what goes on beside
+Whoever waits asks a clock: drivers, links, simulated benches and runs. On the host's clock a wait sleeps and what goes on beside
 it has threads. On a virtual clock one thread does everything: a wait carries out what is due meanwhile, in the order of its time,
 and then it is later. So a soak of hours takes as long as its computing does, and nothing depends on how busy the host is.
 
@@ -69,7 +69,7 @@ class Clock:
     def __init__(self, speed: float = 1.0, *, zero_s: float = 0.0) -> None:
         if not 0.0 < speed < 1e6:
             raise InputError(f"clock: wanted a speed above 0, got {speed:g}; hardware runs at 1")
-        self.speed = speed  # seconds of this clock in one of the host's: 1 for hardware, an emulator's speed otherwise
+        self.speed = speed  # seconds of this clock in one of the host's: 1 for hardware, that of a simulation otherwise
         self._zero_s = zero_s
 
     @classmethod
@@ -109,7 +109,7 @@ class Clock:
         return threading.Condition()
 
     def connection(self, host: str, port: int) -> Port | None:
-        """Return a way to an emulator on this clock; None where sockets lead to it."""
+        """Return a way to a server on this clock, or None if servers are reached by sockets."""
         return None
 
 
@@ -196,17 +196,17 @@ class VirtualClock(Clock):
         return VirtualCondition(self)
 
     def listen(self, host: str, port: int, connect: Callable[[], Port]) -> int:
-        """Let an emulator be reached; return its port, a free one for 0."""
+        """Let a server on this clock be reached; return its port, a free one for 0."""
         taken = next(number for number in itertools.count(port or 1) if (host, number) not in self._doors)
         self._doors[host, taken] = connect
         return taken
 
     def forget(self, host: str, port: int) -> None:
-        """Let an emulator be reached no more."""
+        """Let a server be reached no more."""
         self._doors.pop((host, port), None)
 
     def connection(self, host: str, port: int) -> Port | None:
-        """Return a way to an emulator on this clock; there is no other world."""
+        """Return a way to a server on this clock; raise ConnectionRefusedError if there is none."""
         if (host, port) not in self._doors:
             raise ConnectionRefusedError("Connection refused: nothing on this clock listens there")
         return self._doors[host, port]()
@@ -224,6 +224,6 @@ class PacedClock(VirtualClock):
 
     def wait(self, duration_s: float) -> None:
         """Let it be later, and have the host wait as long."""
-        if duration_s > 0.0:
+        if duration_s > 0.0 and math.isfinite(self._pace):  # a sleep of 0 s still takes a millisecond of a busy host
             time.sleep(duration_s / self._pace)
         super().wait(duration_s)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from cyclopts import Parameter
 
-from undrift.base.options import WRITTEN, Output, options, verb
+from undrift.base.options import Output, options, verb
 from undrift.base.summary import Cells, Result, Section, Summary, figure_of, plus_minus, table_section
 from undrift.commands import Screen
 from undrift.commands.files import device_at
@@ -122,7 +122,6 @@ def run(
     device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
-    progress: Annotated[Path | None, WRITTEN] = None,
     screen: Screen = Screen(),
 ) -> Ran:
     """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
@@ -157,9 +156,6 @@ def run(
         Go on in a folder in which a run was interrupted.
     yes : bool
         Start without asking.
-    progress : Path or None
-        File to append the run's progress to, a JSON object in a line, for a program that shows it; questions to the operator
-        stand there too, with a number, and are answered by "NUMBER ANSWER" on the standard input.
     """
     from undrift.rig.folder import RunFolder
     from undrift.rig.judge import RunSettings
@@ -169,7 +165,7 @@ def run(
     from undrift.rig.run import run_programme
 
     asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
-    shown, judge = _Shown(screen, progress), RunSettings(device_lag_s=device_lag_s)
+    shown, judge = _Shown(screen), RunSettings(device_lag_s=device_lag_s)
     kind, _, options = parse_address(rig, replace(settings, ask=shown.ask))
     settings, limits, by_hand = replace(settings, ask=shown.ask, clock=options.clock), settings.limits, kind == "manual"
     simulated = _simulated(device, (rig, chamber), options, gravity_m_s2)
@@ -182,7 +178,7 @@ def run(
         folders = [stack.enter_context(RunFolder(path, asked, resume=resume)) for path in paths.values()]
         done = frozenset.intersection(*(folder.done for folder in folders))
         check_programme(programme, limits, done, by_hand=by_hand)
-        shown.plan(programme, done, yes, options.clock_speed)
+        shown.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
             first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
@@ -312,15 +308,12 @@ def _bench(
 
 
 class _Shown:
-    """Watches a run and shows where it is, in a file and on a screen; the operator is asked through the file, if there is one."""
+    """Shows on a screen where a run is, and asks its operator there."""
 
-    def __init__(self, screen: Screen, file: Path | None) -> None:
-        from undrift.rig.run import ProgressFile
+    def __init__(self, screen: Screen) -> None:
+        self._screen, self.ask = screen, screen.ask
 
-        self._screen, self._file = screen, None if file is None else ProgressFile(file)
-        self.ask = screen.ask if self._file is None else self._file.ask
-
-    def plan(self, programme: "Programme", done: frozenset[int], yes: bool, speed: float) -> None:
+    def plan(self, programme: "Programme", done: frozenset[int], yes: bool) -> None:
         """Show how long each step and the whole takes, and ask whether to start."""
         from undrift.rig.programme import forecast_of
 
@@ -336,13 +329,9 @@ class _Shown:
             yes = yes or self._screen.ask("Start? (y/N) ").strip().lower() in ("y", "yes")
         if not yes:
             raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or `yes`")
-        if self._file is not None:
-            self._file.plan(programme, done, speed)
 
     def __call__(self, progress: "Progress") -> None:
         """Take where the run is; in a log a step is one line, once there are readings of it."""
-        if self._file is not None:
-            self._file(progress)
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         logged = bool(progress.live) or progress.phase in ("mounting", "closing")
         step = progress.number if logged else None

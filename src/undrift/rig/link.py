@@ -245,8 +245,6 @@ class Link(AbstractContextManager["Link"]):
 
 # ---- Ports to a Galil card. A command ends with a carriage return; the answer is ``:``, or text and ``:``, or ``?``.
 
-DOWNLOAD_S = 10.0  # longest wait for the end of a short program's download
-
 
 class LinkPort(Link):
     """A card on TCP or a serial port."""
@@ -263,12 +261,6 @@ class LinkPort(Link):
         if not reply.endswith(":") or "?" in reply:
             raise LinkError(f"{self.name}: wanted an answer to '{command}', got {reply!r}; check cable and baud")
         return reply[:-1]
-
-    def download(self, program: str) -> None:
-        """Replace the program on the card; there is no prompt before its end."""
-        reply = self.exchange(f"DL\r{program}\r\\", max(self.settings.reply_timeout_s, DOWNLOAD_S), terminator="")
-        if reply != ":":
-            raise LinkError(f"{self.name}: wanted a program taken by the card, got {reply!r}; see its TC")
 
     def shout(self, command: str) -> None:
         """Send without waiting for an answer; a lost link is left to whoever asks next."""

@@ -11,7 +11,7 @@
 
 All that goes on is brought up to now when someone looks: nothing runs beside, and nothing depends on how busy the host is. With
 the device's clock in error by c, reading k is taken at k / (rate (1 + c)). The chamber's air is solved by the trapezoidal rule, and
-exactly for the board. What breaks is in ``faults``.
+exactly for the board.
 """
 
 import math
@@ -43,13 +43,6 @@ from undrift.sim.device.simulate import draw_streams
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.servo import Servo, ServoSettings
 from undrift.units import STANDARD_GRAVITY
-
-FAULTS = {
-    "stall": "the amplifier fails: the controller switches the motor off, and the table coasts to rest",
-    "lost_readings": "of every three readings of the device two are lost",
-    "wrong_face": "the operator mounts the opposite face, once",
-    "power_cut": "nothing answers, and the table coasts to rest",
-}
 
 # ---- Readings of a simulated device as time goes on, chunk by chunk
 
@@ -200,7 +193,15 @@ class SimulatedSettings:
 
 
 class SimulatedBench:
-    """A bench: its ``table`` is a Rig, its ``chamber`` a Chamber, ``readings`` are of its devices, and it mounts them itself."""
+    """A bench: its ``table`` is a Rig, its ``chamber`` a Chamber, ``readings`` are of its devices, and it mounts them itself.
+
+    ``faults`` holds what is broken now:
+
+    - ``stall``: the amplifier fails; the controller switches the motor off, and the table coasts to rest
+    - ``lost_readings``: two of every three readings of the device are lost
+    - ``wrong_face``: the operator mounts the opposite face, once
+    - ``power_cut``: nothing answers, and the table coasts to rest
+    """
 
     def __init__(
         self, devices: Sequence[DeviceModel] = (), settings: SimulatedSettings = SimulatedSettings(), clock: Clock | None = None

@@ -71,6 +71,16 @@ class Servo:
         return float(self._state[SAMPLES]) * self.settings.period_s
 
     @property
+    def count(self) -> int:
+        """What the encoder counts, from the start."""
+        return math.floor(float(self._state[ANGLE]) * self.settings.counts_per_rad)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference moves: a turn, or the way to rest, is not over."""
+        return self.time < float(self._profile[-1, 0])
+
+    @property
     def error(self) -> float:
         """Commanded minus actual position, counts."""
         return float(self._state[ERROR])
@@ -90,7 +100,7 @@ class Servo:
 
     def switch(self, on: bool) -> None:
         """Switch the motor on, where the axis stands, or off."""
-        self._follow((0.0, math.floor(float(self._state[ANGLE]) * self.settings.counts_per_rad), 0.0, 0.0))
+        self._follow((0.0, self.count, 0.0, 0.0))
         self.powered, self._state[ERROR] = on, 0.0
 
     def turn(self, speed: float, duration_s: float, acceleration: float) -> None:

@@ -1,0 +1,268 @@
+"""Fake controllers for the tests of the rig's drivers: a Galil card and a GRBL board, as functions from a command to its answer.
+
+`Card` and `Board` believe everything, move at once, and can be told to answer badly. `TurningCard` and `TurningBoard` turn the
+table of a simulated bench, in the bench's time: whole runs go through a driver and over its wire.
+"""
+
+import math
+import re
+import threading
+from typing import Any
+
+from testkit.scripted_server import Scripted, VirtualScripted
+from undrift.base.clock import VirtualClock
+from undrift.sim.bench import SimulatedBench
+
+# ---- Galil
+
+
+class Card:
+    """A card that believes everything: what was set is read back, a move is over after some polls, and answers can be spoilt."""
+
+    def __init__(self, polls: int = 1) -> None:
+        self.held: dict[str, str] = {
+            "AC": "256000",
+            "DC": "256000",
+            "MO": "1",
+            "TP": "0",
+            "TE": "0",
+            "SC": "1",
+            "TS": "44",
+        }
+        self.spoilt: dict[str, list[bytes | None]] = {}
+        self.polls = polls
+        self.moving = 0
+        self.refused: dict[str, int] = {}
+        self.code = 0
+        self.arrives = True
+
+    def spoil(self, command: str, *answers: bytes | None) -> None:
+        """Answer the next times that a command begins so with these bytes instead."""
+        self.spoilt[command] = list(answers)
+
+    def __call__(self, command: str) -> bytes | None:
+        for start, answers in self.spoilt.items():
+            if command.startswith(start) and answers:
+                return answers.pop(0)
+        for start, code in self.refused.items():
+            if command.startswith(start):
+                self.code = code
+                return b"?"
+        return self.answer(command)
+
+    def answer(self, command: str) -> bytes:
+        if command == "TC1":
+            return f"{self.code} Some words\r\n:".encode()
+        if command == "\x12\x16":
+            return b"DMC1415 Rev 1.0u\r\n:"
+        if found := re.fullmatch(r"MG (\d+)", command):
+            return f" {found.group(1)}.0000\r\n:".encode()
+        if command == "MG _BGX":
+            return f" {int(self.poll())}.0000\r\n:".encode()
+        if found := re.fullmatch(r"MG _([A-Z]{2})X?", command):
+            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
+        if found := re.fullmatch(r"(TP|TE)X", command):
+            value = int(self.held[found.group(1)])
+            return f"{'-' if value < 0 else ' '}{abs(value):010d}\r\n:".encode()
+        if found := re.fullmatch(r"(TS|SC)X", command):
+            return f" {int(self.held[found.group(1)]):03d}\r\n:".encode()
+        if found := re.fullmatch(r"([A-Z]{2}) \?", command):
+            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
+        if found := re.fullmatch(r"([A-Z]{2}) (-?[\d.]+)", command):
+            self.held[found.group(1)] = found.group(2)
+            return b":"
+        return self.act(command)
+
+    def poll(self) -> bool:
+        """Return whether a move runs."""
+        self.moving = max(self.moving - 1, 0)
+        return self.moving > 0
+
+    def act(self, command: str) -> bytes:
+        if command == "SHX":
+            self.held["MO"] = "0"
+        elif command == "MOX":
+            self.held["MO"] = "1"
+        elif command == "BGX":
+            self.moving = self.polls
+            if "PR" in self.held and self.arrives:
+                self.held["TP"] = str(int(self.held["TP"]) + int(self.held["PR"]))
+        elif command in ("STX", "AB"):
+            self.moving = 0
+        else:
+            self.code = 1
+            return b"?"
+        return b":"
+
+
+BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was, in one answer
+
+
+class TurningCard(Card):
+    """A card that turns the table of a simulated bench; each move takes its time and ends by itself.
+
+    ``fault`` is one of the card's own: ``limit_switch`` (the forward one), ``abort_input``. A stalled amplifier is the bench's.
+    """
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__()
+        self.bench, self.lock, self.fault, self.server = bench, threading.RLock(), "", served(self, bench)
+        self.address = f"galil:{self.server.url}"
+        self.start()
+
+    def start(self) -> None:
+        """Forget all that was set, as after a power cut."""
+        kp, kd = self.bench.servo.settings.gains
+        period_us = 1e6 * self.bench.servo.settings.period_s
+        self.held = {"AC": "256000", "DC": "256000", "TM": f"{period_us:.0f}", "KP": str(kp), "KI": "0", "KD": str(kd)}
+        self.on, self.why = False, 1
+
+    def __call__(self, command: str) -> bytes | None:
+        with self.lock:
+            return super().__call__(command)
+
+    def answer(self, command: str) -> bytes:
+        bench, servo = self.bench, self.bench.servo
+        bench.advance()
+        if self.fault and servo.moving:
+            self.act("STX" if self.fault == "limit_switch" else "AB")
+            self.why = 2 if self.fault == "limit_switch" else 6
+        if self.on and not servo.powered:  # the amplifier failed: the following error passed its limit
+            self.on, self.why = False, 8
+        if command == BOTH:
+            return f"{servo.count: 011d} {int(1e3 * servo.time): 011d}\r\n:".encode()
+        switches = 0x0C - 0x08 * (self.fault == "limit_switch") + 0x20 * (not servo.powered)
+        self.held |= {"TP": str(servo.count), "TE": str(round(servo.error)), "MO": str(int(not servo.powered))}
+        self.held |= {"TS": str(switches), "SC": str(0 if servo.moving else self.why)}
+        return super().answer(command)
+
+    def poll(self) -> bool:
+        """Return whether a move runs."""
+        return self.bench.servo.moving
+
+    def act(self, command: str) -> bytes:
+        servo = self.bench.servo
+        if command == "MOX" and servo.moving:
+            return self.refuse(7)
+        if command in ("SHX", "MOX"):
+            self.on = command == "SHX"
+            servo.switch(self.on)
+        elif command == "BGX":
+            way = int(self.held["PR"])
+            if not servo.powered or (way > 0 and self.fault == "limit_switch"):
+                return self.refuse(22 if servo.powered else 20)
+            acceleration, self.why = float(self.held["AC"]), 1
+            speed = min(float(self.held["SP"]), math.sqrt(abs(way) * acceleration))
+            servo.turn(math.copysign(speed, way), abs(way) / speed + speed / acceleration, acceleration)
+        elif command == "STX":
+            servo.slow_down(float(self.held["DC"]))
+            self.why = 4
+        elif command == "AB":
+            servo.switch(servo.powered)
+            self.why = 7
+        else:
+            return super().act(command)
+        return b":"
+
+    def refuse(self, code: int) -> bytes:
+        """Refuse a command for a reason."""
+        self.code = code
+        return b"?"
+
+
+def served(card: Any, bench: SimulatedBench, **how: Any) -> Scripted:
+    """Let a controller be reached: within the bench's clock or, on the host's clock, over a real socket."""
+    clock = bench.clock
+    return VirtualScripted(card, clock, **how) if isinstance(clock, VirtualClock) else Scripted(card, **how)
+
+
+# ---- GRBL
+
+
+class Board:
+    """A board of one rotary axis that is where its jogs end at once, and that answers badly when told to."""
+
+    def __init__(self) -> None:
+        self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
+        self.state = "Idle"
+        self.place = 0.0
+        self.jogs: list[tuple[float, float]] = []
+        self.spoilt: dict[str, list[bytes | None]] = {}
+        self.stays = 0
+        self.wakes_to = "Idle"
+
+    def __call__(self, command: str) -> bytes | None:
+        for start, answers in self.spoilt.items():
+            if command.startswith(start) and answers:
+                return answers.pop(0)
+        if command == "?":
+            self.stays = max(self.stays - 1, 0)
+            if self.state == "Jog" and not self.stays:
+                self.state = "Idle"
+            return f"<{self.state}|MPos:{self.place:.3f}|FS:0,0>\r\n".encode()
+        if command == "\x18":
+            was, self.state = self.state, self.wakes_to
+            if was == "Sleep":
+                self.state = "Alarm"
+            return b"\r\nGrbl 1.1h ['$' for help]\r\n"
+        if command == "\x85":
+            self.state = "Idle"
+            return None
+        return self.line(command)
+
+    def line(self, command: str) -> bytes:
+        if found := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
+            self.jogs.append((float(found.group(1)), float(found.group(2))))
+            self.place += self.jogs[-1][0]
+            self.state, self.stays = "Jog", 3
+            return b"ok\r\n"
+        if command == "$$":
+            return "".join(f"${n}={v}\r\n" for n, v in self.settings.items()).encode() + b"ok\r\n"
+        if command == "$I":
+            return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
+        if found := re.fullmatch(r"\$(\d+)=([\d.]+)", command):
+            self.settings[found.group(1)] = found.group(2)
+            return b"ok\r\n"
+        if command == "$SLP":
+            self.state = "Sleep"
+            return b"ok\r\n"
+        if command == "$X":
+            self.state = "Idle"
+            return b"[MSG:Caution: Unlocked]\r\nok\r\n"
+        return b"error:3\r\n"
+
+
+class TurningBoard(Board):
+    """A board that turns the table of a simulated bench by finite jogs; each takes its time and ends by itself."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__()
+        self.bench, self.fault = bench, ""
+        self.server = served(self, bench, terminator=b"\n", at_once="?!~\x18\x85")
+        self.address = f"grbl:{self.server.url}"
+
+    def __call__(self, command: str) -> bytes | None:
+        bench, servo = self.bench, self.bench.servo
+        bench.advance()
+        self.place, self.stays = math.degrees(bench.angle()), 2 * servo.moving
+        answer = super().__call__(command)
+        if command == "\x18" or command == "$X":
+            servo.switch(True)
+        elif command == "\x85":
+            self.state = "Jog" if servo.moving else "Idle"
+            servo.slow_down(float(self.settings["120"]) / 360.0 * self.counts_per_turn)
+        elif command == "$SLP":
+            servo.switch(False)
+        elif command.startswith("$J="):
+            distance, deg_per_min = self.jogs[-1]
+            per_degree = self.counts_per_turn / 360.0
+            acceleration, speed = float(self.settings["120"]) * per_degree, deg_per_min / 60.0 * per_degree
+            way = distance * per_degree
+            speed = min(speed, math.sqrt(abs(way) * acceleration))
+            servo.turn(math.copysign(speed, way), abs(way) / speed + speed / acceleration, acceleration)
+        return answer
+
+    @property
+    def counts_per_turn(self) -> float:
+        """Return the counts of the bench's encoder in a turn."""
+        return 2.0 * math.pi * self.bench.servo.settings.counts_per_rad

@@ -1,1 +1,0 @@
-"""A rig that does not exist: a motion controller with its servo loop, behind a real socket."""
