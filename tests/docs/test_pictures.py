@@ -16,6 +16,7 @@ def seen(path: Path) -> list[str]:
     return re.findall(r"<text[^>]*>([^<]*)", text) or re.findall(r'<use [^>]*x="([^"]*)"', text)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("computed_once")
 def test_pictures_of_the_repository_say_what_is_drawn_today(tmp_path: Path) -> None:
     runpy.run_path(str(DOCS / "generate.py"))["draw_all"](tmp_path)

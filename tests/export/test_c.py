@@ -147,7 +147,7 @@ def test_what_is_not_carried_is_listed():
     exported = export_c(device(drift=drift, adc=ROUNDINGS[1]))
     said = " | ".join(exported.not_carried)
     assert "lag" not in said
-    assert "the thermometer's lag of 30 s is removed by undrift_temperature" in " ".join(exported.notes)
+    assert "undrift_temperature removes the lag of the thermometer of 30 s" in " ".join(exported.notes)
     assert "power-on" not in said
     assert "uncertainties" in said
     assert "uncertainties" in exported.header
@@ -177,11 +177,11 @@ def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_i
 
 def test_the_header_says_the_unit_of_a_triad_without_a_model():
     exported = export_c(device(accel=None), ExportOptions(accel_unit="g"))
-    assert "accelerometers have no model: nominal values are passed on; accel_raw is taken as g" in exported.notes
+    assert "accelerometers have no model: accel_raw is taken as g, with nominal values" in exported.notes
     assert "accel_raw: g, temperatures without a table" in exported.header
     assert "accel_raw is taken as m/s2" in export_c(device(accel=None)).header
     exported = export_c(device(gyro=None))
-    assert "gyroscopes have no model: nominal values are passed on; gyro_raw is taken as rad/s" in exported.notes
+    assert "gyroscopes have no model: gyro_raw is taken as rad/s, with nominal values" in exported.notes
     with pytest.raises(
         InputError, match="wanted no unit of the accel, whose model is for count, got g; leave accel_unit out"
     ):

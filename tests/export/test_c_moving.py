@@ -90,7 +90,7 @@ def test_a_gap_is_bridged(tmp_path):
 
 def test_header_and_notes_say_what_to_call():
     exported = export_c(moving(None))
-    assert "undrift_at_rest adds to the rates what they are smaller at rest" in " ".join(exported.notes)
+    assert "through undrift_at_rest" in " ".join(exported.notes)
     assert "6 by undrift_at_rest" in re.sub(r"[\s*]+", " ", exported.header)
     assert not any("change of the offset" in text for text in exported.not_carried)
     assert "at_rest" not in export_c(device(drift=None)).header

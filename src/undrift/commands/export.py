@@ -20,7 +20,7 @@ def export(
     output: Output,
     options: Annotated[ExportOptions, Parameter(name="*")] = ExportOptions(),
 ) -> Summary:
-    """Write calibrations for firmware and other programs, and list what they cannot carry.
+    """Write a calibration for firmware or another program, and list the parts that the file does not contain.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def export(
         Options that some targets take.
     """
     from undrift.files import write_together
-    from undrift.io.store import findings_json, read_calibration, verdict_json
+    from undrift.io.store import read_calibration, verdict_json
 
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
@@ -46,18 +46,19 @@ def export(
     lost = len(exported.not_carried)
     return Summary(
         title=f"Calibration of {model.device or 'a device'} for {target}",
-        answer=f"{output.name} carries the calibration" + (f" but {lost} of its parts." if lost else "."),
+        answer=f"{output.name} contains the calibration" + (f", without {lost} of its parts." if lost else "."),
         data={
             "target": target,
             "files": [str(path) for path in files],
             "not_carried": exported.not_carried,
             "notes": exported.notes,
-            "findings": findings_json(exported.findings),
             **exported.figures,
             "verdict": verdict_json(model.verdict),
         },
         pictures=(figure_of("calibration:draw_calibration", model),),
-        sections=(Section(title="Not carried", text=tuple(f"not carried: {text}" for text in exported.not_carried)),),
+        sections=(
+            Section(title="Not contained", text=tuple(f"not contained: {text}" for text in exported.not_carried)),
+        ),
         verdict=model.verdict,
         notes=exported.notes,
         written=files,

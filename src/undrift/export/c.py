@@ -19,8 +19,7 @@ from undrift.arrays import FloatArray
 from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
 from undrift.export import ExportOptions, Target, firmware
-from undrift.export.losses import Exported, Part, losses, texts_of
-from undrift.findings import Finding, finding
+from undrift.export.losses import Exported, Part, losses
 from undrift.model import SENSORS, Calibration, Sensor
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, canonical_unit, is_physical
@@ -109,9 +108,8 @@ class ExportedC:
 
     header: str
     source: str
-    not_carried: tuple[str, ...]  # What the calibration holds and the source does not
-    notes: tuple[str, ...]  # What the firmware must know or do
-    findings: tuple[Finding, ...]  # What is not carried, and the notes, as codes with numbers
+    not_carried: tuple[str, ...]  # parts of the calibration that the source does not contain
+    notes: tuple[str, ...]  # what the firmware must know or do
 
 
 def export_c(
@@ -156,28 +154,41 @@ def export_c(
     True
     """
     check_prefix(options.prefix)
-    notes: list[Finding] = []
+    notes: list[str] = []
+    prefix = options.prefix
     gyro, accel = (_triad_of(calibration, options, name, notes) for name in SENSORS)
     triads = [accel, gyro]
     lead = firmware.lead_of(calibration)
     if lead is not None:
-        notes.append(finding("export.lag_removed", "info", lag_s=lead.lag_s, prefix=options.prefix))
+        notes.append(
+            f"{prefix}_temperature removes the lag of the thermometer of {lead.lag_s:.3g} s: pass every temperature through it "
+            f"before {prefix}_correct"
+        )
     if gyro.warm_up_table is not None:
-        over = gyro.warm_up_table.temp.stop
-        notes.append(finding("export.warm_up_removed", "info", over_s=over, prefix=options.prefix))
+        notes.append(
+            f"{prefix}_correct_since takes the time since power-on and subtracts the extra offset after power-on, which is zero "
+            f"from {gyro.warm_up_table.temp.stop:g} s on; {prefix}_correct does not subtract it"
+        )
     if gyro.at_rest is not None:
-        notes.append(finding("export.at_rest", "info", prefix=options.prefix))
+        notes.append(
+            f"offsets apply while the device turns: pass every result of {prefix}_correct through {prefix}_at_rest, which adds "
+            "the difference at rest"
+        )
     if calibration.magnetometer is not None:
-        notes.append(finding("export.magnetometer_apart", "info", prefix=options.prefix))
-    texts = texts_of(losses(calibration, CARRIED), notes)
+        notes.append(
+            f"{prefix}_magnetometer corrects the magnetometer (uT to uT, in the axes of the gyroscopes): pass the corrected rate "
+            "of the same time with each reading"
+        )
+    not_carried = losses(calibration, CARRIED)
     return ExportedC(
-        header=_header(triads, calibration, options, texts["not_carried"] + texts["notes"], lead, date),
+        header=_header(triads, calibration, options, (*not_carried, *notes), lead, date),
         source=_source(triads, calibration, options, header_name, lead),
-        **texts,
+        not_carried=not_carried,
+        notes=tuple(notes),
     )
 
 
-def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, notes: list[Finding]) -> Constants:
+def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, notes: list[str]) -> Constants:
     """Return a triad, nominal where there is no model, with a note on that."""
     triad = firmware.triads_of(calibration)[SENSORS.index(name)]
     unit = options.gyro_unit if name == "gyro" else options.accel_unit
@@ -196,7 +207,7 @@ def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, no
                 "that the firmware hands over"
             )
         triad = constants_of(calibration, name, known)
-        notes.append(finding("export.nominal", "info", triad=what, name=name, unit=known))
+        notes.append(f"{what} have no model: {name}_raw is taken as {known}, with nominal values")
     return triad
 
 
@@ -290,8 +301,7 @@ def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Expo
             f"{name}: wanted a file name of letters, digits, -, _ and . for a C header, got others; rename it"
         )
     made = export_c(calibration, options, header_name=name, date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    texts = {key: getattr(made, key) for key in ("not_carried", "notes", "findings")}
-    return Exported(text=made.header, more=(made.source,), **texts)
+    return Exported(text=made.header, more=(made.source,), not_carried=made.not_carried, notes=made.notes)
 
 
 TARGET = Target(endings=(".h",), more=(".c",), write=write_c)

@@ -19,8 +19,7 @@ from undrift.errors import InputError
 from undrift.export import ExportOptions, Target
 from undrift.export.c import check_prefix, comment_text
 from undrift.export.firmware import triads_of
-from undrift.export.losses import Exported, Part, losses, texts_of
-from undrift.findings import Finding, finding
+from undrift.export.losses import Exported, Part, losses
 from undrift.model import Calibration
 
 CARRIED: frozenset[Part] = frozenset(("gain", "cross", "accel gain", "accel cross", "g"))
@@ -34,7 +33,7 @@ class ConstantPair:
     gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a; None if the calibration has no model
     accel: Constants | None
     temp_c: float  # temperature of the constants; NaN without tables and without a reference temperature
-    notes: tuple[Finding, ...]  # what was frozen
+    read_tables: bool  # tables over temperature were read at temp_c
 
 
 def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
@@ -55,7 +54,7 @@ def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPa
         gyro=None if gyro is None else _at(gyro, temp),
         accel=None if accel is None else _at(accel, temp),
         temp_c=temp,
-        notes=(finding("export.read_at", "info", temp_c=temp),) if tables else (),
+        read_tables=bool(tables),
     )
 
 
@@ -74,18 +73,18 @@ def _at(triad: Constants, temp: float) -> Constants:
 def write_constants(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
     """Return the constants as a C header if the name of the file ends in .h, otherwise as JSON."""
     pair = pair_at(calibration, options.temp_c)
-    notes = list(pair.notes)
+    notes = [f"tables over temperature are read at {pair.temp_c:g} degC"] if pair.read_tables else []
     for sensor, triad in (("gyroscope", pair.gyro), ("accelerometer", pair.accel)):
         if triad is None:
-            notes.append(finding("export.no_constants", "info", triad=sensor))
+            notes.append(f"no {sensor} constants: the calibration has no model of it")
         else:
-            notes.append(finding("export.readings", "info", triad=sensor, unit=triad.unit_in))
+            notes.append(f"{sensor} readings are in {triad.unit_in}")
     if name.lower().endswith(".h"):
-        notes.append(finding("export.single_precision", "info"))
+        notes.append("numbers are in single precision")
         text = _header(calibration, pair, options.prefix)
     else:
         text = _json(calibration, pair)
-    return Exported(text=text, **texts_of(losses(calibration, CARRIED), notes))
+    return Exported(text=text, not_carried=losses(calibration, CARRIED), notes=tuple(notes))
 
 
 def _json(calibration: Calibration, pair: ConstantPair) -> str:
