@@ -5,12 +5,12 @@ import os
 import socket
 import threading
 import time
-import tty
 
 import numpy as np
 import pytest
 
 from testkit.byte_sender import Sender
+from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.decoder import StreamDescription
@@ -112,7 +112,7 @@ def test_a_udp_port_that_is_taken_is_a_lost_link():
 
 
 def test_readings_come_over_a_serial_line():
-    ours, theirs = os.openpty()
+    ours, theirs = open_pseudo_terminal()
     try:
         with opened(f"serial://{os.ttyname(theirs)}{OPTIONS}&baud=115200") as source:
             os.write(ours, TEXT)
@@ -270,8 +270,7 @@ def paced_sender(way):
             return lambda line: out.sendto(line, ("127.0.0.1", port)), out.close
 
         return f"udp://127.0.0.1:{port}", sender
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
+    ours, theirs = open_pseudo_terminal()
     os.set_blocking(ours, False)  # what the port cannot take is an error here, not a pause
 
     def end():

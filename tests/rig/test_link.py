@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.scripted_server import Scripted
 from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
@@ -38,7 +39,7 @@ def test_a_question_is_answered_over_what_pyserial_opens():
 
 @pytest.mark.parametrize("prefix", ["", "serial://"])
 def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
-    ours, theirs = os.openpty()
+    ours, theirs = open_pseudo_terminal()
     try:
         with Link(f"{prefix}{os.ttyname(theirs)}", LINK) as link:
             answerer = threading.Thread(target=lambda: os.write(ours, os.read(ours, 100).replace(b"\r", b"!\n")))

@@ -31,6 +31,7 @@ LONGER = Protocol(
     dwell_s=2.0, bracket_s=1.0,
 )  # fmt: skip
 DWELLS = 9
+needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 # calls in which a run is killed: of the clock's wait while it moves and reads, of fsync while it writes
 INSTANTS = (("fsync", 2), ("wait", 40), ("fsync", 11), ("wait", 75))
 MORE_INSTANTS = tuple((name, number) for name in ("wait", "fsync") for number in range(1, 60, 3))
@@ -50,6 +51,7 @@ def simulated_run(protocol, path, *more):
     return ["rig", "run", str(protocol), *addresses, "-o", str(path), "--yes", *more]
 
 
+@needs_signals
 @pytest.mark.parametrize("instants", [INSTANTS, pytest.param(MORE_INSTANTS, marks=pytest.mark.slow)], ids=len)
 def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, instants):
     """A run is killed and resumed, and killed again; each dwell that was reported is still there, bit by bit, at the end."""
@@ -123,14 +125,15 @@ def bench():
         yield bench
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGTSTP, None], ids=["SIGTERM", "SIGTSTP", "rig stop"])
-def test_a_signal_or_a_stop_ends_at_rest_with_what_was_done(bench, tmp_path, protocol, number):
+@needs_signals
+@pytest.mark.parametrize("way", ["SIGTERM", "SIGTSTP", "rig stop"])
+def test_a_signal_or_a_stop_ends_at_rest_with_what_was_done(bench, tmp_path, protocol, way):
     process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
     assert bench.turning()
-    if number is None:
+    if way == "rig stop":
         stop_rig(bench.address)
     else:
-        process.signal(number)
+        process.signal(getattr(signal, way))
     code, _, err = process.result()
     assert code == 130, err
     assert "stopped; nothing was left half written" in err
@@ -138,6 +141,7 @@ def test_a_signal_or_a_stop_ends_at_rest_with_what_was_done(bench, tmp_path, pro
     assert len(read_session(tmp_path / "run").records) >= 2
 
 
+@needs_signals
 def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(bench, tmp_path, protocol):
     process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
     assert bench.turning()
@@ -150,6 +154,7 @@ def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(bench, 
     assert bench.at_rest()
 
 
+@needs_signals
 def test_after_kill_9_the_controller_ends_the_dwell_and_a_second_run_was_refused(bench, tmp_path, protocol):
     process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
     assert bench.turning()
@@ -172,6 +177,7 @@ def test_a_whole_run_over_sockets_reads_the_true_device(bench, tmp_path, protoco
 # ---- Disks, and folders that are not what a resume needs.
 
 
+@needs_signals
 def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_path, protocol):
     process = Command(simulated_run(protocol, tmp_path / "run"), tmp_path, largest_file=6000)
     code, _, err = process.result()

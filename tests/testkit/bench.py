@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-FORKS = get_context("forkserver")
+FORKS = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
 COMMANDS = ("calibrate", "certificate", "correct", "info", "orient", "validate")
 IMPORTED = ("undrift.web.app", "undrift.cli.bench", "undrift.report.page", "undrift.report.figures", "scipy.stats")
 IMPORTED += (
@@ -29,7 +29,8 @@ IMPORTED += (
     "undrift.sim.bench",
 )
 IMPORTED += ("cyclopts", "rich.console", "undrift.kernels.device", "undrift.io.parquet", "pyarrow.parquet", "pandas")
-FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
+if FORKS.get_start_method() == "forkserver":
+    FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,15 @@
 import contextlib
 import os
 import select
-import termios
 import threading
 import time
-import tty
 from collections.abc import Callable
 
 import numpy as np
 
+from testkit.pseudo_terminal import open_pseudo_terminal
+
 GYRO_LSB_PER_DPS, ACCEL_LSB_PER_G = 131.0, 16384.0  # of an MPU-6050 at +-250 deg/s and +-2 g
-BAUDS = {getattr(termios, f"B{baud}"): baud for baud in (9600, 38400, 57600, 115200, 230400, 460800, 921600)}
 
 
 def sketch_line(k: int, time_us: int, gyro: np.ndarray, accel: np.ndarray, temp_c: float) -> bytes:
@@ -38,8 +37,7 @@ class PrintingBoard:
     """
 
     def __init__(self, baud: int | None = None, patience_s: float = 0.0) -> None:
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
+        self._near, self._far = open_pseudo_terminal()
         os.set_blocking(self._near, False)
         self.port, self._baud, self.silent = os.ttyname(self._far), baud, False
         self._end, self._lock, self._patience_s = threading.Event(), threading.Lock(), patience_s
@@ -59,7 +57,7 @@ class PrintingBoard:
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._near < 0 or self.silent:
                 return
-            if self._baud is not None and BAUDS.get(termios.tcgetattr(self._near)[5]) != self._baud:
+            if self._baud is not None and baud_of(self._near) != self._baud:
                 data = bytes((byte * 37 + 128) & 0xFF | 0x80 for byte in data)
             while data and select.select([], [self._near], [], self._patience_s)[1]:
                 data = data[os.write(self._near, data) :]
@@ -85,3 +83,12 @@ class PrintingBoard:
                 os.close(self._near)
                 os.close(self._far)
                 self._near = -1
+
+
+def baud_of(terminal: int) -> int:
+    """Return the baud rate that the other side of a pseudo-terminal has set."""
+    import termios
+
+    code = termios.tcgetattr(terminal)[5]
+    rates = (9600, 38400, 57600, 115200, 230400, 460800, 921600)
+    return next((baud for baud in rates if getattr(termios, f"B{baud}") == code), 0)

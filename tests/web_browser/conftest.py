@@ -23,6 +23,10 @@ expect.set_options(timeout=WAIT_MS)  # a page beside a busy machine answers late
 CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
 # rests and turns of guided captures, six times as fast; `make test-long` has them in real time
 quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.slow)])
+# sizes and schemes of a page; the gate has one of them
+wide_and_narrow = pytest.mark.parametrize(
+    ("width", "height", "scheme"), [(1280, 800, "light"), pytest.param(390, 844, "dark", marks=pytest.mark.slow)]
+)
 # what a page must not have whatever its readings are: parts beyond the screen, parts that only a pointer scrolls, small buttons
 _MEASURED = """() => {
   const all = kind => [...document.querySelectorAll('.bench-main ' + kind)], page = document.documentElement

@@ -21,10 +21,9 @@ from undrift.io.session import read_map
 from undrift.model import Calibration
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from web_browser.conftest import faults_of, shoot, state_serial, step
+from web_browser.conftest import faults_of, shoot, state_serial, step, wide_and_narrow
 
 COMMAND_MS = 60_000
-WAYS = [(1280, 800, "light"), (390, 844, "dark")]
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +78,7 @@ def rests_used(folder: Path, count: int) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+@wide_and_narrow
 def test_a_stretch_is_zoomed_to_and_left_out_of_what_is_calibrated(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path, turned: Record, width: int, height: int,
     scheme: str,
@@ -175,7 +174,7 @@ def point_at(page: Page, seconds: float) -> None:
     page.locator(".u-over").first.hover(position={"x": seconds / 99.99 * box["width"], "y": 30})
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+@wide_and_narrow
 def test_counts_turn_too_and_what_is_left_out_shows_nothing(
     open_page: Callable[..., Page], tmp_path: Path, calibrated: tuple[Record, Calibration], width: int, height: int,
     scheme: str,
@@ -205,7 +204,7 @@ def test_counts_turn_too_and_what_is_left_out_shows_nothing(
     assert complaints == []
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+@wide_and_narrow
 def test_columns_and_units_prove_themselves_and_what_nothing_shows_stays_empty(
     open_page: Callable[..., Page], tmp_path: Path, turned: Record, width: int, height: int, scheme: str
 ) -> None:
@@ -243,7 +242,7 @@ def test_columns_and_units_prove_themselves_and_what_nothing_shows_stays_empty(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "height", "scheme"), WAYS)
+@wide_and_narrow
 def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
     open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path, turned: Record, width: int, height: int,
     scheme: str,

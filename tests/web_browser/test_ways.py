@@ -6,11 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 from playwright.sync_api import Page
 
 import undrift
-from web_browser.conftest import faults_of, picture, shoot, state_serial
+from web_browser.conftest import faults_of, picture, shoot, state_serial, wide_and_narrow
 from web_browser.test_path import Pointer
 from web_browser.test_recordings import COMMAND_MS
 
@@ -33,7 +32,7 @@ def phone_zip(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), [(1280, 800, "light"), (390, 844, "dark")])
+@wide_and_narrow
 def test_from_the_zip_of_a_phone_to_a_corrected_file(
     open_page: Callable[..., Page], tmp_path: Path, width: int, height: int, scheme: str
 ) -> None:

@@ -5,7 +5,6 @@ import os
 import socket
 import threading
 import time
-import tty
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.talking_device import CHANNELS, TalkingDevice, resting
 from testkit.waiting import eventually
 from undrift import read_record
@@ -157,8 +157,7 @@ def test_other_ways_than_a_socket_bring_the_same_readings(kind: str):
     options = f"channels={CHANNELS}&rate=200&gyro_unit=dps&accel_unit=m/s2"
     with ExitStack() as stack:
         if kind == "serial":
-            near, far = os.openpty()
-            tty.setraw(far)
+            near, far = open_pseudo_terminal()
             stack.callback(os.close, near)
             stack.callback(os.close, far)
             place, send = f"//{os.ttyname(far)}", lambda line: os.write(near, line)
