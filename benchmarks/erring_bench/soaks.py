@@ -12,8 +12,7 @@ import numpy as np
 from benchmarks.erring_bench import Row, Tally
 from undrift.arrays import FloatArray
 from undrift.drift.observe import RestBlocks, observe_rests
-from undrift.drift.rests import variance_of_mean
-from undrift.drift.static import StaticFit, cooling, fit_static
+from undrift.drift.offset import StaticFit, cooling, fit_static, variance_of_mean
 from undrift.errors import NotObservable
 from undrift.model import Calibration
 from undrift.record import Session, Still
@@ -85,7 +84,7 @@ def _add_left_out(fit: StaticFit, left: RestBlocks, branch: float, calibration: 
     noise = variance_of_mean(left.gyro, np.nan_to_num(left.gyro_variance), left.gyro_step_error)
     error, variance = left.gyro.mean(axis=0) - found.offset[node], found.uncertainty[node] ** 2 + noise
     loop = found.curve.loop
-    if loop is not None and found.curve.kept_loop:  # the branch is known, so that the half-width is no uncertainty
+    if loop is not None:  # the branch is known, so that the half-width is no uncertainty
         error = error - branch * loop.half
         variance = variance - loop.half**2 + loop.uncertainty**2
     per_raw = 1.0 / (DPS * calibration.gyro.scale_factor)

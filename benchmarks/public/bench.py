@@ -18,7 +18,7 @@ from undrift.calibration.noise import allan_deviation
 from undrift.calibration.norm import MG, fit_norm, judged
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.drift.observe import RestBlocks, observe_rests
-from undrift.drift.static import StaticSettings, fit_static
+from undrift.drift.offset import StaticSettings, fit_static
 from undrift.model import TriadModel
 from undrift.record import Record, Session, Still
 from undrift.segments import still_means

@@ -10,8 +10,7 @@ import pytest
 from testkit.cohorts import share_limits
 from testkit.data import data_path, show
 from undrift.drift.observe import observe_rests
-from undrift.drift.rests import variance_of_mean
-from undrift.drift.static import StaticSettings, fit_static
+from undrift.drift.offset import StaticSettings, fit_static, variance_of_mean
 from undrift.record import Record, Session, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -88,7 +87,7 @@ def left(record, seconds, parity, nodes):
     taught = thermal(record, stills=tuple(stretches[parity::2]))
     fit = fit_static(blocks_of(taught), nodes=nodes, settings=G_UNIT)
     judged = blocks_of(thermal(record, stills=tuple(stretches[1 - parity :: 2])))
-    accel = fit.accel.curve.spline.at(nodes).value
+    accel = fit.accel.curve.curve.at(nodes).value
 
     def at(table):
         return np.column_stack([np.interp(judged.temp_c, nodes, column) for column in table.T])
@@ -198,7 +197,7 @@ def left_out(blocks, group, settings=G_UNIT):
             (fit.accel, out.accel, out.accel_variance, out.accel_step_error),
         ):
             if triad is not None:
-                errors.append(y.mean(axis=0) - triad.curve.spline.at(nodes).value[node])
+                errors.append(y.mean(axis=0) - triad.curve.curve.at(nodes).value[node])
                 noise = variance_of_mean(y, np.nan_to_num(variance), step)
                 stated.append(np.sqrt(triad.uncertainty[node] ** 2 + noise))
     shape = (len(np.unique(group)), -1)

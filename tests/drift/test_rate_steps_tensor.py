@@ -7,7 +7,7 @@ import pytest
 
 from undrift.drift.rate_steps import SurfacePoints, fit_surface
 from undrift.errors import NotObservable
-from undrift.fit.smooth import Cubics
+from undrift.fit.curve import Cubics
 
 TEMPS = np.arange(20.0, 71.0, 10.0)
 RATES = np.concatenate((-np.linspace(0.2, 1.6, 8)[::-1], np.linspace(0.2, 1.6, 8)))

@@ -17,7 +17,7 @@ from undrift.correction.correct import correct_checked
 from undrift.drift.fit import choose_tables
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rate_steps import DynamicFit, fit_dynamic, fit_scale
-from undrift.fit.smooth import not_a_knot
+from undrift.fit.curve import not_a_knot
 from undrift.model import Calibration, DriftTables, StaticDrift
 from undrift.sim.device.effects import Scale, SensorChain, Thermometer
 from undrift.sim.device.model import DeviceModel

@@ -35,7 +35,6 @@ def summary(**changes):
         left_out_rms=np.radians([0.02, np.nan, 0.02]),
         half_loop=np.radians([0.05, 0.0, -0.05]),
         half_loop_uncertainty=np.radians([0.004, 0.004, 0.004]),
-        loop_kept=True,
         turn_on=np.radians([0.1, 0.1, 0.1]),
         block_temp_c=np.linspace(20.0, 28.0, k),
         block_departure=np.radians(np.random.default_rng(1).normal(0.0, 0.1, (k, 3))),
@@ -114,7 +113,7 @@ DRAWN = {
     "offsets without blocks": lambda: draw_offsets(
         summary(block_temp_c=np.zeros(0), block_departure=np.zeros((0, 3)), block_cooling=np.zeros(0), against="zero")
     ),
-    "change alone": lambda: draw_offsets(summary(unit="count", in_table=False, loop_kept=False)),
+    "change alone": lambda: draw_offsets(summary(unit="count", in_table=False)),
     "scale": lambda: draw_scale(scales()),
     "dynamic": lambda: draw_dynamic(
         DynamicDrift(

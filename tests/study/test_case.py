@@ -11,8 +11,8 @@ from scipy.stats import ttest_1samp
 from testkit.data import show
 from testkit.surfaces import candidates
 from undrift.correction.correct import correct_whole
+from undrift.fit.curve import not_a_knot
 from undrift.fit.least_squares import fit_paper
-from undrift.fit.smooth import not_a_knot
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
 from undrift.orientation import OrientSettings, orient_unchecked, sagittal_pitch
 from undrift.record import Still

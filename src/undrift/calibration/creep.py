@@ -26,8 +26,8 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.observe import Observed, mean_reading, middles, piece_temperatures, whole_readings
 from undrift.findings import Finding, Level, finding
+from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import block_size, excess_variance, noise_of_means
-from undrift.fit.smooth import widening_of
 from undrift.model import AXES
 from undrift.record import Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -468,11 +468,11 @@ def _rest_span(seen: Observed, length_s: float, prior: TemperatureSensitivity) -
     if fit is None:
         return 0.0, 1.0
     few = fit.noise.any() and fit.free <= _FEW
-    scatter = fit.scatter * (1.0 if few else widening_of(fit.free))
+    scatter = fit.scatter * (1.0 if few else student_factor(fit.free))
     if float((fit.change**2 / np.maximum(fit.lever * np.fmax(scatter, fit.noise), 1e-300)).sum()) <= _DRIFTS:
         return 0.0, 1.0
     if not is_physical(units[0]) or prior.gyro_offset_dps_per_k == 0.0:
         return prior.unrecorded_span_k, 1.0
     drift = fit.change * length_s / float(np.ptp(fit.time))
     slope = prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE / si_factor(units[0], "rate")
-    return float(np.sqrt(np.mean(drift**2))) / slope, widening_of(3) ** 0.5
+    return float(np.sqrt(np.mean(drift**2))) / slope, student_factor(3) ** 0.5

@@ -18,8 +18,8 @@ from undrift.calibration.checks import check_gravity, rate_unit_words, stuck_at_
 from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
+from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
-from undrift.fit.smooth import widening_of
 from undrift.model import AXES, Verdict, level_of
 from undrift.record import FACES, RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -320,7 +320,7 @@ def mean_of_rests(
     c = np.zeros(len(means)) if creep is None else creep
     if len(means) == 1:
         return means[0], variances[0] + c[0] ** 2
-    factor, mean, variance = widening_of(len(means) - 1), np.zeros(3), np.zeros(3)
+    factor, mean, variance = student_factor(len(means) - 1), np.zeros(3), np.zeros(3)
     for axis in range(3):
         value, within = means[:, axis], variances[:, axis]
         excess, middle, spent = 0.0, float(value.mean()), 0.0

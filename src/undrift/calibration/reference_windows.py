@@ -8,8 +8,8 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import NotObservable
 from undrift.findings import Finding
+from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import fit_huber, scaled_condition
-from undrift.fit.smooth import widening_of
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
 from undrift.sync import Lag
 
@@ -193,9 +193,9 @@ def solve(
             shares = np.linalg.solve(normal, np.diag(pull**2))
             by_prior = shares * np.where(pull > 0.0, expected[1], 0.0)
             unknowns -= float(np.trace(shares))
-            made = made * widening_of(max(freedom, 3.0 * independent) - unknowns)
+            made = made * student_factor(max(freedom, 3.0 * independent) - unknowns)
             return np.asarray(made + by_prior @ by_prior.T)
-        return made * widening_of(max(freedom, 3.0 * independent) - unknowns)
+        return made * student_factor(max(freedom, 3.0 * independent) - unknowns)
 
     return Solution(step=x, covariance=covariance, residuals=residual, scale=scale, condition=condition)
 

@@ -74,7 +74,7 @@ def drift(
         Fit the power-on transient with which each recording, or each clock that begins anew, begins.
     """
     from undrift.drift.fit import DriftSettings
-    from undrift.drift.static import StaticSettings
+    from undrift.drift.offset import StaticSettings
     from undrift.io.store import calibration_json, write_calibration
 
     if not 0.0 < step_c < math.inf:

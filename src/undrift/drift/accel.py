@@ -21,13 +21,12 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.norm import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
+from undrift.drift.offset import bins_of, near_data
 from undrift.drift.rate_steps import MATRIX_GAP_C
-from undrift.drift.rests import bins_of
-from undrift.drift.static import near_data
 from undrift.errors import CalibrationError, InputError, NotObservable, PoorFit
 from undrift.findings import Level, finding
+from undrift.fit.curve import fit_curve
 from undrift.fit.least_squares import excess_variance
-from undrift.fit.smooth import fit_smooth
 from undrift.model import AXES, Calibration, DriftTables, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
@@ -153,7 +152,7 @@ def _by_temperature(poses: WarmPoses, gravity: float, at: FloatArray) -> tuple[F
         return None
     free = np.arange(9) if count == _FULL else _ON_AXES
     temps, values, variances = (np.array(column) for column in zip(*fits, strict=True))
-    curve = fit_smooth(temps, values[:, free], variances[:, free]).at(at)
+    curve = fit_curve(temps, values[:, free], variances[:, free]).at(at)
     value, uncertainty = np.zeros((len(at), 9)), np.zeros((len(at), 9))
     value[:, free], uncertainty[:, free] = curve.value, curve.uncertainty
     notes = [finding("drift.accel_two_temperatures", "warn")] if len(fits) == 2 else []

@@ -27,9 +27,8 @@ from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.calibration.checks import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.offset import UNKNOWN_SCALE_PER_K, StaticFit, TriadDrift, cooling
 from undrift.drift.rate_steps import ScaleFit, SoakMatrices, soak_matrices, steps_of
-from undrift.drift.rests import UNKNOWN_SCALE_PER_K
-from undrift.drift.static import StaticFit, TriadDrift, cooling
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import CalibrationError, Implausible
 from undrift.findings import Finding, finding
@@ -57,7 +56,6 @@ class TriadSummary:
     left_out_rms: FloatArray  # (3,), cross-validated error; NaN where there are too few temperatures
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling less warming; None where it did not show
     half_loop_uncertainty: FloatArray | None = None  # (3,)
-    loop_kept: bool = False  # whether the loop is significant and part of the table
     turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
     block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC; may be empty
     block_departure: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3)
@@ -72,7 +70,7 @@ class TriadSummary:
     def loop_shown(self, k: int) -> bool:
         """Whether the loop of an axis is part of the table, and significant."""
         half, own = self.half_loop, self.half_loop_uncertainty
-        return self.loop_kept and half is not None and own is not None and abs(half[k]) > _SIGNIFICANT * own[k]
+        return half is not None and own is not None and abs(half[k]) > _SIGNIFICANT * own[k]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,10 +108,10 @@ def summarise_accel(
         reference = device.reference_temp_c if model is not None else np.nan
         if not np.isfinite(reference):
             reference = 0.5 * (triad.span_c[0] + triad.span_c[1])
-        spline = triad.curve.spline
-        zero = spline.at(np.array([reference])).value[0]
+        curve = triad.curve.curve
+        zero = curve.at(np.array([reference])).value[0]
         against = f"that at {reference:.1f} degC"
-        return _summary_of(triad, nodes, spline.at(nodes).value - zero, zero, against, (factor, name))
+        return _summary_of(triad, nodes, curve.at(nodes).value - zero, zero, against, (factor, name))
     near = np.flatnonzero(~poses.extrapolated)
     first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
     span, doubt = poses.temp_c[last] - poses.temp_c[first], poses.offset_uncertainty
@@ -153,10 +151,9 @@ def _summary_of(
         in_table=triad.offset is not None,
         slope=triad.slope * factor,
         slope_uncertainty=triad.slope_uncertainty * factor,
-        left_out_rms=triad.curve.spline.left_out[0] * factor,
+        left_out_rms=triad.curve.curve.left_out(triad.curve.cells.groups)[0] * factor,
         half_loop=None if loop is None else loop.half * factor,
         half_loop_uncertainty=None if loop is None else loop.uncertainty * factor,
-        loop_kept=triad.curve.kept_loop,
         turn_on=None if turn_on is None else np.sqrt(turn_on.variance) * factor,
         block_temp_c=blocks.temp_c,
         block_departure=(triad.offsets.value - zero) * factor,
@@ -371,7 +368,7 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
 
 def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
     """Return what the offsets' fit is worth; accelerometers of one pose count where no poses determined them."""
-    gyro, hidden, narrow = static.gyro, {"drift.no_hysteresis"}, tuple[Finding, ...]()
+    gyro, hidden, narrow = static.gyro, set[str](), tuple[Finding, ...]()
     marginal = static.verdict.status != "good"
     if gyro is not None:
         few = gyro.extrapolated.mean() <= _MOST_EXTRAPOLATED
@@ -398,29 +395,15 @@ def static_verdict(static: StaticFit, accel: AccelDriftFit | None) -> Verdict:
 def single_sweep_verdict(
     gyro: TriadSummary | None, rests: RestBlocks, temperatures: tuple[Temperature, ...], *, warm_up_fitted: bool
 ) -> Verdict:
-    """Return what a temperature that went in one direction only hides, with its size in this recording."""
-    if gyro is None or gyro.half_loop is not None:
+    """Return whether a power-on transient may be in a table of a temperature that went in one direction only."""
+    if gyro is None or gyro.half_loop is not None or all(temperature.source == "means" for temperature in temperatures):
         return Verdict()
-    if all(temperature.source == "means" for temperature in temperatures):
-        return Verdict.of(finding("drift.hysteresis_excluded", "info"))
-    ramp = float(np.quantile(np.abs(rests.ramp_c_per_min), 0.95))
-    unit, factor = ("deg/s", RADIAN_PER_DEGREE) if gyro.unit == "rad/s" else (gyro.unit, 1.0)
-    findings = [
-        finding(
-            "drift.lag_and_hysteresis_excluded",
-            "warn",
-            shift=np.abs(gyro.slope) * (ramp / 60.0) * _SUPPOSED_LAG_S / factor,
-            unit=unit,
-            lag_s=_SUPPOSED_LAG_S,
-            ramp_c_per_min=ramp,
-        )
-    ]
     ordered = np.abs(rests.ramp_c_per_min[np.lexsort((rests.time, rests.session))])
     part = max(len(ordered) // 4, 1)
     fastest_first = ordered[:part].mean() > 2.0 * ordered[-part:].mean()
     if not warm_up_fitted and (float(rests.power_on_s.min()) < _SHORTLY_S or fastest_first):
-        findings.append(finding("drift.power_on_transient", "warn"))
-    return Verdict.of(*findings)
+        return Verdict.of(finding("drift.power_on_transient", "warn"))
+    return Verdict()
 
 
 def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
@@ -493,14 +476,14 @@ def bends_verdict(static: StaticFit, device: Calibration) -> Verdict:
 
 def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
     """Return how far rests of one set-point disagree beyond their noise, and what is the likely reason."""
-    between = None if static.gyro is None else static.gyro.curve.cells.between
-    if between is None:
+    scatter = None if static.gyro is None else static.gyro.curve.cells.scatter
+    if scatter is None:
         return Verdict()
     factor, unit = _in_dps(device.gyro)
-    expected, findings = between.known * factor, list[Finding]()
-    if (between.pose > _MORE * between.known).any():
+    expected, findings = scatter.known * factor, list[Finding]()
+    if (scatter.pose > _MORE * scatter.known).any():
         g_known = device.gyro is not None and device.gyro.g_sensitivity is not None
-        size, poses, no_accel = between.pose * factor, between.in_pose.shape[1], device.accel is None
+        size, poses, no_accel = scatter.pose * factor, scatter.poses, device.accel is None
         findings.append(
             finding(
                 "drift.poses_disagree" if g_known else "drift.poses_g_no_accel" if no_accel else "drift.poses_g",
@@ -511,8 +494,8 @@ def rests_verdict(static: StaticFit, device: Calibration) -> Verdict:
                 known=expected,
             )
         )
-    if (between.rest > _MORE * between.known).any():
-        size, rests = between.rest * factor, len(between.rests)
+    if (scatter.rest > _MORE * scatter.known).any():
+        size, rests = scatter.rest * factor, scatter.rests
         findings.append(finding("drift.rests_disagree", "info", deviation=size, unit=unit, rests=rests, known=expected))
     return Verdict(findings=tuple(findings))
 

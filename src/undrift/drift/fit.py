@@ -40,9 +40,8 @@ from undrift.drift import checks, observe, rate_steps
 from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
+from undrift.drift.offset import StaticFit, StaticSettings, TriadDrift, far_from_data, felt_by_gyro, fit_static
 from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
-from undrift.drift.rests import felt_by_gyro
-from undrift.drift.static import StaticFit, StaticSettings, TriadDrift, far_from_data, fit_static
 from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding

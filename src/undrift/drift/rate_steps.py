@@ -9,7 +9,7 @@ A mounting is a stretch of one soak in which the device turned about one directi
 the offset (hysteresis, warm-up, g-sensitivity); it is fitted where a mounting has two rates or more. Where it has one rate, one way
 round, the mean reading of the rests of the same soak is its zero; without rests the table is. An axis that no soak turned
 keeps its column of K from the calibration and has no uncertainty: nothing is known of it. Each K_ij(T) goes through a smoothing
-spline (fit/smooth.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
+curve (fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
 
 K is the best straight line over the imposed rates. What bends belongs to the dynamic table; so the noise is what a line, a
 parabola and a cubic leave.
@@ -47,12 +47,12 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.static import near_data
+from undrift.drift.offset import near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
+from undrift.fit.curve import Cubics, fit_curve
 from undrift.fit.equations import inverse_jacobian
 from undrift.fit.least_squares import determined, excess_variance
-from undrift.fit.smooth import Cubics, fit_smooth
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
@@ -245,7 +245,7 @@ def _over_temperature(
     for j, temps in enumerate(temperatures):
         if len(temps) >= 2:  # one temperature, or none: nothing over temperature
             have = soaks.seen[:, j]
-            at = fit_smooth(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes, spread=spread)
+            at = fit_curve(temps, soaks.forward[have, :, j], soaks.variance[have, :, j]).at(nodes)
             forward[:, :, j] = at.value
             if spread:
                 variance[:, :, j] = at.uncertainty**2

@@ -44,7 +44,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.drift.observe import RestBlocks
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.smooth import Cubics
+from undrift.fit.curve import Cubics
 from undrift.record import Session, Still, Turn
 
 BOARD_C = (-40.0, 125.0)  # where parts of a board work

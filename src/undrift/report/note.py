@@ -74,7 +74,7 @@ STATIC = Branch(
     (
         NoteStep("Output at rest, at each temperature", ("drift.observe.observe_rests",)),
         NoteStep(
-            "Function of the static drift, by splines", ("drift.temperature.estimate_lag", "drift.static.fit_static")
+            "Function of the static drift, by splines", ("drift.temperature.estimate_lag", "drift.offset.fit_static")
         ),
         NoteStep("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
     ),

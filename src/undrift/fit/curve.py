@@ -1,0 +1,305 @@
+"""A smooth curve over temperature with its covariance: a Gaussian process about a parabola (C. E. Rasmussen, C. K. I. Williams,
+"Gaussian Processes for Machine Learning", 2006, section 2.7), and the cubic spline through every point.
+
+    y = f(T) + Z c + u + e          rows y (n,) of each column, regressors Z (n, p)
+    f(T) = a + b x + g 4 x^2 + h(x)       x = (T - T_0) / span
+    cov h = q bending(x, x')        integrated Wiener process: what departs from the parabola
+    cov u = s C                     what a visit to a temperature adds and the next visit does not, correlation C
+    cov e                           stated
+
+a, b and c have no prior. g has a wide one: over 10 K the slope of an offset changes by as much as its mean. The two
+hyperparameters, the sizes of bends and visits, are common to all columns, each in the unit of its column. They maximise the
+restricted likelihood times a half-t prior for each (A. Gelman, "Prior distributions for variance parameters", 2006), so that the
+size of what a few rows cannot show is the usual one, not zero. The covariance counts both variances widened by Student's factor.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray
+from undrift.errors import InputError, NotObservable
+from undrift.fit.gls import student_factor
+
+BOW_SPAN_C = 10.0  # over this span the slope changes by as much as its mean: prior of the parabola [assumed]
+BEND_SPAN_C = 50.0
+DEPARTURE = 2.47e-3  # rms departure from a parabola over 50 K, share of the range of the values: drawn ENC-03J devices
+DEPARTURE_OF_UNIT = 0.0202  # rms departure from a parabola of a bend of size 1 over the span
+VISIT_OF_RANGE = 3e-3  # usual scatter of visits: share of the range of the values [assumed]
+VISIT_OF_NOISE = 2.4  # and at least this share of a row's noise [assumed]
+SMALLEST = 1e-12  # rad/s, m/s2 or count: range of readings that do not change
+JITTER = 1e-11  # share of the variance of the values: keeps a curve through exact values solvable
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NodeValues:
+    """Curves at nodes."""
+
+    temp_c: FloatArray  # (m,), degC
+    value: FloatArray  # (m, k), unit of the values
+    covariance: FloatArray  # (k, m, m), covariance of the nodes of each curve, unit squared
+
+    @property
+    def uncertainty(self) -> FloatArray:
+        """Standard uncertainty of each node, shape (m, k)."""
+        variance = np.diagonal(self.covariance, axis1=1, axis2=2).T
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Curve:
+    """A fitted curve of k columns; ``at`` evaluates it."""
+
+    origin_c: float  # T_0, degC
+    span_c: float  # degC
+    x: FloatArray  # (n,), scaled temperature of the rows
+    value: FloatArray  # (n, k)
+    basis: FloatArray  # (n, 2 + p): ones, x, regressors
+    stated: FloatArray  # (k, n, n), covariance of e
+    correlation: FloatArray  # (n, n), C
+    bow: FloatArray  # (k,), prior variance of g
+    bend: FloatArray  # (k,), q
+    visit: FloatArray  # (k,), s
+    widening: float = 1.0  # Student's factor of q and s in the covariance
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the rows of each column, (k, n, n)."""
+        return self.kernel(self.x, self.x) + self.visit[:, None, None] * self.correlation + self.stated
+
+    @property
+    def projector(self) -> FloatArray:
+        """P = V^-1 - V^-1 H (H' V^-1 H)^-1 H' V^-1 of each column, (k, n, n)."""
+        inverse = np.linalg.inv(self.covariance)
+        return inverse - inverse @ self.basis @ self._trend_gain
+
+    @property
+    def coefficient(self) -> FloatArray:
+        """Coefficients of the regressors, (p, k), unit of the values per unit of the regressor."""
+        return np.asarray(np.einsum("kpn,nk->pk", self._trend_gain, self.value)[2:])
+
+    @property
+    def coefficient_uncertainty(self) -> FloatArray:
+        """Standard uncertainty of each coefficient, (p, k)."""
+        gain = self._trend_gain[:, 2:]
+        return np.asarray(np.sqrt(np.einsum("kpn,knm,kpm->pk", gain, self.widened.covariance, gain)))
+
+    @property
+    def visit_deviation(self) -> FloatArray:
+        """Standard deviation of what a future visit adds, (k,), unit of the values."""
+        return np.asarray(np.sqrt(self.widening * self.visit))
+
+    @property
+    def widened(self) -> "Curve":
+        """The same rows with both variances widened for few degrees of freedom."""
+        return replace(self, bend=self.widening * self.bend, visit=self.widening * self.visit, widening=1.0)
+
+    @property
+    def _trend_gain(self) -> FloatArray:
+        """(H' V^-1 H)^-1 H' V^-1, (k, 2 + p, n)."""
+        weighted = np.linalg.solve(self.covariance, self.basis[None]).swapaxes(1, 2)
+        return np.linalg.solve(weighted @ self.basis, weighted)
+
+    def kernel(self, one: FloatArray, two: FloatArray) -> FloatArray:
+        """Covariance of f beside its line at scaled temperatures (i,) and (j,), (k, i, j)."""
+        bows = 16.0 * np.outer(one**2, two**2)
+        return self.bow[:, None, None] * bows + self.bend[:, None, None] * bending(one, two)
+
+    def at(self, temp_c: FloatArray) -> NodeValues:
+        """Return the curves at temperatures (m,), degC, with their covariance; regressors count as 0 there.
+
+        Rasmussen and Williams, eqs. 2.41 and 2.42.
+        """
+        nodes = (np.asarray(temp_c, float) - self.origin_c) / self.span_c
+        basis = np.column_stack([np.ones(len(nodes)), nodes, np.zeros((len(nodes), self.basis.shape[1] - 2))])
+        gain = np.linalg.solve(self.covariance, self.kernel(self.x, nodes)).swapaxes(1, 2)
+        gain = gain + (basis - gain @ self.basis) @ self._trend_gain
+        wide = self.widened
+        shared = gain @ wide.kernel(self.x, nodes)
+        covariance = wide.kernel(nodes, nodes) - shared - shared.swapaxes(1, 2)
+        return NodeValues(
+            temp_c=np.array(temp_c, float),
+            value=np.einsum("kmn,nk->mk", gain, self.value),
+            covariance=covariance + gain @ wide.covariance @ gain.swapaxes(1, 2),
+        )
+
+    def left_out(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Leave groups of rows (n,) out in turn, without a second fit: errors P_II^-1 (P y)_I of covariance P_II^-1.
+
+        Returns the rms error of groups between others, and the rms of all groups' mean errors over their stated deviations, both
+        (k,); NaN if no group can be left out.
+        """
+        projector, ends = self.projector, groups[[np.argmin(self.x), np.argmax(self.x)]]
+        between, scaled = list[FloatArray](), list[FloatArray]()
+        for number in np.unique(groups):
+            rows, others = groups == number, self.basis[groups != number]
+            if np.linalg.matrix_rank(others) < others.shape[1]:
+                continue
+            stated = np.linalg.inv(projector[:, rows][:, :, rows])
+            error = np.einsum("kij,kjn,nk->ik", stated, projector[:, rows], self.value)
+            scaled.append(error.mean(axis=0) ** 2 / stated.mean(axis=(1, 2)))
+            if number not in ends:
+                between.append(error**2)
+        nothing = np.full(self.value.shape[1], np.nan)
+        return (
+            np.sqrt(np.concatenate(between).mean(axis=0)) if between else nothing,
+            np.sqrt(np.mean(scaled, axis=0)) if scaled else nothing,
+        )
+
+
+def fit_curve(
+    temp_c: FloatArray,
+    value: FloatArray,
+    variance: FloatArray,
+    *,
+    regressors: FloatArray | None = None,
+    correlation: FloatArray | None = None,
+    shared: FloatArray | None = None,
+) -> Curve:
+    """Fit a curve to each column of ``value`` (n, k) at ``temp_c`` (n,), degC.
+
+    ``variance`` (n, k) is the stated variance of each row and ``shared`` (k, n, n) a stated covariance beside it; ``correlation``
+    (n, n) says which rows belong to one visit (default: each row is a visit). Raises ``NotObservable`` if all rows are at one
+    temperature, or do not determine a line and the coefficients of ``regressors`` (n, p).
+    """
+    span = float(np.ptp(temp_c)) if len(temp_c) else 0.0
+    if span <= 0.0:
+        raise NotObservable(
+            f"curve over temperature: expected two temperatures or more, got {min(len(temp_c), 1)}. Record at another temperature."
+        )
+    origin = 0.5 * float(temp_c.min() + temp_c.max())
+    x = (temp_c - origin) / span
+    basis = np.column_stack([np.ones(len(x)), x, *([] if regressors is None else [regressors])])
+    if np.linalg.matrix_rank(basis) < basis.shape[1]:
+        raise NotObservable(
+            f"curve over temperature: {len(x)} rows do not determine a line and {basis.shape[1] - 2} effects. "
+            "Record more temperatures."
+        )
+    noise, spread = np.sqrt(np.median(variance, axis=0)), np.ptp(value, axis=0)
+    size = np.maximum(np.maximum(spread, math.sqrt(np.mean(spread**2))), np.maximum(2.0 * noise, SMALLEST))
+    exact = JITTER * np.maximum(value.var(axis=0), 0.01 * size**2)
+    stated = np.array([np.diag(rows) for rows in (variance + exact).T])
+    curve = Curve(
+        origin_c=origin,
+        span_c=span,
+        x=x,
+        value=value,
+        basis=basis,
+        stated=stated if shared is None else stated + shared,
+        correlation=np.eye(len(x)) if correlation is None else correlation,
+        bow=(span / (8.0 * BOW_SPAN_C) * size) ** 2,
+        bend=(DEPARTURE / DEPARTURE_OF_UNIT * size) ** 2 * span / BEND_SPAN_C,
+        visit=np.maximum(VISIT_OF_RANGE * size, VISIT_OF_NOISE * noise) ** 2,
+    )
+    curve = _likeliest(curve)
+    freedom = _visit_freedom(curve)
+    return replace(
+        curve, widening=student_factor(freedom) if freedom >= 1.0 else 1.0
+    )  # without a contrast the prior speaks
+
+
+def log_restricted_likelihood(contrasts: FloatArray, covariance: FloatArray) -> float:
+    """Return the log restricted likelihood of contrasts A'y (k, r) of all columns together, of covariance (k, r, r)."""
+    factor = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(factor, contrasts[:, :, None])
+    return float(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum() - 0.5 * (white**2).sum())
+
+
+def _likeliest(usual: Curve) -> Curve:
+    """Return the curve at the sizes of bends and visits that maximise likelihood times prior."""
+    from scipy.optimize import minimize
+
+    free = np.linalg.qr(usual.basis, mode="complete")[0][:, usual.basis.shape[1] :]  # A: A' (1, x, Z) = 0
+    contrasts = (free.T @ usual.value).T
+    visits = usual.visit[:, None, None] * (free.T @ usual.correlation @ free)
+    bends = usual.bend[:, None, None] * (free.T @ bending(usual.x, usual.x) @ free)
+    bows = usual.bow[:, None, None] * np.outer(*[4.0 * free.T @ usual.x**2] * 2)
+    stated = free.T @ usual.stated @ free + bows
+
+    def loss(log_size: FloatArray) -> float:
+        bend, visit = np.exp(log_size)
+        prior = _log_half_t(bend, 1.0, 3.0) + _log_half_t(visit, 1.0, 1.0)
+        return -log_restricted_likelihood(contrasts, stated + bend**2 * bends + visit**2 * visits) - prior
+
+    coarse = [np.array([bend, visit]) for bend in (-2.0, 0.0, 2.0) for visit in (-2.0, 0.0, 2.0, 4.0)]
+    start: Any = min(coarse, key=loss)
+    options: Any = {
+        "xatol": 1e-2,
+        "fatol": 1e-2,
+        "initial_simplex": start + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+    }
+    bend, visit = np.exp(2.0 * minimize(loss, start, method="Nelder-Mead", options=options).x)
+    return replace(usual, bend=bend * usual.bend, visit=visit * usual.visit)
+
+
+def _log_half_t(size: float, scale: float, freedom: float) -> float:
+    """Return the log density of log(size) if size has a half-t distribution."""
+    return math.log(size) - 0.5 * (freedom + 1.0) * math.log1p((size / scale) ** 2 / freedom)
+
+
+def _visit_freedom(curve: Curve) -> float:
+    """Return the degrees of freedom from which the visit variance of all columns is known: tr(P C)^2 / tr(P C P C)."""
+    product = curve.visit[:, None, None] * (curve.projector @ curve.correlation)
+    return float(
+        np.trace(product, axis1=1, axis2=2).sum() ** 2 / max(float((product * product.swapaxes(1, 2)).sum()), 1e-300)
+    )
+
+
+def bending(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Return the covariance of a once integrated Wiener process that runs both ways from 0, where it is flat.
+
+    k(s, t) = m^2 (3 M - m) / 6 with m the lesser and M the greater of |s| and |t|, on one side of 0; zero across it.
+    """
+    least = np.minimum(np.abs(one)[:, None], np.abs(two)[None, :])
+    most = np.maximum(np.abs(one)[:, None], np.abs(two)[None, :])
+    same_side = one[:, None] * two[None, :] > 0.0
+    return np.where(same_side, least**2 * (3.0 * most - least) / 6.0, 0.0)
+
+
+def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, nodes: FloatArray) -> NodeValues:
+    """Return the cubic spline through every point, (n,) and (n, k), with not-a-knot ends, at nodes (m,)."""
+    from scipy.interpolate import CubicSpline
+
+    if len(temp_c) < 2:
+        raise NotObservable(
+            f"spline: expected two set-points or more, got {len(temp_c)}. Record at another temperature.",
+            count=len(temp_c),
+        )
+    if (np.diff(temp_c) <= 0.0).any():
+        raise InputError("spline: set-points must increase. Sort them and join equal ones.")
+    basis = np.asarray(CubicSpline(temp_c, np.eye(len(temp_c)), bc_type="not-a-knot")(nodes))
+    covariance = np.einsum("mi,ik,ni->kmn", basis, variance, basis)
+    return NodeValues(temp_c=np.array(nodes, float), value=basis @ value, covariance=covariance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cubics:
+    """Cubic B-splines on even knots."""
+
+    low: float
+    high: float
+    intervals: int  # between the knots
+
+    @property
+    def knots(self) -> FloatArray:
+        """Knots in units of the span, ends four-fold, shape (intervals + 7,)."""
+        return np.concatenate((np.zeros(3), np.linspace(0.0, 1.0, self.intervals + 1), np.ones(3)))
+
+    def at(self, x: FloatArray) -> FloatArray:
+        """Return the splines at points, (n,) -> (n, intervals + 3)."""
+        from scipy.interpolate import BSpline
+
+        z = np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
+        return np.asarray(BSpline.design_matrix(z, self.knots, 3).toarray())
+
+    def products(self, derivative: int) -> FloatArray:
+        """Return the integrals over the span of the products of all pairs, or of their derivatives."""
+        from scipy.interpolate import BSpline
+
+        at, weight = np.polynomial.legendre.leggauss(4)
+        step = 1.0 / self.intervals
+        z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (at + 1.0)).ravel()
+        y: FloatArray = np.asarray(BSpline(self.knots, np.eye(self.intervals + 3), 3)(z, nu=derivative))
+        return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))

@@ -1,0 +1,475 @@
+"""Offset over temperature: what enters it and what the verdict says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.full_calibration import device
+from undrift.drift.checks import rests_verdict, set_points_of, set_points_verdict, static_verdict, with_set_points
+from undrift.drift.observe import RestBlocks
+from undrift.drift.offset import (
+    StaticSettings,
+    both_ways,
+    cells_of,
+    cooling,
+    fit_static,
+    gyro_offsets,
+    near_data,
+    warm_up_table,
+    warm_up_time,
+)
+from undrift.errors import NotObservable
+from undrift.model import G_NAMES, TriadModel
+
+NODES = np.arange(20.0, 60.1, 1.0)
+
+
+def blocks(temp_c, gyro, *, accel=None, session=0, noise=1e-3, time=None):
+    n = len(temp_c)
+    whole = np.full(n, session, np.int64)
+    clock = 10.0 * np.arange(n) if time is None else time
+    return RestBlocks(
+        session=whole,
+        pose=whole,
+        time=clock,
+        power_on_s=clock,
+        temp_c=np.asarray(temp_c, float),
+        ramp_c_per_min=np.zeros(n),
+        gyro=gyro,
+        accel=np.full((n, 3), np.nan) if accel is None else accel,
+        gyro_variance=np.full((n, 3), noise**2),
+        accel_variance=np.full((n, 3), noise**2),
+    )
+
+
+def joined(*parts):
+    names = [name for name in RestBlocks.__dataclass_fields__ if getattr(parts[0], name) is not None]
+    return RestBlocks(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def line(temp_c, rng, noise=1e-3):
+    return 0.01 * (np.asarray(temp_c)[:, None] - 25.0) * [1.0, -2.0, 0.5] + noise * rng.normal(size=(len(temp_c), 3))
+
+
+def test_accelerometer_offsets_hang_on_the_calibration_at_its_reference_temperature():
+    rng = np.random.default_rng(0)
+    model = TriadModel(
+        method="six-face", unit_in="g", unit_out="m/s2", matrix=9.81 * np.eye(3), offset=np.array([0.01, 0.02, 0.03]),
+        covariance=np.zeros((12, 12)), rms_residual=0.0, count=6, rank=12, condition=1.0, valid_range=(-20.0, 20.0),
+    )  # fmt: skip
+    calibration = replace(device(), accel=model, gyro=None, reference_temp_c=30.0)
+    temp = np.linspace(20.0, 60.0, 80)
+    drift = 1e-3 * np.outer(temp - 30.0, [1.0, 0.0, -1.0])
+    accel = [0.01, 0.02, 1.03] + drift + 1e-6 * rng.normal(size=(80, 3))
+    made = blocks(temp, line(temp, rng), accel=accel, noise=1e-6)
+    fit = fit_static(made, nodes=NODES, calibration=calibration)
+    wanted = model.offset + 1e-3 * np.outer(NODES - 30.0, [1.0, 0.0, -1.0])
+    np.testing.assert_allclose(fit.table.accel_offset, wanted, atol=2e-5)
+    assert "drift.accel_one_pose" in {item.code for item in fit.verdict.findings}
+    scale = 2e-4 * np.abs(NODES - 30.0)[:, None] * [0.0, 0.0, 1.0]  # of 1 g along z, by one pose
+    np.testing.assert_allclose(fit.accel.unknown_scale, scale, atol=1e-7)
+    assert (fit.table.accel_uncertainty >= scale).all()
+    assert (fit.table.accel_uncertainty[:, :2] < 1e-4).all()
+    assert fit.accel.mostly_unknown_scale
+    assert static_verdict(replace(fit, gyro=None), None).status == "marginal"
+    loose = replace(fit, gyro=None, accel=replace(fit.accel, uncertainty=fit.accel.uncertainty + 0.1))
+    assert static_verdict(loose, None).status == "good"
+    reasons = static_verdict(fit, None).reasons
+    assert sum("0.02 % per degC of gravity counts as uncertainty" in reason for reason in reasons) == 1
+    unknown = fit_static(made, nodes=NODES, calibration=replace(calibration, reference_temp_c=np.nan))
+    assert unknown.table.accel_offset is None
+    np.testing.assert_allclose(unknown.accel.slope, [1e-3, 0.0, -1e-3], atol=1e-5)
+
+
+def test_nodes_without_data_near_them_are_marked():
+    near = near_data(np.array([18.0, 19.6, 25.0, 30.0, 40.0, 41.0]), np.array([20.0, 40.0]), gap_c=5.0)
+    np.testing.assert_array_equal(near, [False, True, True, False, True, False])
+
+
+def test_the_state_of_the_loop_follows_the_temperature():
+    temp = np.concatenate((np.arange(20.0, 60.0), np.arange(60.0, 19.0, -1.0)))
+    made = blocks(temp, np.zeros((len(temp), 3)))
+    state = cooling(made)
+    assert state[0] == 0.0
+    np.testing.assert_array_equal(state[2:40], -1.0)
+    np.testing.assert_allclose(state[40:45], [-1.0, -0.5, 0.0, 0.5, 1.0])  # across 4 degC after the turn
+    np.testing.assert_array_equal(state[45:], 1.0)
+    assert both_ways(made, state)
+    assert not both_ways(made.taken(slice(0, 40)), state[:40])
+
+
+def test_few_blocks_on_the_way_down_do_not_pull_the_middle_curve():
+    rng = np.random.default_rng(2)
+    temp = np.concatenate((np.linspace(20.0, 60.0, 300), np.linspace(60.0, 40.0, 40)))
+    made = blocks(temp, np.zeros((340, 3)))
+    made = replace(made, gyro=line(temp, rng) + 0.05 * cooling(made)[:, None])
+    fit = fit_static(made, nodes=NODES)
+    np.testing.assert_allclose(fit.table.gyro_hysteresis, 0.05, atol=0.002)
+    # the table is the middle of the loop: a reading lies half its width beside it
+    assert (fit.table.gyro_uncertainty >= np.abs(fit.table.gyro_hysteresis)).all()
+    np.testing.assert_allclose(fit.table.gyro_offset, line(NODES, rng, 0.0), atol=0.004)
+
+
+@pytest.mark.slow
+def test_sessions_on_several_days_give_the_scatter_of_the_switch_on():
+    rng = np.random.default_rng(4)
+    temp = np.linspace(20.0, 60.0, 120)
+    shifts = rng.normal(size=(6, 3)) * 0.05
+    parts = [blocks(temp, line(temp, rng) + shift, session=k) for k, shift in enumerate(shifts)]
+    fit = fit_static(joined(*parts), nodes=NODES)
+    turn_on = fit.gyro.curve.turn_on
+    np.testing.assert_allclose(turn_on.shift, shifts - shifts.mean(axis=0), atol=0.003)
+    np.testing.assert_allclose(np.sqrt(turn_on.variance), shifts.std(axis=0, ddof=1), rtol=0.1)
+    assert (fit.table.gyro_uncertainty > 0.9 * shifts.std(axis=0, ddof=1)).all()
+    off = np.abs(fit.table.gyro_offset - line(NODES, rng, 0.0)) / fit.table.gyro_uncertainty
+    assert off.max() < 2.5
+    alone = fit_static(parts[0], nodes=NODES)
+    assert "drift.one_session" in {item.code for item in alone.verdict.findings}
+
+
+def test_a_warm_up_that_goes_with_temperature_is_not_observable():
+    time = 10.0 * np.arange(200)
+    temp = 60.0 - 40.0 * np.exp(-time / 600.0)
+    made = blocks(temp, 0.1 * np.exp(-time / 600.0)[:, None] * np.ones(3), time=time)
+    with pytest.raises(NotObservable, match=r"100\.0 % of the transient"):
+        warm_up_time(made, made.gyro)
+    table = warm_up_table(100.0, np.array([1.0, 2.0, 0.0]))
+    assert table.power_on_s[0] == 0.0
+    np.testing.assert_array_equal(table.gyro_offset[[0, -1]], [[1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+def test_the_notes_spline_goes_through_the_set_points():
+    rng = np.random.default_rng(3)
+    temp = np.repeat(np.arange(20.0, 61.0, 5.0), 12)
+    made = blocks(temp, line(temp, rng))
+    fit = fit_static(made, nodes=NODES, settings=StaticSettings(not_a_knot=True))
+    means = np.array([made.gyro[temp == t].mean(axis=0) for t in np.unique(temp)])
+    np.testing.assert_allclose(fit.table.gyro_offset[::5], means, atol=1e-9)
+
+
+def test_blocks_that_tell_nothing_are_refused():
+    temp = np.full(20, 25.0)
+    with pytest.raises(NotObservable, match="two temperatures"):
+        fit_static(blocks(temp, line(temp, np.random.default_rng(0))), nodes=NODES)
+    with pytest.raises(NotObservable, match="static drift"):
+        fit_static(blocks(temp, np.full((20, 3), np.nan)), nodes=NODES)
+
+
+def test_two_plateaus_on_two_days_show_no_scatter_between_switch_ons_and_no_sweep():
+    rng = np.random.default_rng(5)
+    cold, hot = 13.0 + 0.3 * rng.normal(size=40), 48.0 + 0.3 * rng.normal(size=40)
+    fit = fit_static(joined(blocks(cold, line(cold, rng)), blocks(hot, line(hot, rng), session=1)), nodes=NODES)
+    turn_on = fit.gyro.curve.turn_on
+    assert np.isnan(turn_on.variance).all()
+    assert np.isnan(turn_on.shift).all()
+    assert np.isfinite(fit.table.gyro_uncertainty).all()
+    codes = [item.code for item in fit.verdict.findings]
+    assert codes.count("drift.sessions_apart") == codes.count("drift.hysteresis_unknown") == 1
+
+
+def test_a_session_that_shares_no_temperature_leaves_the_shifts_of_the_others_as_they_are():
+    rng = np.random.default_rng(6)
+    low, high = np.linspace(20.0, 35.0, 80), np.linspace(45.0, 60.0, 80)
+    parts = [blocks(low, line(low, rng) + k * 0.04, session=k) for k in range(2)]
+    fit = fit_static(joined(*parts, blocks(high, line(high, rng), session=2)), nodes=NODES)
+    shift = fit.gyro.curve.turn_on.shift
+    np.testing.assert_allclose(shift[1] - shift[0], 0.04, atol=0.002)
+    np.testing.assert_allclose(shift[0] + shift[1], 0.0, atol=1e-12)
+    assert np.isnan(shift[2]).all()
+    np.testing.assert_allclose(np.sqrt(fit.gyro.curve.turn_on.variance), 0.04 / 2.0**0.5, rtol=0.1)
+
+
+def test_two_sessions_that_agree_state_a_bound_instead_of_no_scatter():
+    rng = np.random.default_rng(7)
+    temp = np.linspace(20.0, 60.0, 120)
+    same = line(temp, rng)
+    swap = np.where(np.arange(120)[:, None] % 2 == 0, 1e-3, -1e-3)  # the means agree better than the noise lets them
+    fit = fit_static(joined(blocks(temp, same + swap), blocks(temp, same - swap, session=1)), nodes=NODES)
+    turn_on = fit.gyro.curve.turn_on
+    known = 1e-3 / 240.0**0.5  # of half the difference of two means of 120 blocks, white noise alone
+    assert (np.sqrt(turn_on.variance) > known).all()
+    assert (np.sqrt(turn_on.future_variance) > 6.0 * known).all()  # Student's 12.7 over 1.96
+    # 97.5 % points by the tables: Student's with one degree of freedom 12.706, normal 1.960
+    np.testing.assert_allclose(np.sqrt(turn_on.future_variance / turn_on.variance), 12.706 / 1.960, rtol=1e-3)
+    assert (fit.table.gyro_uncertainty >= np.sqrt(turn_on.future_variance)).all()
+
+
+def test_at_the_reference_temperature_an_accelerometer_is_as_uncertain_as_its_calibration():
+    rng = np.random.default_rng(9)
+    own = np.array([4e-6, 9e-6, 1e-6])  # variances of the offset, g squared
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.diag(own)
+    model = TriadModel(
+        method="six-face", unit_in="g", unit_out="m/s2", matrix=9.81 * np.eye(3), offset=np.zeros(3),
+        covariance=covariance, rms_residual=0.0, count=6, rank=12, condition=1.0, valid_range=(-20.0, 20.0),
+    )  # fmt: skip
+    calibration = replace(device(), accel=model, gyro=None, reference_temp_c=40.0)
+    temp = np.linspace(20.0, 60.0, 80)
+    accel = [0.0, 0.0, 1.0] + 1e-3 * rng.normal(size=(80, 3))
+    fit = fit_static(blocks(temp, line(temp, rng), accel=accel), nodes=NODES, calibration=calibration)
+    stated = fit.accel.curve_uncertainty**2
+    # there the change since the reference is none: the curve is subtracted from itself, and its error with it
+    np.testing.assert_allclose(stated[NODES == 40.0][0], own, rtol=1e-6)
+    # elsewhere the noise of 80 blocks, 1e-3 each, counts beside it: of the mean alone (1e-3)^2 / 80
+    away = np.abs(NODES - 40.0) > 10.0
+    assert (stated[away] > own + 1e-6 / 80.0).all()
+
+
+def test_the_notes_spline_has_what_the_set_points_share_from_pose_to_pose():
+    rng = np.random.default_rng(10)
+    temp = np.repeat(np.arange(20.0, 61.0, 5.0), 40)
+    pose = np.tile(np.repeat(np.arange(4), 10), 9)
+    seat = 0.05 * rng.normal(size=(4, 3))  # what each of four poses adds at every temperature
+    made = replace(blocks(temp, line(temp, rng) + seat[pose]), pose=pose)
+    fit = fit_static(made, nodes=NODES, settings=StaticSettings(not_a_knot=True))
+    # the mean of four poses keeps half their scatter, which averages no further over the set-points
+    assert (fit.table.gyro_uncertainty > 0.5 * 0.5 * 0.05).all()
+    alone = fit_static(blocks(temp, line(temp, rng)), nodes=NODES, settings=StaticSettings(not_a_knot=True))
+    assert (alone.table.gyro_uncertainty < 0.005).all()
+
+
+def test_a_face_that_was_mounted_anew_at_one_temperature_does_not_bend_the_accelerometers_table():
+    rng, temp, calibration = np.random.default_rng(2), np.repeat([20.0, 40.0, 60.0], 20), device(unit="rad/s")
+
+    def lying(temp_c, number, force):
+        moved = 0.003 * (temp_c[:, None] - 40.0) * [1.0, 0.5, -1.0] + 1e-3 * rng.normal(size=(len(temp_c), 3))
+        accel = calibration.accel.offset + moved + calibration.accel.forward_matrix @ force
+        made = blocks(
+            temp_c, np.zeros((len(temp_c), 3)), accel=accel, time=1000.0 * number + 10.0 * np.arange(len(temp_c))
+        )
+        return replace(made, mounting=np.full(len(temp_c), number, np.int64))
+
+    level, off = np.array([0.0, 0.0, 9.81]), np.array([0.03, -0.02, 9.81])  # 0.2 deg off level
+    fits = [
+        fit_static(joined(*parts), nodes=NODES, calibration=calibration).table.accel_offset
+        for parts in ((lying(np.full(10, 30.0), 0, off), lying(temp, 1, level)), (lying(temp, 1, level),))
+    ]
+    show("difference that a face makes that was mounted anew, raw unit", float(np.abs(fits[0] - fits[1]).max()))
+    np.testing.assert_allclose(fits[0], fits[1], atol=2e-3)
+
+
+# ---- poses and rests that disagree
+
+POINTS = np.array([20.0, 30.0, 40.0, 50.0, 60.0])
+SLOPE = np.array([0.01, -0.02, 0.005])
+NOISE = 1e-3
+
+
+def soaks(rng, points=POINTS, poses=3, visits=2, *, by_pose=0.0, by_rest=0.0, blocks_each=2):
+    """Rests of two blocks, by set-point, visit and pose, an hour from set-point to set-point."""
+    level = by_pose * rng.normal(size=(poses, 3))
+    rows = [(p, v, k) for p in range(len(points)) for v in range(visits) for k in range(poses)]
+    own = np.repeat(by_rest * rng.normal(size=(len(rows), 3)), blocks_each, axis=0)
+    rows = [row for row in rows for _ in range(blocks_each)]
+    temp = np.array([points[p] for p, _, _ in rows])
+    within = np.tile(10.0 * np.arange(blocks_each), len(rows) // blocks_each)
+    time = np.array([3600.0 * p + 100.0 * (v * poses + k) for p, v, k in rows]) + within
+    pose = np.array([k for _, _, k in rows])
+    gyro = (temp[:, None] - 40.0) * SLOPE + level[pose] + own + NOISE * rng.normal(size=(len(rows), 3))
+    return replace(blocks(temp, gyro, noise=NOISE, time=time), pose=pose)
+
+
+def errors(seeds, **changes):
+    """Return error and stated uncertainty of the nodes at the set-points, each of shape (seeds, points, 3)."""
+    fits = [
+        fit_static(soaks(np.random.default_rng(seed), **changes), nodes=np.arange(20.0, 60.5, 5.0))
+        for seed in range(seeds)
+    ]
+    value = np.array([fit.table.gyro_offset[::2] for fit in fits])
+    return value - (POINTS[:, None] - 40.0) * SLOPE, np.array([fit.gyro.curve_uncertainty[::2] for fit in fits])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("poses", "by_pose", "by_rest"),
+    [
+        (3, 0.05, 0.0),
+        (6, 0.05, 0.02),
+        (3, 0.0, 0.02),
+        (6, 0.05, 0.0),
+    ],
+)
+def test_the_table_s_intervals_hold_when_poses_or_rests_disagree(poses, by_pose, by_rest):
+    # Truth: the offset without what poses add, whose mean is zero. Sixty devices of three axes.
+    error, stated = errors(60, poses=poses, by_pose=by_pose, by_rest=by_rest)
+    inside = float((np.abs(error) <= 1.96 * stated).mean())
+    ratio = float(np.sqrt((stated**2).mean() / (error**2).mean()))
+    show(
+        f"{poses} poses {by_pose:g}, rests {by_rest:g}: inside, stated over error", f"{inside:.3f}, {ratio:.2f}", "0.93"
+    )
+    assert inside >= 0.93
+    assert ratio < 2.0
+
+
+def test_more_samples_of_a_rest_do_not_lessen_what_poses_make():
+    few, many = (
+        fit_static(soaks(np.random.default_rng(3), visits=visits, by_pose=0.05), nodes=POINTS).gyro.curve_uncertainty
+        for visits in (2, 8)
+    )
+    np.testing.assert_allclose(many, few, rtol=0.1)
+
+
+def test_flicker_is_found_from_the_blocks_within_cells():
+    # seven first-order processes from 10 s to 10,000 s, of which flicker noise is made; soaks of 300 s
+    rng, size, count = np.random.default_rng(1), 0.02, 30 * 40
+    time = np.concatenate([1000.0 * k + 10.0 * np.arange(30) for k in range(40)])
+    value = np.zeros((count, 3))
+    for tau in 10.0 ** np.arange(1.0, 4.1, 0.5):
+        kept = np.exp(-np.diff(time, prepend=time[0] - 10.0) / tau)
+        state = rng.normal(size=3)
+        for k in range(count):
+            state = kept[k] * state + np.sqrt(1.0 - kept[k] ** 2) * rng.normal(size=3)
+            value[k] += size / 7.0**0.5 * state
+    made = blocks(np.repeat(np.arange(20.0, 60.0), 30) * 5.0, value, noise=1e-9, time=time)
+    cells = cells_of(
+        gyro_offsets(made, None), regressors=np.zeros((count, 0)), direction=np.zeros(count), chunk_s=np.inf
+    )
+    assert len(cells.temp_c) == 40
+    within = np.sqrt(np.diagonal(cells.flicker, axis1=1, axis2=2).mean(axis=1))
+    true = size * np.sqrt(
+        np.mean(
+            [
+                np.exp(-np.abs(np.subtract.outer(*[10.0 * np.arange(30)] * 2)) / tau)
+                for tau in 10.0 ** np.arange(1.0, 4.1, 0.5)
+            ]
+        )
+    )
+    show("flicker of a soak's mean over what was put in", np.round(within / true, 3), "0.9-1.1")
+    np.testing.assert_allclose(within, true, rtol=0.1)  # 40 soaks of about four independent blocks: 5 %
+
+
+def test_three_set_points_are_certain_at_the_soaks_and_a_finding_says_what_they_cannot_show():
+    rng, points = np.random.default_rng(4), np.array([20.0, 30.0, 40.0])
+    fit = fit_static(soaks(rng, points=points, visits=4), nodes=np.arange(20.0, 40.5, 1.0))
+    stated = fit.table.gyro_uncertainty
+    assert (stated[[0, 10, 20]] < 3.5 * NOISE).all()  # twelve blocks each, that scatter by NOISE
+    (few,) = set_points_verdict(fit, soaks(rng, points=points), device(unit="rad/s")).findings
+    assert few.code == "drift.few_set_points"
+    assert few.text.startswith("3 set-points cannot exclude higher-order curvature: 20.0, 30.0, 40.0 degC; ")
+    assert few.text.endswith("soak at 25, 35 degC as well")
+
+
+def test_two_set_points_are_a_line_and_many_or_a_sweep_give_no_finding():
+    rng, model = np.random.default_rng(5), device(unit="rad/s")
+    two, twelve = soaks(rng, points=POINTS[:2]), soaks(rng, points=np.linspace(20.0, 60.0, 12))
+    verdict = set_points_verdict(fit_static(two, nodes=np.arange(20.0, 30.5, 0.5)), two, model)
+    assert verdict.findings[0].values["count"] == 2
+    assert verdict.reasons[0].endswith("soak at 25 degC as well")
+    assert set_points_verdict(fit_static(twelve, nodes=POINTS), twelve, model).reasons == ()
+    np.testing.assert_allclose(set_points_of(np.array([20.1, 40.0, 19.9])), [20.0, 40.0])
+    assert len(set_points_of(np.linspace(20.0, 40.0, 100))) == 0
+
+
+def courses(rng, *, jagged=0.0, visit=0.0, stated=NOISE):
+    """Twelve set-points in random order, six times each: a step from one block to the next."""
+    points = np.linspace(18.0, 75.0, 12)
+    own = jagged * rng.normal(size=(12, 3))
+    order = np.concatenate([rng.permutation(12) for _ in range(6)])
+    gyro = (points[order, None] - 40.0) * SLOPE + own[order] + np.hypot(visit, NOISE) * rng.normal(size=(72, 3))
+    return blocks(points[order], gyro, noise=stated, time=600.0 * np.arange(72.0))
+
+
+@pytest.mark.slow
+def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding():
+    def of(**changes):
+        fit = fit_static(courses(np.random.default_rng(6), **changes), nodes=np.arange(20.0, 75.0, 5.0))
+        return [item for item in fit.verdict.findings if item.code == "drift.left_out_above"]
+
+    # what visits add is found, and stated; a curve of random steps is not smooth, and six visits to each step share it
+    assert of(visit=0.02) == []
+    (above,) = of(jagged=0.02)
+    assert (above.level, above.values["groups"]) == ("warn", 12)
+
+
+@pytest.mark.slow
+def test_a_log_through_soaks_and_ramps_shows_what_soaks_add():
+    # Twelve soaks of an hour and ramps of half an hour in one log; what a soak adds goes over to the next along the ramp.
+    inside = []
+    for seed in range(12):
+        rng, points = np.random.default_rng(seed), np.linspace(18.0, 75.0, 12)
+        own = np.repeat(0.02 * rng.normal(size=(12, 3)), 2, axis=0)
+        knots = (5400.0 * np.arange(12)[:, None] + [0.0, 3600.0]).ravel()
+        time = np.arange(0.0, knots[-1], 10.0)
+        temp = np.interp(time, knots, np.repeat(points, 2))
+        add = np.column_stack([np.interp(time, knots, column) for column in own.T])
+        gyro = (temp[:, None] - 40.0) * SLOPE + add + NOISE * rng.normal(size=add.shape)
+        fit = fit_static(blocks(temp, gyro, noise=NOISE, time=time), nodes=points)
+        to_come = (points[:, None] - 40.0) * SLOPE + 0.02 * rng.normal(size=(12, 3))
+        inside.append(np.abs(fit.table.gyro_offset - to_come) <= 1.96 * fit.table.gyro_uncertainty)
+    show("visits to come inside what a log through soaks states", f"{np.mean(inside):.3f}", "0.88-1")
+    assert np.mean(inside) >= 0.88  # 36 curves of twelve soaks: 0.95 +- 0.03; 0.16 where the log counts as one ramp
+
+
+def test_poses_that_disagree_are_reported_with_their_size_and_the_likely_reason():
+    model = replace(device(unit="rad/s"), accel=None)
+    model = replace(model, gyro=replace(model.gyro, g_sensitivity=None))
+    made = soaks(np.random.default_rng(6), by_pose=0.05)
+    fit = fit_static(made, nodes=POINTS, calibration=model)
+    verdict = with_set_points(fit.verdict, fit, made, model)
+    (pose,) = [item for item in verdict.findings if "g-sensitivity" in item.text]
+    assert pose.code == "drift.poses_g_no_accel"
+    assert pose.values["poses"] == 3
+    assert pose.text.startswith("Gyroscope offset depends on the pose (g-sensitivity): ")
+    assert rests_verdict(fit_static(soaks(np.random.default_rng(7)), nodes=POINTS), model).reasons == ()
+
+
+def test_rests_that_disagree_whatever_their_pose_are_reported():
+    made = soaks(np.random.default_rng(8), by_rest=0.03)
+    model = device(unit="rad/s")
+    (rest,) = rests_verdict(fit_static(made, nodes=POINTS), model).findings
+    assert rest.code == "drift.rests_disagree"
+    assert "hysteresis" in rest.text
+
+
+# ---- g-sensitivity
+
+THREE = np.array([20.0, 30.0, 40.0])
+FACES = 9.81 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+CALIBRATION = device(unit="rad/s")
+KNOWN = CALIBRATION.gyro.g_sensitivity
+NAIVE = replace(
+    CALIBRATION,
+    gyro=replace(
+        CALIBRATION.gyro, g_sensitivity=None, parameters=CALIBRATION.gyro.parameters[:12], covariance=np.zeros((12, 12))
+    ),
+)
+TRUE = np.radians([[0.05, -0.02, 0.08], [0.0, 0.06, -0.03], [0.1, 0.02, -0.05]]) / 9.81
+
+
+def rests_on_faces(rng, faces=FACES, *, felt=TRUE, by_pose=0.0):
+    """Two blocks on each face at each set-point."""
+    rows = [(p, k) for p in range(len(THREE)) for k in range(len(faces)) for _ in range(2)]
+    temp, pose = np.array([THREE[p] for p, _ in rows]), np.array([k for _, k in rows])
+    time = 10.0 * np.arange(len(rows)) + 600.0 * pose + 3600.0 * np.array([p for p, _ in rows])
+    force = faces[pose]
+    gyro, accel = CALIBRATION.gyro, CALIBRATION.accel
+    rate = force @ felt.T + by_pose * rng.normal(size=(len(faces), 3))[pose]
+    reading = rate @ gyro.forward_matrix.T + 1e-4 * (temp[:, None] - 30.0) + 2e-5 * rng.normal(size=force.shape)
+    made = blocks(temp, reading, accel=force @ accel.forward_matrix.T + accel.offset, noise=2e-5, time=time)
+    return replace(made, pose=pose)
+
+
+def test_the_table_is_without_what_the_calibration_knows_and_a_pose_that_counts_is_named():
+    made = rests_on_faces(np.random.default_rng(1), felt=KNOWN)
+    before, after = (fit_static(made, nodes=np.arange(20.0, 40.5, 1.0), calibration=c) for c in (NAIVE, CALIBRATION))
+    assert (after.table.gyro_uncertainty[0] < 0.2 * before.table.gyro_uncertainty[0]).all()
+    assert [item.code for item in rests_verdict(before, NAIVE).findings] == ["drift.poses_g"]
+    assert rests_verdict(after, CALIBRATION).reasons == ()
+    np.testing.assert_allclose(after.table.gyro_offset[10], 0.0, atol=5 * 2e-5)
+
+
+def test_the_uncertainty_of_a_known_one_enters_the_table_of_one_pose():
+    made = rests_on_faces(np.random.default_rng(5), FACES[4:5], felt=KNOWN)
+    own = np.zeros((21, 21))
+    own[12:, 12:] = np.eye(9) * 1e-5**2
+    doubtful = replace(CALIBRATION.gyro, covariance=own, parameters=(*NAIVE.gyro.parameters, *G_NAMES))
+    sure, poor = (
+        fit_static(made, nodes=THREE, calibration=replace(CALIBRATION, gyro=model)).table.gyro_uncertainty
+        for model in (replace(doubtful, covariance=np.zeros((21, 21))), doubtful)
+    )
+    added = np.sqrt(poor**2 - sure**2)
+    np.testing.assert_allclose(
+        added, np.tile(9.81e-5 * np.linalg.norm(doubtful.forward_matrix, axis=1), (3, 1)), rtol=1e-3
+    )
