@@ -38,17 +38,20 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     assert low < trial["end_total_deg"] < high
 
 
+PENDULUM_MAP = """
+delimiter = ";"
+columns = { time = 0, gyro = [8, 9, 10], accel = [5, 6, 7] }
+units = { time = "s", gyro = "rad/s", accel = "m/s2" }
+header = false
+skip_rows = 2
+repair_time = true
+"""
+
+
 @pytest.mark.slow
-def test_columns_under_two_header_rows_are_named_by_both(undrift, tmp_path):
+def test_columns_under_two_header_rows_are_read_by_positions(undrift, tmp_path):
     path = data_path(PENDULUM, "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
-    found = undrift.good("info", path, "--json").json()
-    assert found["columns"][:3] == ["Time s", "Vicon Orientation W", "Vicon Orientation X"]
-    assert found["map"][0] == "columns = { time = 0, gyro = [8, 9, 10], accel = [5, 6, 7] }"
-    undrift.good("info", path, "--write-map", tmp_path / "map.toml")
-    refused = undrift("info", path, "--map", tmp_path / "map.toml")
-    assert (refused.code, "repair_time" in refused.err) == (2, True)  # its clock is rounded to 1 ms and stands still
-    with (tmp_path / "map.toml").open("a") as file:
-        file.write("repair_time = true\n")
+    (tmp_path / "map.toml").write_text(PENDULUM_MAP)
     read = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
     assert read["rows"] > 15_000
 

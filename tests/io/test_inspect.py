@@ -87,7 +87,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
         ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", "a table of orientations, to be read as a reference"),
         ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
-        ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without three axes"),
+        ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without names of three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
         ("x.csv", "ax,ay,az,gx,gy,gz\n" + "0,0,1,0,0,0\n" * 2, "table", 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"]'),
         ("y.log", "0.1 0 0 1\n0.2 0 0 1\n0.3 0 0 1\n", "table", "accel by the median |a| 1; time by the median step 0.1, delim"),
@@ -156,3 +156,12 @@ def test_results_are_named_for_the_command_that_wrote_them(tmp_path, keys, what)
     found = describe(tmp_path / "x.json")
     assert found.kind == "results"
     assert found.summary.startswith(what)
+
+
+def test_axes_numbered_from_0_or_1_are_three_axes(tmp_path):
+    head = "t," + ",".join(f"{kind}_LSM6_{k}" for kind in ("ACCEL", "GYRO") for k in range(3))
+    rows = "".join(f"{k / 100},0,0,9.8,{k % 7},1,2\n" for k in range(200))
+    found = describe(put(tmp_path, "a.csv", f"{head}\n{rows}"))
+    assert '"ACCEL_LSM6_0", "ACCEL_LSM6_1", "ACCEL_LSM6_2"' in found.example[0].partition("accel")[2]
+    assert '"GYRO_LSM6_0", "GYRO_LSM6_1", "GYRO_LSM6_2"' in found.example[0].partition("gyro")[2]
+    assert describe(put(tmp_path, "b.csv", f"n_0,n_1,n_2,n_3\n{'1,2,3,4' * 1}\n1,2,3,5\n")).example == ()

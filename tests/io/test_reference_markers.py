@@ -1,4 +1,4 @@
-"""Markers and orientations under any names: proposed as a reference, never as accelerations, and read as they were written."""
+"""Markers and orientations under any names, read through a map as they were written."""
 
 from dataclasses import replace
 
@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from undrift.commands.info import info
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.formats import read_reference
-from undrift.io.guess import reference_map, sniff
-from undrift.io.reference import ReferenceMap, read_reference_map
+from undrift.io.reference import ReferenceMap
 
 RATE_HZ, FRAMES = 100.0, 300
 CLUSTER = np.array([[0.0, 0.0, 0.0], [0.09, 0.01, 0.0], [0.02, 0.07, 0.01], [0.05, 0.05, 0.04]])  # m
@@ -36,29 +34,18 @@ def named(stems, axes="xyz", joint="_"):
     return [f"{stem}{joint}{axis}" for stem in stems for axis in axes]
 
 
-@pytest.mark.parametrize(
-    ("heads", "length_per_m", "unit"),
-    [
-        ([["time", *named(("M1", "M2", "M3", "M4"))]], 1.0, "m"),
-        ([["Time", *named(("LASI", "RASI", "LPSI", "RPSI"), "XYZ", " ")]], 1e3, "mm"),
-        ([["t", *named(("seg.marker1", "seg.marker2", "seg.marker3", "seg.marker4"), joint=".")]], 1.0, "m"),
-        ([["time", *[f"{axis}{k}" for k in range(1, 5) for axis in "xyz"]]], 1e3, "mm"),
-        ([["time", *[f"Traj{k} {axis} (mm)" for k in range(4) for axis in "XYZ"]]], 1e3, "mm"),
-    ],
-    ids=["M1_x", "LASI X", "seg.marker1.x", "x1", "with a unit"],
-)
-def test_markers_of_any_name_are_proposed_with_their_unit_and_read_as_the_body_turned(
-    tmp_path, heads, length_per_m, unit
-):
-    file = write(tmp_path / "optics.csv", heads, Y_UP * length_per_m, gap=(slice(40, 60), 2))
-    shown = info(file, write_map=tmp_path / "map.toml")
-    text = (tmp_path / "map.toml").read_text()
-    assert f'markers = "{unit}"' in text
-    assert 'up = "?"' in text
-    assert "accel" not in text
-    assert not shown.data["complete"]
-    (tmp_path / "map.toml").write_text(text.replace('up = "?"', 'up = "y"').replace('time = "?"', 'time = "s"'))
-    reference = read_reference(file, read_reference_map(tmp_path / "map.toml"))
+def test_markers_in_a_table_are_read_as_the_body_turned(tmp_path):
+    stems = ("LASI", "RASI", "LPSI", "RPSI")
+    heads = [["Time", *named(stems, "XYZ", " ")]]
+    file = write(tmp_path / "optics.csv", heads, Y_UP * 1e3, gap=(slice(40, 60), 2))
+    columns = ReferenceMap(
+        time="Time",
+        time_unit="s",
+        markers=tuple(tuple(named((stem,), "XYZ", " ")) for stem in stems),
+        markers_unit="mm",
+        up="y",
+    )
+    reference = read_reference(file, columns)
     assert reference.valid.all()
     true = TURNS.as_quat(scalar_first=True)  # from the first frame on, in a laboratory with y up
     levelled = quaternion_product(np.array([2.0**-0.5, 2.0**-0.5, 0.0, 0.0]), true)
@@ -66,21 +53,6 @@ def test_markers_of_any_name_are_proposed_with_their_unit_and_read_as_the_body_t
     np.testing.assert_allclose(np.abs(turn @ turn[0]), 1.0, atol=1e-9)  # one body-fixed turn lies between them
     (moved,) = rotate(np.array([2.0**-0.5, 2.0**-0.5, 0.0, 0.0]), (Y_UP[-1].mean(axis=0) - Y_UP[0].mean(axis=0))[None])
     np.testing.assert_allclose(reference.position[-1] - reference.position[0], moved, atol=1e-6)
-
-
-def test_the_rigid_body_is_found_among_markers_of_others_and_still_accelerometers_are_none(tmp_path):
-    rng = np.random.default_rng(3)
-    other = np.cumsum(rng.normal(0.0, 0.01, (FRAMES, 2, 3)), axis=0)
-    stems = ("head", "arm", "P1", "P2", "P3", "P4")
-    file = write(tmp_path / "all.csv", [["time", *named(stems)]], np.concatenate((other, Y_UP), axis=1))
-    (line, *_) = reference_map(sniff(file), sniff(file).names)
-    assert all(f"P{k}_x" in line for k in range(1, 5))
-    assert "head" not in line
-    still = np.tile([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], (FRAMES, 1, 1)) + rng.normal(
-        0.0, 1e-3, (FRAMES, 3, 3)
-    )
-    bare = write(tmp_path / "still.csv", [["time", *named(("s1", "s2", "s3"))]], still)
-    assert reference_map(sniff(bare), sniff(bare).names) == ()
 
 
 def test_rows_whose_time_goes_back_are_refused_or_left_out_with_their_number(tmp_path):

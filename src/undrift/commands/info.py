@@ -152,7 +152,6 @@ def info(
     parts = effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]}
     lines = (*_lines(found, stills, reason), *(f"{part}: {', '.join(texts)}" for part, texts in effects.items()))
     more: dict[str, object] = {"units": dict(found.units), "stills": stills, "map": found.example, "effects": parts}
-    more |= {"reference_map": found.beside} if found.beside else {}
     more |= {"findings": findings_json(found.findings), "no_still_because": reason}
     return Summary(
         title=f"What {name_of(file)} holds",
@@ -197,9 +196,6 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         found = replace(found, example=(*found.example, f"scale = {{ {scale} }}"))
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
-    other = path.with_name(f"{path.stem}-reference.toml")
-    if found.beside:
-        write_whole(other, "\n".join(("# Orientations beside the readings, for a reference.", *found.beside, "")))
     lines, complete = text.splitlines(), '"?"' not in text
     advice = f"put what is true where {path} has ?" + ", or repeat with `gyro_unit` or `accel_unit`" * (
         not of_poses(found)
@@ -210,7 +206,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
         answer=f"The map of {found.path} is complete." if complete else f"The map is not complete: {advice}.",
         data=made | {"map": lines, "complete": complete},
         sections=(Section(title="Map", text=tuple(lines)),),
-        written=(path, other) if found.beside else (path,),
+        written=(path,),
         next=("info", found.path, "--map", path) if complete else (),
     )
 
@@ -377,7 +373,7 @@ def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still
 
 def of_poses(found: "Description") -> bool:
     """Tell whether the map that a table needs is one of orientations."""
-    return bool(found.example) and any(f"{key} = " in found.example[0] for key in ("quaternion", "markers"))
+    return bool(found.example) and "quaternion = " in found.example[0]
 
 
 def _hints(found: "Description") -> list[str]:
@@ -389,7 +385,6 @@ def _hints(found: "Description") -> list[str]:
         f"write the lines below into map.toml (`write_map` map.toml{rate} does so, with what the readings show), put what is true "
         f"where it says ?, and give it with {'`reference_map`' if of_poses(found) else '`column_map`'} map.toml",
         *found.example,
-        *(("its orientations are a reference, by a map of their own:", *found.beside) if found.beside else ()),
     ]
 
 

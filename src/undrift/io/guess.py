@@ -6,7 +6,6 @@ counter counts. What nothing shows is "?".
 
 import json
 import re
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -19,7 +18,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.io.columns import Column, TextLayout, is_date, is_number
-from undrift.io.labelled import is_unit, label_of, marks_of
+from undrift.io.labelled import label_of, marks_of
 from undrift.io.libraries import Arrays
 from undrift.io.reference import NEARLY_UNIT
 from undrift.io.text import Text, open_text, parse_text
@@ -48,11 +47,6 @@ _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2
 # The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
 # 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
-_NO_MARKER = re.compile(r"(?i)vel|force|moment|angle|euler|quat|\bacc|\bgyr|\bmag")
-_MARKER = re.compile(r"(?i)marker|mkr|traj|pos|^m?\d+[ _.]|^[lr](asi|psi|sho|kne|ank|hee|toe)")
-_LENGTHS = tuple((unit, re.compile(rf"(?i)[_ \[(]{unit}\b")) for unit in ("mm", "cm", "m"))
-# Range of distances over their size, of skin and of optics; frames that are enough [assumed]
-_RIGID, _LEAST_FRAMES = 0.03, 10
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
 _TEMP_C = (-30.0, 90.0)
 _STATED_RATE = re.compile(
@@ -83,20 +77,7 @@ def sniff(path: object) -> Text:
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
-    if header and (names := _grouped([_cells(line, delimiter) for line in raw[skip : skip + 2]])):
-        layout = TextLayout(delimiter=delimiter, skip_rows=skip + 2, header=False, decimal=decimal)
-        return replace(open_text(str(path), layout), names=names)
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
-
-
-def _grouped(rows: list[list[str]]) -> tuple[str, ...]:
-    """Return the names of columns under two header rows, groups over axes and units; none where the second is another row."""
-    if len(rows) < 2 or len(rows[0]) != len(rows[1]) or "" not in rows[0]:
-        return ()
-    of_axes = all(cell == "" or re.fullmatch("(?i)[wxyz]", cell) or is_unit(cell) for cell in rows[1])
-    named = [k for k, cell in enumerate(rows[0]) if cell]
-    groups = [next((rows[0][k] for k in reversed(named) if k <= at), "") for at in range(len(rows[0]))]
-    return tuple(f"{group} {cell}".strip() for group, cell in zip(groups, rows[1], strict=True)) if of_axes else ()
 
 
 def foreign_kind(text: Text) -> str | None:
@@ -113,7 +94,10 @@ def foreign_kind(text: Text) -> str | None:
         return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
-        return f"a table without three axes ({', '.join(names[:8])}), not a recording of an inertial sensor"
+        return (
+            f"a table without names of three axes ({', '.join(names[:8])}); a recording of an inertial sensor needs a map by "
+            "positions"
+        )
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
         return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
@@ -135,82 +119,24 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     return next(fours, None)
 
 
-def reference_map(text: Text, names: tuple[str, ...], *, beside: bool = False) -> tuple[str, ...]:
-    """Return an example of the map that a table of orientations or markers needs; none where it holds none.
-
-    A table with a gyroscope holds readings first: its orientations are asked for with ``beside``.
-    """
-    four, readings = quaternion_of_names(names), partial(_readings, text, {})
-    if any(label is not None and label.channel == "gyro" for label in map(label_of, names)) is not beside:
+def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return an example of the map that a table of quaternions needs; empty for a table of readings or without quaternions."""
+    four = quaternion_of_names(names)
+    if four is None or any(label is not None and label.channel == "gyro" for label in map(label_of, names)):
         return ()
-    # under two header rows, which a map passes over
-    by_place = beside and not text.layout.header and not names[-1].isdecimal()
-
-    def where(columns: tuple[str, ...] | str) -> str:
-        if not by_place:
-            return _quoted(columns)
-        return json.dumps(names.index(columns) if isinstance(columns, str) else [names.index(one) for one in columns])
-
-    def read(columns: tuple[str, ...] | list[Column]) -> FloatArray:
-        return readings([names.index(str(one)) for one in columns] if by_place else list(columns))
-
-    units, why, more = dict[str, str](), dict[str, str](), list[str]()
-    length = np.linalg.norm(read(four), axis=1) if four else np.empty(0)
-    if four and len(length) and abs(float(np.median(length)) - 1.0) <= NEARLY_UNIT:
-        keys = {"quaternion": where(four)}
-    elif not beside and (cluster := _cluster(names, partial(_readings, text, {}, gaps=True))):
-        triples, units["markers"], why["markers"] = cluster
-        keys = {"markers": _quoted(triples)}
-        more = ['up = "?"  # x, y, z, -x, -y or -z: the axis of the laboratory that points up']
-    else:
+    read = partial(_readings, text, {})
+    length = np.linalg.norm(read(list(four)), axis=1)
+    if not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
         return ()
-    clock = next(
-        (name for name in names if _NAMED["time"].match(name.strip().split(" ")[0] if beside else name.strip())), None
-    )
-    if clock is None:
-        more.insert(0, f"sample_rate_hz = {_stated_rate(text, ())}")
-    else:
+    lines = [f"columns = {{ quaternion = {_quoted(four)} }}", f"sample_rate_hz = {_stated_rate(text, ())}"]
+    clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
+    if clock is not None:
         unit = _unit_of("time", clock)
-        units["time"], reason = proposed_units(read, {"time": _quoted(clock)}, {"time": unit}).get("time", (unit, ""))
-        keys, why = {"time": where(clock), **keys}, why | {"time": reason}
-    lines = [f"columns = {{ {', '.join(f'{key} = {value}' for key, value in keys.items())} }}"]
-    if units:
-        reasons = "; ".join(f"{key} by {reason}" for key, reason in why.items() if reason)
-        shown = ", ".join(f"{key} = {_quoted(unit)}" for key, unit in units.items())
-        lines.append(f"units = {{ {shown} }}" + f"  # proposed: {reasons}" * bool(reasons))
+        unit, why = proposed_units(read, {"time": _quoted(clock)}, {"time": unit}).get("time", (unit, ""))
+        lines = [f"columns = {{ time = {_quoted(clock)}, quaternion = {_quoted(four)} }}"]
+        lines += [f'units = {{ time = "{unit}" }}' + f"  # proposed: time by {why}" * bool(why)]
     layout = ", ".join(f"{key} = {json.dumps(value)}" for key, value in stated_layout(text.layout).items())
-    return (*lines, *more, *([f"layout = {{ {layout} }}"] if layout else []))
-
-
-def _cluster(
-    names: tuple[str, ...], readings: Callable[[list[Column]], FloatArray]
-) -> tuple[tuple[tuple[str, str, str], ...], str, str] | None:
-    """Return the columns of most markers that keep their distances, their unit, and what suggests it where no name states it.
-
-    Such a set moves, or its names are those of markers: what accelerometers read at rest keeps its distances too.
-    """
-    triples = [one for one in triples_of(names) if label_of(one[0]) is None and not _NO_MARKER.search(one[0])]
-    points = readings([name for one in triples for name in one]) if len(triples) >= 3 else np.empty((0, 1))
-    if len(points) < _LEAST_FRAMES:
-        return None
-    points = points.reshape(len(points), -1, 3)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a marker that is never seen
-        apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=3)
-        usual, spread = np.nanmedian(apart, axis=0), np.subtract(*np.nanpercentile(apart, (95.0, 5.0), axis=0))
-        moved = np.nanmax(np.nanstd(points, axis=0), axis=1)
-    rigid = (spread < _RIGID * usual) & (usual > 0.0)
-    sets = [np.flatnonzero(rigid[:, k] | (np.arange(len(triples)) == k)) for k in range(len(triples))]
-    body = max(([k for k in one if rigid[k, one].sum() == len(one) - 1] for one in sets), key=len)
-    if len(body) < 3:
-        return None
-    of_body = tuple(triples[k] for k in body)
-    mean = float(usual[np.ix_(body, body)].sum()) / (len(body) * (len(body) - 1))
-    if not (moved[body] > 0.1 * mean).any() and not all(_MARKER.search(one[0]) for one in of_body):
-        return None
-    stated = next((unit for unit, pattern in _LENGTHS if pattern.search(of_body[0][0])), None)
-    proposed = "m" if mean < 3.0 else "mm" if mean > 10.0 else "?"
-    return of_body, stated or proposed, "" if stated else f"their mean distance {mean:.3g}"
+    return (*lines, *([f"layout = {{ {layout} }}"] if layout else []))
 
 
 def stated_layout(layout: TextLayout) -> dict[str, Any]:
@@ -229,14 +155,19 @@ def _is_magnetic(name: str) -> bool:
 
 
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    """Return names that differ only in an x, y, z: three axes of one quantity."""
-    held, found = set(names), []
+    """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end: three axes of one quantity."""
+    known, found = set(names), []
     for name in names:
-        for match in re.finditer("[xX]", name):
-            at, (y, z) = match.start(), ("yz" if match.group() == "x" else "YZ")
-            triple = (name, f"{name[:at]}{y}{name[at + 1 :]}", f"{name[:at]}{z}{name[at + 1 :]}")
-            if triple[1] in held and triple[2] in held:
-                found.append(triple)
+        axes = [(match.start(), "xyz" if match.group() == "x" else "XYZ") for match in re.finditer("[xX]", name)]
+        if (number := re.search(r"[A-Za-z].*[_ \[](?=[01]\]?$)", name)) is not None:
+            first = int(name[number.end()])
+            axes += [(number.end(), f"{first}{first + 1}{first + 2}")]
+        for at, marks in axes:
+            triple = tuple(f"{name[:at]}{mark}{name[at + 1 :]}" for mark in marks)
+            numbers = (int(marks[0]) - 1, int(marks[0]) + 3) if marks[0].isdigit() else ()
+            others = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
+            if known.issuperset(triple) and known.isdisjoint(others):
+                found.append((triple[0], triple[1], triple[2]))
     return tuple(found)
 
 
@@ -258,11 +189,6 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     felt = {k: _unsteady(readings, one[0]) for k, one in enumerate(tried) if "accel" in one[2]}
     near = [tried[k] for k, unsteady in felt.items() if unsteady <= 2.0 * min(felt.values())]
     keys, known, proposed = max(near or tried[:1], key=lambda one: len(one[2]))
-    if text is not None and not text.layout.header and not nameless:  # under two header rows, which a map passes over
-        keys = {
-            channel: json.dumps([names.index(str(name)) for name in _listed(value)]) for channel, value in keys.items()
-        }
-        keys |= {channel: keys[channel].strip("[]") for channel in ("time", "temp") if channel in keys}
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
     known |= {channel: unit for channel, (unit, _) in proposed.items()}
     units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
@@ -288,7 +214,10 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[
     of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
     for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
         named = [name for name, label in labels.items() if label is not None and label.channel == channel]
-        first = _likely(channel, tuple(quoted if threes else named)) or next(iter([*named, *others]), None)
+        numbered = [name for name, label in labels.items() if label is None and not name[-1].isalpha()]
+        first = _likely(channel, tuple(quoted) if threes else (*named, *numbered)) or next(
+            iter([*named, *others]), None
+        )
         if first is not None:
             keys[channel] = quoted[first]
     for channel, pattern in _NAMED.items():
@@ -354,7 +283,7 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
     return "?"
 
 
-def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column], *, gaps: bool = False) -> FloatArray:
+def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
     """Return columns of the first MiB of text, or of an array, (N, K), rows with gaps left out; none where there are none."""
     values = arrays.get(str(columns[0]))
     if text is not None:
@@ -369,7 +298,7 @@ def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column], 
     if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
         return np.empty((0, 1))
     values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    return values if gaps else values[np.isfinite(values).all(axis=1)]
+    return values[np.isfinite(values).all(axis=1)]
 
 
 def _unit_of(channel: str, names: str) -> str:

@@ -242,7 +242,6 @@ class Description:
     findings: tuple[Finding, ...] = ()
     # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
     example: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()  # Of the map of orientations that stand beside readings
     # What was read: a session, or a recording as a session of one
     session: Session | None = field(default=None, repr=False)
 
@@ -392,8 +391,7 @@ def _needs(path: Path, name: str) -> Description | None:
     if native_reference(names) is not None:
         return _reference(path, name)
     if text is not None and (poses := reference_map(text, names)):
-        of = "markers" if "markers = " in poses[0] else "orientations"
-        what = f"a table of {of}, to be read as a reference; needs a map"
+        what = "a table of orientations, to be read as a reference; needs a map"
         return replace(_not_read(path, name, names, what), example=poses)
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
@@ -411,8 +409,7 @@ def _needs(path: Path, name: str) -> Description | None:
         what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
     shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
     needed = f"{what}; needs a map with the true units, for example {', '.join(example)}"
-    beside = () if text is None else reference_map(text, names, beside=True)
-    return replace(_not_read(path, name, shown, needed), example=example, beside=beside)
+    return replace(_not_read(path, name, shown, needed), example=example)
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:

@@ -1,18 +1,16 @@
-"""A library's parser in a process of its own: a damaged file may crash it or keep it waiting, and then there is one error.
+"""A library's parser in a fresh process: a damaged file may crash it or keep it busy, and then there is one error.
 
-``python -m undrift.io.isolated KIND FILE OUT.npz OPTIONS`` reads FILE with ``libraries.KINDS[KIND]`` and writes an npz file.
+The process writes what it found, or the error, to its standard output as a pickle, which only its parent reads.
 """
 
 import json
 import os
+import pickle
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line
@@ -24,7 +22,7 @@ Channels = dict[str, tuple[Any, str]]
 
 @dataclass(kw_only=True)
 class Parsed:
-    """What a library found in a file; arrays and plain values only."""
+    """What a library found in a file."""
 
     time: Any = None  # (N,), s
     channels: Channels = field(default_factory=dict)  # (N,) or (N, 3), and the unit
@@ -37,67 +35,40 @@ def read_isolated(path: Path, kind: str, settings: ReadSettings | None = None, *
     """Return what a library finds in a file, read in a process of its own."""
     path = path if path.is_dir() else checked_file(path)
     limit_s = TIMEOUT_S + SECOND_PER_MEGABYTE * path.stat().st_size / 1e6
-    options = {
-        "sensor": settings and settings.sensor,
-        "drop": bool(settings and settings.drop_bad_rows),
-        "mapped": mapped,
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "out.npz"
-        words = [sys.executable, "-m", "undrift.io.isolated", kind, str(path.resolve()), str(out), json.dumps(options)]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        try:
-            done = subprocess.run(words, env=environment, capture_output=True, timeout=limit_s, check=False)
-        except subprocess.TimeoutExpired as error:
-            raise FileFormatError(
-                f"{path}: the parser did not end within {limit_s:.0f} s; copy the file again"
-            ) from error
-        if not out.is_file():
-            raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}); copy the file again")
-        with np.load(out, allow_pickle=False) as held:
-            tree, arrays = json.loads(str(held["tree"])), {name: held[name] for name in held.files}
-    if "error" in tree:
-        kinds = {"InputError": InputError, "FileFormatError": FileFormatError}
-        numbers = {key: tuple(value) if isinstance(value, list) else value for key, value in tree["numbers"].items()}
-        raise kinds.get(tree["error"], FileFormatError)(tree["text"].replace(str(path.resolve()), str(path)), **numbers)
-    return Parsed(
-        time=arrays.get("time"),
-        channels={name: (arrays[f"c{k}"], unit) for k, (name, unit) in enumerate(tree["channels"])},
-        table={name: arrays[f"t{k}"] for k, name in enumerate(tree["table"])},
-        notes=tree["notes"],
-        about=tree["about"],
-    )
+    sensor, drop = (None, False) if settings is None else (settings.sensor, settings.drop_bad_rows)
+    options = json.dumps({"sensor": sensor, "drop": drop, "mapped": mapped})
+    words = [sys.executable, "-c", "from undrift.io.isolated import answer; answer()", kind, str(path), options]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        done = subprocess.run(words, env=environment, capture_output=True, timeout=limit_s, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise FileFormatError(f"{path}: the parser did not end within {limit_s:.0f} s; copy the file again") from error
+    if done.returncode:
+        raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}); copy the file again")
+    parsed: Parsed | InputError = pickle.loads(done.stdout)
+    if isinstance(parsed, InputError):
+        raise parsed
+    return parsed
 
 
-def answer(kind: str, path: Path, out: Path, options: str) -> None:
-    """Read a file and write what was found, or the error, as npz."""
+def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError:
+    """Return what a library finds in a file, or the error."""
     from undrift.io.libraries import KINDS
 
-    arrays: dict[str, Any] = {}
     try:
-        found = KINDS[kind](path, **json.loads(options))
-        units = [(name, unit) for name, (_, unit) in found.channels.items()]
-        tree: dict[str, Any] = {
-            "channels": units,
-            "table": list(found.table),
-            "notes": found.notes,
-            "about": found.about,
-        }
-        arrays = {f"c{k}": values for k, (values, _) in enumerate(found.channels.values())}
-        arrays |= {f"t{k}": values for k, values in enumerate(found.table.values())}
-        arrays |= {} if found.time is None else {"time": found.time}
+        return KINDS[kind](path, **options)
     except InputError as error:
-        text = str(error) if str(error).startswith(str(path)) else f"{path}: {error}"
-        tree = {"error": type(error).__name__, "text": text, "numbers": error.numbers}
+        text = str(error)
+        return type(error)(text if text.startswith(str(path)) else f"{path}: {text}", **error.numbers)
     except Exception as error:  # noqa: BLE001 - a library may raise anything on a damaged file
         why = f"{type(error).__name__}: {first_line(error)}"
-        tree = {
-            "error": "FileFormatError",
-            "text": f"{path}: damaged or cut file ({why}); copy it again",
-            "numbers": {},
-        }
-    np.savez(out, tree=json.dumps(tree), **arrays)
+        return FileFormatError(f"{path}: damaged or cut file ({why}); copy it again")
 
 
-if __name__ == "__main__":
-    answer(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4])
+def answer() -> None:
+    """Read the file that the command line names, and write what was found to standard output."""
+    stdout = os.dup(1)
+    os.dup2(2, 1)  # what libraries print is not the answer
+    kind, path, options = sys.argv[1:]
+    with os.fdopen(stdout, "wb") as stream:
+        pickle.dump(parse(Path(path), kind, json.loads(options)), stream)

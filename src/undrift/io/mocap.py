@@ -199,7 +199,7 @@ _MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 
 
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
-    """Read marker trajectories from a C3D file, in a process of its own: a damaged file may crash the library."""
+    """Read marker trajectories from a C3D file, in a process of its own: a damaged file can keep the library busy without end."""
     path = Path(path)
     found = read_isolated(path, "c3d")
     up = up or {"+Z": "z", "+Y": "y"}.get(found.about["screen"])  # type: ignore[assignment]
