@@ -370,10 +370,6 @@ FORCES = ("PDS13", "BDS000")
 
 def every_file():
     files = sorted(path for path in DATA.rglob("*") if path.is_file()) if DATA.is_dir() else []
-    unread = (
-        "makers/actigraph_gt3x/sample.gt3x",  # the older layout with activity.bin, which actfast does not read
-    )
-    files = [path for path in files if str(path.relative_to(DATA)) not in unread]
     return [path for path in files if path.name != "GENEActiv_testfile.bin"]  # cut by its author
 
 

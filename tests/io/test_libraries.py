@@ -45,9 +45,9 @@ def test_an_xdf_clock_that_was_reset_keeps_its_rate_and_shows_the_gap():
 @pytest.mark.slow
 def test_an_xdf_stream_without_samples_or_numbers_is_named_as_such():
     path = data_path("makers", "xdf", "empty_streams.xdf")
-    with pytest.raises(InputError, match=r"got no samples in 'Empty data stream: test stream 0 counter'; name another"):
+    with pytest.raises(InputError, match=r"got text or no samples in 'Empty data stream"):
         read_record(path, settings=sensor("Empty data stream: test stream 0 counter"))
-    with pytest.raises(InputError, match=r"wanted a stream of readings, got text in 'ctrl'; name another"):
+    with pytest.raises(InputError, match=r"got text or no samples in 'ctrl'"):
         read_record(path, settings=sensor("ctrl"))
     with pytest.raises(
         InputError, match=r"wanted stream 'none', got a file with Data stream: test stream 0 counter; name"
@@ -221,9 +221,7 @@ def test_sensor_combined_is_corrected_already_and_says_so():
     assert (record.time[0], record.time[-1]) == pytest.approx((20.33, 26.82), abs=0.005)
     assert median_size(record) == pytest.approx(9.62, abs=0.005)
     assert np.median(record.accel[:, 2]) < -9.0  # forward-right-down
-    assert (
-        "already corrected by the autopilot (board rotation, CAL_ parameters): state corrected, frame b" in read.notes
-    )
+    assert "already corrected by the autopilot (board rotation, CAL_ parameters): frame b" in read.notes
 
 
 @pytest.mark.parametrize(("number", "size", "temp_c"), [("0", 9.758, 40.0), ("1", 9.922, 28.3), ("2", 9.836, 29.6)])
@@ -282,7 +280,7 @@ def test_an_accelerometer_with_other_stamps_is_interpolated_and_that_is_said(tmp
 def test_a_log_that_lost_its_end_is_read_as_far_as_it_is_whole_when_that_is_asked_for(tmp_path):
     content = data_path(*LOG).read_bytes()
     (tmp_path / "a.ulg").write_bytes(content[: len(content) // 2])
-    with pytest.raises(FileFormatError, match=r"the last message is cut .* drop_bad_rows = true in a map"):
+    with pytest.raises(FileFormatError, match=r"messages are cut .* drop_bad_rows = true in a map"):
         read_record(tmp_path / "a.ulg", settings=sensor("sensor_combined"))
     settings = ReadSettings(sensor="sensor_combined", drop_bad_rows=True)
     assert 500 < len(read_record(tmp_path / "a.ulg", settings=settings)) < 800
@@ -304,7 +302,7 @@ def test_a_nilspod_reads_in_the_units_of_its_factory():
     assert record.gyro.mean(axis=0) == pytest.approx((-0.22, -0.06, 0.60), abs=0.005)
     assert (record.gyro_unit, record.accel_unit) == ("dps", "m/s2")
     assert record.temp_c.mean() == pytest.approx(24.34, abs=0.005)
-    assert "factory scale applied, no user calibration" in read.notes[0]
+    assert "factory scale applied" in read.notes[0]
 
 
 def test_an_older_nilspod_reads_as_its_export_does():
@@ -319,7 +317,7 @@ def test_a_nilspod_of_unknown_firmware_says_so_and_a_converted_one_is_read(tmp_p
     content = bytearray(data_path("makers", "nilspod_bin", "NilsPodX-6F13_20210109_162824.bin").read_bytes())
     content[0x31:0x34] = bytes((0, 9, 1))
     (tmp_path / "a.bin").write_bytes(content)
-    words = r"wanted a NilsPod's firmware that nilspodlib knows, got 0.9.1; export the recording to CSV"
+    words = r"wanted firmware that nilspodlib knows, got 0.9.1; export it to CSV"
     with pytest.raises(FileFormatError, match=words):
         read_record(tmp_path / "a.bin")
     content[0x31:0x34] = bytes((0, 17, 255))  # what conversion of older files leaves
@@ -341,14 +339,12 @@ def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_i
     ]
     assert any(text.startswith("Drop-outs: 1, the longest 0.4004 s at 1.94336 s") for text in found.problems)
     path.write_bytes(whole[:place] + whole[place : place + size] + whole[place:])
-    with pytest.raises(
-        FileFormatError, match="wanted 20372 bytes as its header states, got 20404; the file is damaged"
-    ):
+    with pytest.raises(FileFormatError, match="its header states 20372 bytes, it has 20404"):
         read_record(path)
     content = bytearray(whole)
     content[19:23] = struct.pack("<I", struct.unpack_from("<I", whole, 19)[0] + 5)
     path.write_bytes(content)
-    with pytest.raises(FileFormatError, match=r"wanted 12 s as its header states, got 6.191 s; it is damaged"):
+    with pytest.raises(FileFormatError, match=r"its header states 12 s, it has 6.191 s"):
         read_record(path)
 
 

@@ -112,3 +112,8 @@ def test_an_overwritten_file_of_a_logger_ends_in_one_line(tmp_path, name):
     (tmp_path / name.split("/")[-1]).write_bytes(whole[:600] + np.random.default_rng(1).bytes(len(whole) - 600))
     with pytest.raises(FileFormatError):
         read_record(tmp_path / name.split("/")[-1])
+
+
+def test_a_gt3x_of_the_older_layout_is_refused_with_the_way_out():
+    with pytest.raises(FileFormatError, match="older layout"):
+        read_record(data_path("makers", "actigraph_gt3x", "sample.gt3x"))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from undrift.io.arrays import table_of_arrays
 from undrift.io.columns import build_record
-from undrift.io.libraries import table_of_arrays
 
 
 def read_npz(path, columns):

@@ -23,11 +23,12 @@ import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree, sound
+from undrift.io.arrays import mat_arrays, read_mat
 from undrift.io.clock import fit_clock
 from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
 from undrift.io.dialects import dialects
 from undrift.io.labelled import is_labelled, read_labelled
-from undrift.io.libraries import is_nilspod, mat_arrays, read_mat, reader
+from undrift.io.libraries import is_nilspod, reader
 from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, parquet_names, read_parquet
@@ -172,7 +173,11 @@ FORMATS: dict[str, Format] = {
         repairs=True,
     ),
     "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger"), repairs=True),
-    "gt3x": Format(_is_zip_with("info.txt"), record=reader("logger"), repairs=True),
+    "gt3x": Format(_is_zip_with("log.bin"), record=reader("logger"), repairs=True),
+    "gt3x_activity": Format(
+        _is_zip_with("activity.bin"),
+        instead="an ActiGraph file of the older layout (activity.bin), which no library reads; export CSV with ActiLife",
+    ),
     "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True, repairs=True),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),

@@ -17,9 +17,9 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
+from undrift.io.arrays import Arrays
 from undrift.io.columns import Column, TextLayout, is_date, is_number
 from undrift.io.labelled import label_of, marks_of
-from undrift.io.libraries import Arrays
 from undrift.io.reference import NEARLY_UNIT
 from undrift.io.text import Text, open_text, parse_text
 

@@ -17,6 +17,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
+from undrift.io.arrays import mat_arrays
 from undrift.io.clock import ClockFit, host_stamps
 from undrift.io.columns import (
     AXES,
@@ -33,7 +34,6 @@ from undrift.io.formats import Format, format_of, read_counted, read_markers, re
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
 from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
-from undrift.io.libraries import mat_arrays
 from undrift.io.log import log_sheet, log_text
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names

@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,17 @@ def read_isolated(path: Path, kind: str, settings: ReadSettings | None = None, *
     if isinstance(parsed, InputError):
         raise parsed
     return parsed
+
+
+def library(module: str) -> Any:
+    """Return a library of the extra ``formats``."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.split(".")[0]
+        raise InputError(
+            f"wanted {name} to read it, got no such library; run pip install 'undrift[formats]'"
+        ) from error
 
 
 def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError:

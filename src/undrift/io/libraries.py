@@ -1,13 +1,10 @@
 """Recordings that maintained libraries read (extra ``formats``): a library call in a process of its own, then a Record.
 
 XDF (pyxdf)           clocks are synchronised by the file's clock offsets; time stamps stay as recorded, not de-jittered
-MAT (pymatreader)     named arrays, to be read through a map
 ROS (rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145); covariance[0] = -1 marks an absent channel
 ULog (pyulog)         sensor_gyro and sensor_accel are the sensors' own readings; sensor_combined was corrected by the autopilot
 NilsPod (nilspodlib)  factory scale applied; gaps of the counter stay gaps in time
 Axivity, GENEActiv, ActiGraph (actfast)  g, deg/s, degC; local time without a zone, counted from the first sample
-
-``sensor`` names one of several sensors, streams or topics.
 """
 
 import contextlib
@@ -18,7 +15,6 @@ import struct
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,23 +24,12 @@ from numpy.typing import NDArray
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
+from undrift.io.arrays import parse_mat
 from undrift.io.clock import onto_clock
-from undrift.io.columns import (
-    Column,
-    ColumnMap,
-    RawTable,
-    ReadResult,
-    ReadSettings,
-    build,
-    build_record,
-    chosen,
-    native_map,
-)
-from undrift.io.isolated import Channels, Parsed, read_isolated
+from undrift.io.columns import QUANTITY, ColumnMap, RawTable, ReadResult, ReadSettings, build, build_record, chosen
+from undrift.io.isolated import Channels, Parsed, library, read_isolated
 from undrift.io.mocap import parse_c3d
 from undrift.units import canonical_unit
-
-Arrays = tuple[tuple[str, NDArray[Any]], ...]
 
 
 def reader(kind: str) -> Callable[[Path, ColumnMap | None, ReadSettings], ReadResult]:
@@ -55,46 +40,12 @@ def reader(kind: str) -> Callable[[Path, ColumnMap | None, ReadSettings], ReadRe
         if columns is not None and found.table:
             table = RawTable(source=str(path), names=tuple(found.table), columns=tuple(found.table.values()))
             return replace(build_record(table, columns), notes=tuple(found.notes))
-        gaps = any(np.isnan(values).any() for values, _ in found.channels.values()) and not settings.gaps
-        settings = replace(settings, gaps="keep") if gaps and found.about.pop("gaps", False) else settings
-        found.about.pop("gaps", None)
-        lost = found.about.pop("lost", 0)
+        lost, keeps_gaps = found.about.pop("lost", 0), found.about.pop("gaps", False)
+        settings = replace(settings, gaps=settings.gaps or ("keep" if keeps_gaps else None))
         result = build(path, found.time, found.channels, settings, found.notes, **found.about)
         return replace(result, dropped_rows=result.dropped_rows + lost)
 
     return read
-
-
-def mat_arrays(path: Path) -> Arrays:
-    """Return the numeric arrays of a MAT file, structs laid flat: ``struct.field``."""
-    return tuple(read_isolated(Path(path), "mat").table.items())
-
-
-def read_mat(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a record from the arrays of a MAT file, version 5 to 7.3, through a map."""
-    arrays = mat_arrays(path)
-    columns = columns or native_map(tuple(name for name, _ in arrays), settings, source=str(path))
-    return build_record(table_of_arrays(arrays, path, columns.wanted()), columns)
-
-
-def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
-    """Return the arrays that are as long as the first wanted one, as a table; (N, K) is K columns ``name[0]`` ... ."""
-    lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
-    lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
-    listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
-    for column in wanted:
-        if column not in lengths:
-            raise InputError(f"{path}: wanted array {column!r}, got {listed}; check the mapping")
-    rows = {str(column): lengths[str(column)] for column in wanted}
-    if len(set(rows.values())) != 1:
-        shown = ", ".join(f"{name} {count}" for name, count in rows.items())
-        raise InputError(f"{path}: wanted arrays of one length, got {shown} rows; two clocks need two records")
-    length = next(iter(rows.values()))
-    found: dict[str, NDArray[Any]] = {}
-    for name, array in arrays:
-        if array.ndim in (1, 2) and len(array) == length:
-            found |= {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
-    return RawTable(source=str(path), names=tuple(found), columns=tuple(found.values()))
 
 
 def is_nilspod(head: bytes) -> bool:
@@ -107,48 +58,11 @@ def is_nilspod(head: bytes) -> bool:
 
 # ---- in a process of its own
 
-
-def _library(module: str) -> Any:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        name = module.split(".")[0]
-        raise InputError(
-            f"wanted {name} to read it, got no such library; run pip install 'undrift[formats]'"
-        ) from error
-
-
-def _mat(path: Path, **_: Any) -> Parsed:
-    with warnings.catch_warnings(action="ignore"):
-        tree = dict(_library("pymatreader").read_mat(str(path)))
-    objects, arrays = tree.pop("None", None), dict(_flat("", tree))
-    if objects is not None and not arrays:  # objects of classes, which no reader of the file takes apart
-        raise FileFormatError(
-            f"{path}: wanted arrays, got objects of MATLAB, such as the timetables of MATLAB Mobile; write each as text there, "
-            'writetimetable(Acceleration, "Acceleration.csv") and AngularVelocity alike, and give both files'
-        )
-    return Parsed(table=arrays)
-
-
-def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
-    if isinstance(value, dict):
-        for name, inner in value.items():
-            if not str(name).startswith(("__", "#")):
-                yield from _flat(f"{prefix}.{name}" if prefix else str(name), inner)
-        return
-    array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
-    if array.dtype.kind in "fiub":
-        array = np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array)
-        # x, y, z by rows, as MATLAB code often has them, are turned
-        yield prefix, array.T if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] >= 16 else array
-
-
 _CHANNEL = {"gyro": r"gyr|angular.?(rate|vel)|^w$", "accel": r"acc", "mag": r"mag", "temp": r"temp"}
-_QUANTITY = {"gyro": "rate", "accel": "accel", "mag": "mag", "temp": "temp"}
 
 
 def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
-    pyxdf, lines, content, at = _library("pyxdf"), list[str](), read_bytes(path), 4
+    pyxdf, lines, content, at = library("pyxdf"), list[str](), read_bytes(path), 4
     while at < len(content):  # the library reads a file whose last chunk is cut without an error
         width = content[at] if content[at] in (1, 4, 8) else len(content)
         at += 1 + width + int.from_bytes(content[at + 1 : at + 1 + width], "little")
@@ -167,15 +81,11 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     }
     full = {n: s for n, s in named.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
     if sensor in named and sensor not in full:
-        what = "text" if len(named[sensor]["time_stamps"]) else "no samples"
-        raise InputError(
-            f"{path}: wanted a stream of readings, got {what} in {sensor!r}; name another stream (`sensor`)"
-        )
+        raise InputError(f"wanted a stream of readings, got text or no samples in {sensor!r}; name another (`sensor`)")
     name = chosen(path, "stream", tuple(full), sensor)
     info, values = full[name]["info"], np.asarray(full[name]["time_series"], dtype=np.float64)
-    described = [
-        c for d in (info["desc"] or [None]) if d for cs in d.get("channels", []) if cs for c in cs.get("channel", [])
-    ]
+    listed = [held for desc in info["desc"] or [] if desc for held in desc.get("channels", []) if held]
+    described = [channel for held in listed for channel in held.get("channel", [])]
     described = described if len(described) == values.shape[1] else [{}] * values.shape[1]
     label, kind, unit = ([(c.get(key) or [""])[0] or "" for c in described] for key in ("label", "type", "unit"))
     labels = [text or str(k) for k, text in enumerate(label)]
@@ -188,12 +98,12 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
         at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
         if len(at_) == (1 if channel == "temp" else 3) and all(unit[k] == unit[at_[0]] != "" for k in at_):
             with contextlib.suppress(InputError):  # a unit that is not one: a map must state it
-                stated = canonical_unit(unit[at_[0]], _QUANTITY[channel])  # type: ignore[arg-type]
+                stated = canonical_unit(unit[at_[0]], QUANTITY[channel])  # type: ignore[arg-type]
                 found[channel] = (values[:, at_[0]] if channel == "temp" else values[:, at_], stated)
     if not found.keys() & {"gyro", "accel"}:
         shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
-            f"{path}: wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
+            f"wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
             'map (`column_map`), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
@@ -205,7 +115,7 @@ _IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
 
 
 def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
-    stores, any_reader = _library("rosbags.typesys"), _library("rosbags.highlevel").AnyReader
+    stores, any_reader = library("rosbags.typesys"), library("rosbags.highlevel").AnyReader
     with any_reader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
 
         def messages(topic: str, kind: str) -> Iterator[tuple[int, Any]]:
@@ -219,19 +129,14 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         rows = list(messages(topic, _IMU))
         stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
         if len(rows) < stated and not drop:
-            raise FileFormatError(
-                f"{path}: wanted {stated} messages of {topic} as the file states, got {len(rows)}; copy the file again, or set "
-                "drop_bad_rows = true in a map to read what is there"
-            )
+            raise ValueError(f"{len(rows)} of {stated} messages are there; drop_bad_rows = true in a map reads them")
         parent = topic.rpartition("/")[0]
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted((s, m.temperature) for t in near if len(near) == 1 for s, m in messages(t, _TEMPERATURE))
     stamps, frame = np.array([stamp for stamp, _ in rows], dtype=np.int64), str(rows[0][1].header.frame_id)
     found = Parsed(time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, stated - len(rows))})
-    found.notes = [
-        f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)",
-        f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps",
-    ]
+    how = f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
+    found.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
         if all(getattr(row, f"{name}_covariance")[0] == -1.0 for _, row in rows):
             found.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
@@ -259,11 +164,9 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
             break
         at += 3 + size
     with contextlib.redirect_stdout(io.StringIO()):  # the library prints what it finds wrong
-        log = _library("pyulog").ULog(io.BytesIO(content), _TOPICS)
+        log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not drop:
-        raise ValueError(
-            "the last message is cut or messages are damaged; drop_bad_rows = true in a map reads the rest"
-        )
+        raise ValueError("messages are cut or damaged; drop_bad_rows = true in a map reads the rest")
     topics = {(d.name, d.multi_id): d.data for d in log.data_list if len(d.data["timestamp"])}
     numbers = sorted({number for name, number in topics if name in ("sensor_gyro", "sensor_accel")})
     names = (*(["sensor_combined"] if ("sensor_combined", 0) in topics else []), *map(str, numbers))
@@ -277,9 +180,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
     if sensor == "sensor_combined":
         data = topics["sensor_combined", 0]
         found.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
-        found.notes.append(
-            "already corrected by the autopilot (board rotation, CAL_ parameters): state corrected, frame b"
-        )
+        found.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
         for channel, name, unit in (("gyro", "gyro_rad", "rad/s"), ("accel", "accelerometer_m_s2", "m/s2")):
             found.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
         ids = {int(k) for (name, _), d in topics.items() if name == "sensor_selection" for k in d["gyro_device_id"]}
@@ -305,7 +206,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         found.channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():
         found.channels["temp"] = (main["temperature"], "degC")
-    number = f"{int(main['device_id'][0])}" if "device_id" in main else sensor
+    number = int(main["device_id"][0]) if "device_id" in main else sensor
     found.about = {"device": f"{hardware} {number}".strip(), "gaps": True}
     return found
 
@@ -314,19 +215,15 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     content = read_bytes(path)
     wanted = content[0] + content[1] * struct.unpack_from("<I", content, 23)[0]
     if len(content) != wanted:
-        raise FileFormatError(
-            f"{path}: wanted {wanted} bytes as its header states, got {len(content)}; the file is damaged, copy it again"
-        )
-    nilspodlib, version = _library("nilspodlib"), ".".join(map(str, content[content[0] - 3 : content[0]]))
-    legacy = "error" if version == "0.17.255" else "resolve"  # conversion of older files ends in this version
+        raise ValueError(f"its header states {wanted} bytes, it has {len(content)}")
+    nilspodlib, version = library("nilspodlib"), ".".join(map(str, content[content[0] - 3 : content[0]]))
+    legacy = "error" if version == "0.17.255" else "resolve"  # older files are converted up to this version
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support=legacy)
         except nilspodlib.exceptions.VersionError as error:
-            raise FileFormatError(
-                f"{path}: wanted a NilsPod's firmware that nilspodlib knows, got {version}; export the recording to CSV"
-            ) from error
+            raise FileFormatError(f"wanted firmware that nilspodlib knows, got {version}; export it to CSV") from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
         found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
@@ -336,12 +233,9 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     start, end = struct.unpack_from("<II", content, 15)
     lasts_s, lost = (counter[-1] - counter[0]) / rate_hz, int(counter[-1] - counter[0]) + 1 - len(counter)
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
-        raise FileFormatError(
-            f"{path}: wanted {end - start} s as its header states, got {lasts_s:.4g} s; it is damaged"
-        )
+        raise ValueError(f"its header states {end - start} s, it has {lasts_s:.4g} s")
     found.notes = [
-        f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, no user calibration; magnetometer left out "
-        "(no unit)",
+        f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied; magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
@@ -350,23 +244,19 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
 
 def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     """Read an Axivity, GENEActiv or ActiGraph file; times run straight from one block's stamp to the next."""
-    held = _library("actfast").read(str(path), lenient=drop)
+    held = library("actfast").read(str(path), lenient=drop)
     series, about, kind = held["timeseries"], held["metadata"], held["format"]
     fast = series.get("high_frequency") or series["acceleration"]
     slow, stamps = series.get("low_frequency", {}), np.asarray(fast["datetime"], dtype=np.int64)
     if not len(stamps):
-        raise FileFormatError(
-            f"{path}: wanted accelerometer readings, got none; export them to CSV with the maker's program"
-        )
+        raise FileFormatError("wanted accelerometer readings, got none; export CSV with the maker's program")
     if kind.startswith("Axivity") and path.stat().st_size % 512 and not drop:
         raise ValueError("it ends within a sector; drop_bad_rows = true in a map reads the whole sectors")
-    announced = str(about.get("Memory Status", {}).get("Number of Pages", ""))
-    if announced.isdigit() and len(stamps) < 300 * int(announced) and not drop:
-        raise ValueError(f"samples of {announced} pages are missing; drop_bad_rows = true in a map reads the rest")
-    found = Parsed(
-        notes=[f"time 0 is {stamps[:1].astype('M8[ns]').astype('M8[ms]')[0]} by the logger's clock (local time)"]
-    )
-    found.notes += [str(warning) for warning in held["warnings"]]
+    pages = str(about.get("Memory Status", {}).get("Number of Pages", ""))
+    if pages.isdigit() and len(stamps) < 300 * int(pages) and not drop:
+        raise ValueError(f"samples of {pages} pages are missing; drop_bad_rows = true in a map reads the rest")
+    start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
+    found = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])])
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
     found.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
     found.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
@@ -401,6 +291,10 @@ def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> Fl
 
 
 KINDS: dict[str, Callable[..., Parsed]] = {
-    "mat": _mat, "xdf": _xdf, "ros": _ros, "ulog": _ulog, "nilspod": _nilspod, "logger": _logger,
-    "c3d": parse_c3d,
-}  # fmt: skip
+    "mat": parse_mat,
+    "xdf": _xdf,
+    "ros": _ros,
+    "ulog": _ulog,
+    "nilspod": _nilspod,
+}
+KINDS |= {"logger": _logger, "c3d": parse_c3d}

@@ -1,0 +1,72 @@
+"""Named arrays of a MATLAB file (extra ``formats``) as a table that a map reads; a field of a struct is ``struct.field``."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from undrift.errors import FileFormatError, InputError
+from undrift.io.columns import Column, ColumnMap, RawTable, ReadResult, ReadSettings, build_record, native_map
+from undrift.io.isolated import Parsed, library, read_isolated
+
+Arrays = tuple[tuple[str, NDArray[Any]], ...]
+
+
+def mat_arrays(path: Path) -> Arrays:
+    """Return the numeric arrays of a MAT file, structs laid flat: ``struct.field``."""
+    return tuple(read_isolated(Path(path), "mat").table.items())
+
+
+def read_mat(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+    """Read a record from the arrays of a MAT file, version 5 to 7.3, through a map."""
+    arrays = mat_arrays(path)
+    columns = columns or native_map(tuple(name for name, _ in arrays), settings, source=str(path))
+    return build_record(table_of_arrays(arrays, path, columns.wanted()), columns)
+
+
+def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
+    """Return the arrays that are as long as the first wanted one, as a table; (N, K) is K columns ``name[0]`` ... ."""
+    lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
+    lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
+    listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
+    for column in wanted:
+        if column not in lengths:
+            raise InputError(f"{path}: wanted array {column!r}, got {listed}; check the mapping")
+    rows = {str(column): lengths[str(column)] for column in wanted}
+    if len(set(rows.values())) != 1:
+        shown = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise InputError(f"{path}: wanted arrays of one length, got {shown} rows; two clocks need two records")
+    length = next(iter(rows.values()))
+    found: dict[str, NDArray[Any]] = {}
+    for name, array in arrays:
+        if array.ndim in (1, 2) and len(array) == length:
+            found |= {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
+    return RawTable(source=str(path), names=tuple(found), columns=tuple(found.values()))
+
+
+def parse_mat(path: Path, **_: Any) -> Parsed:
+    with warnings.catch_warnings(action="ignore"):
+        tree = dict(library("pymatreader").read_mat(str(path)))
+    objects, arrays = tree.pop("None", None), dict(_flat("", tree))
+    if objects is not None and not arrays:  # objects of classes, which no reader of the file takes apart
+        raise FileFormatError(
+            f"{path}: wanted arrays, got objects of MATLAB, such as the timetables of MATLAB Mobile; write each as text there, "
+            'writetimetable(Acceleration, "Acceleration.csv") and AngularVelocity alike, and give both files'
+        )
+    return Parsed(table=arrays)
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            if not str(name).startswith(("__", "#")):
+                yield from _flat(f"{prefix}.{name}" if prefix else str(name), inner)
+        return
+    array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
+    if array.dtype.kind in "fiub":
+        array = np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array)
+        # x, y, z by rows, as MATLAB code often has them, are turned
+        yield prefix, array.T if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] >= 16 else array
