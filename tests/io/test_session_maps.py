@@ -59,7 +59,8 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
             "line 1: sample_rate_hz: wanted a valid number, got '50'",
         ),
         ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: wanted a known key"),
-        ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", InputError, "scale.gyro: wanted one number or three for x, y, z, got 2"),
+        ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: wanted"),
+        ("gain = 0.5", "gain = [1.0, 1.0, 1.0]", InputError, "scale.temp: wanted one number"),
         (
             'columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n',
             "",
@@ -96,6 +97,11 @@ def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
         path.write_text(text)
         with pytest.raises(InputError, match=f"wanted one table of columns, got 0 and {got}; add columns"):
             read_map(path)
+
+
+def test_a_map_may_leave_out_stretches(tmp_path):
+    (tmp_path / "map.toml").write_text("leave_out = [[0.0, 1.5]]\n")
+    assert read_map(tmp_path / "map.toml") == (None, ReadSettings(leave_out=((0.0, 1.5),)))
 
 
 @pytest.mark.parametrize("name", ["r.csv", "r.parquet"])

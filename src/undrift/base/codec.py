@@ -34,6 +34,7 @@ from undrift.files import MOST_TREE, read_tree, too_large, write_whole
 Value = TypeVar("Value")
 Result = TypeVar("Result")
 Tree = dict[str, Any]
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _STRICT: Any = {"strict": True, "allow_inf_nan": False}
 
 
@@ -302,13 +303,13 @@ class Refused(ValueError):
         real = [
             p for p in problems if p["type"] != "too_short" or not any(_within(place, p["loc"]) for place in places)
         ]
-        self.problems = sorted(real, key=lambda problem: problem["type"] != "extra_forbidden")
+        self.problems = sorted(real, key=lambda problem: problem["type"] not in _UNKNOWN_KEY)
         self.known = known
         problem = self.problems[0]
         self.place = tuple(part for part in problem["loc"] if not _is_branch(part))
         self.cause = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
         self.near = ""
-        if problem["type"] == "extra_forbidden" and self.place:
+        if problem["type"] in _UNKNOWN_KEY and self.place:
             near = difflib.get_close_matches(str(self.place[-1]), sorted(known - {self.place[-1]}), n=1, cutoff=0.7)
             self.near = f" (nearest known key: {near[0]})" if near else ""
         super().__init__(self.in_json())
@@ -335,7 +336,7 @@ class Refused(ValueError):
             return f"{self.cause}{more}"
         message = problem["msg"].replace("Input should be ", "wanted ").splitlines()[0]
         what = {
-            "extra_forbidden": f"wanted a known key, got this one; check its spelling{self.near}",
+            **dict.fromkeys(_UNKNOWN_KEY, f"wanted a known key, got this one; check its spelling{self.near}"),
             "missing": "wanted this key, got none; add it",
             "value_error": str(self.cause),
         }.get(problem["type"], f"{message}, got {problem['input']!r}")

@@ -164,6 +164,13 @@ class ColumnMap:
             raise InputError(
                 f"columns.{channel}: wanted three different columns, got {list(columns)}; name each axis once"
             )
+        scale: ChannelScale | None = None if channel == "time" else getattr(self, f"{channel}_scale")
+        if (
+            channel == "temp"
+            and scale is not None
+            and (isinstance(scale.gain, tuple) or isinstance(scale.offset, tuple))
+        ):
+            raise InputError("scale.temp: wanted one number for gain and offset, got three; a thermometer has one axis")
         if columns and not unit:
             raise InputError(f"units.{channel}: wanted the unit of {channel}, got none; nothing is assumed")
         if columns and canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):

@@ -19,7 +19,7 @@ from undrift.errors import InputError
 from undrift.frames import quaternion_of, rotate
 from undrift.io.formats import read_record
 from undrift.io.inspect import Description
-from undrift.io.session import HeadEntry, KeptEntry, piece_toml, stated_piece
+from undrift.io.session import HeadEntry, entry_of_tree, piece_toml, stated_piece
 from undrift.record import FileMap, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -73,7 +73,7 @@ def _turned(found: Description, lines: Sequence[str], units: Mapping[str, str]) 
     if units.get("time") == "?":
         return None
     as_read = dict.fromkeys(("gyro", "accel"), "count") | {key: units[key] for key in ("time",) if key in units}
-    keys = KeptEntry.model_validate(tomllib.loads("\n".join(lines)) | {"units": as_read})
+    keys = entry_of_tree(tomllib.loads("\n".join(lines)) | {"units": as_read})
     try:
         turned = gyro_unit_of(read_record(found.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep")))
     except InputError:  # the map will say what is wrong when it is used

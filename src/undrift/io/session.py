@@ -56,7 +56,7 @@ from undrift.arrays import FloatArray
 from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
-from undrift.io.columns import ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, naming
+from undrift.io.columns import Channel, ChannelScale, Clock, ColumnMap, Gaps, ReadSettings, TempFile, TextLayout, naming
 from undrift.io.formats import read_record, settled
 from undrift.io.parquet import write_parquet
 from undrift.io.phone import phone_pair, read_phone_pair
@@ -102,32 +102,6 @@ class ColumnsEntry(TomlTable):
     counter: str | int | None = None  # The device's own counter of samples, for clock = "regular"
 
 
-class UnitsEntry(TomlTable):
-    """The unit of each mapped channel; needed for each that is mapped."""
-
-    time: str = ""  # Any spelling of :mod:`undrift.units`
-    gyro: str = ""
-    accel: str = ""
-    temp: str = ""
-    mag: str = ""
-
-
-class LinearEntry(TomlTable):
-    """A linear conversion: value = gain * cell + offset."""
-
-    gain: float | list[float] = 1.0  # Unit of the channel per unit of the file
-    offset: float | list[float] = 0.0  # In the unit of the channel
-
-
-class ScaleEntry(TomlTable):
-    """Conversions by channel."""
-
-    gyro: LinearEntry | None = None  # From the file's numbers to the unit stated
-    accel: LinearEntry | None = None
-    temp: LinearEntry | None = None
-    mag: LinearEntry | None = None
-
-
 class TempFileEntry(TomlTable):
     """A thermometer's file of its own."""
 
@@ -148,8 +122,9 @@ class MapEntry(TomlTable):
 
     sample_rate_hz: float | None = None  # Hz; required when there is no time column
     columns: ColumnsEntry | list[ColumnsEntry] | None = None  # One table; or one for each file of files side by side
-    units: UnitsEntry = UnitsEntry()  # Units of the mapped channels
-    scale: ScaleEntry = ScaleEntry()  # Conversions, where the file's numbers are not in those units
+    units: dict[Channel, str] = {}  # Unit of each mapped channel, in any spelling of :mod:`undrift.units`
+    # Conversions, where the file's numbers are not in those units: value = gain * cell + offset, one gain or three for x, y, z
+    scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = {}
     delimiter: str = ","  # One character; " " for any number of blanks or tabs
     header: bool = True  # Whether a line names the columns
     skip_rows: int = 0  # Lines before the header or the first row
@@ -163,6 +138,7 @@ class MapEntry(TomlTable):
     frame: Literal["s", "b"] = "s"  # "s" or "b"
     device: str = ""  # Serial number or name
     temp_file: TempFileEntry | None = None  # A thermometer in a file of its own
+    sensor: str | None = None  # Which sensor, in a file of several (APDM)
 
     def thermometer(self, folder: Path) -> TempFile | None:
         """Return the thermometer of its own file."""
@@ -175,8 +151,8 @@ class MapEntry(TomlTable):
     def maps(self) -> tuple[ColumnMap, ...]:
         """Return one column map for each table of columns."""
         tables = self.columns if isinstance(self.columns, list) else [] if self.columns is None else [self.columns]
-        shared: dict[str, Any] = {f"{channel}_unit": unit for channel, unit in self.units}
-        shared |= {f"{channel}_scale": _scale(entry, channel) for channel, entry in self.scale}
+        shared: dict[str, Any] = {f"{channel}_unit": unit for channel, unit in self.units.items()}
+        shared |= {f"{channel}_scale": scale for channel, scale in self.scale.items()}
         shared |= {
             key: getattr(self, key) for key in ("sample_rate_hz", "gaps", "repair_time", "clock", "frame", "device")
         }
@@ -184,21 +160,19 @@ class MapEntry(TomlTable):
         return tuple(ColumnMap(**{key: _columns(key, value) for key, value in table}, **shared) for table in tables)
 
 
-class KeptEntry(MapEntry):
-    """A map, and which sensor of a file of several it is for."""
+def entry_of_tree(tree: Mapping[str, Any]) -> MapEntry:
+    """Return the keys of a map, checked as JSON: strict, and lists are tuples there."""
+    return MapEntry.model_validate_json(json.dumps(tree, default=str))
 
-    sensor: str | None = None  # Which sensor, in a file of several (APDM)
 
-
-def _read_map(path: str | Path) -> KeptEntry:
+def _read_map(path: str | Path) -> MapEntry:
     """Read a map."""
     tree, text = codec.toml_of(path)
     try:
-        return KeptEntry.model_validate(MapEntry.model_validate(tree).model_dump(exclude_unset=True))
+        return entry_of_tree(tree)
     except ValidationError as error:
-        raise FileFormatError(
-            f"{path}: {codec.Refused(list(error.errors())).explained(codec.Stored(), text)}"
-        ) from error
+        refused = codec.Refused(list(error.errors()), frozenset(MapEntry.model_fields))
+        raise FileFormatError(f"{path}: {refused.explained(codec.Stored(), text)}") from error
 
 
 def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
@@ -220,7 +194,7 @@ def map_and_settings(file_map: FileMap | None, **choices: Any) -> tuple[ColumnMa
     return _chosen(entry_of(file_map), choices, Path())
 
 
-def _chosen(entry: KeptEntry, choices: Mapping[str, Any], folder: Path) -> tuple[ColumnMap | None, ReadSettings]:
+def _chosen(entry: MapEntry, choices: Mapping[str, Any], folder: Path) -> tuple[ColumnMap | None, ReadSettings]:
     entry = entry.model_copy(update={key: value for key, value in choices.items() if value is not None})
     maps = entry.maps()
     if len(maps) > 1:
@@ -230,7 +204,7 @@ def _chosen(entry: KeptEntry, choices: Mapping[str, Any], folder: Path) -> tuple
     return maps[0] if maps else None, _settings(entry, folder)
 
 
-def _settings(entry: KeptEntry, folder: Path) -> ReadSettings:
+def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
     given: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
     held = {
         key: getattr(entry, key) for key in ("sample_rate_hz", "repair_time", "drop_bad_rows", "sensor", "leave_out")
@@ -245,15 +219,6 @@ def _columns(channel: str, value: Any) -> Any:
     return value if channel in ("time", "temp", "counter") or value is None else (value,)
 
 
-def _scale(entry: LinearEntry | None, channel: str) -> ChannelScale | None:
-    if entry is None:
-        return None
-    for value in (entry.gain, entry.offset):
-        if isinstance(value, list) and (len(value) != 3 or channel == "temp"):
-            raise InputError(f"scale.{channel}: wanted one number or three for x, y, z, got {len(value)}")
-    return ChannelScale(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry})
-
-
 # ---- a map as a value: of a file of TOML with the choices of a call, as a session and a calibration keep it
 
 
@@ -263,21 +228,21 @@ def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | N
     if path is not None and held.get("temp_file"):  # beside the map, wherever the recordings are
         held["temp_file"]["file"] = str((Path(path).parent / held["temp_file"]["file"]).resolve())
     held |= {key: value for key, value in choices.items() if value is not None}
-    return file_map_of(KeptEntry.model_validate(held)) if held else None
+    return file_map_of(entry_of_tree(held)) if held else None
 
 
-def file_map_of(entry: KeptEntry, *, without: Sequence[str] = ()) -> FileMap:
+def file_map_of(entry: MapEntry, *, without: Sequence[str] = ()) -> FileMap:
     """Return the keys that a map states as a value."""
     held = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
     return FileMap(json.dumps(held, ensure_ascii=False))
 
 
-def entry_of(file_map: FileMap | None) -> KeptEntry:
+def entry_of(file_map: FileMap | None) -> MapEntry:
     """Return the keys of a map, checked."""
-    return KeptEntry() if file_map is None else KeptEntry.model_validate_json(file_map.text)
+    return MapEntry() if file_map is None else MapEntry.model_validate_json(file_map.text)
 
 
-def shared_map(entries: Sequence[KeptEntry]) -> FileMap | None:
+def shared_map(entries: Sequence[MapEntry]) -> FileMap | None:
     """Return the map that all recordings share; None where they differ or need none."""
     alone = ("file", "temp_file", "sha256", "leave_out")  # keys that no other recording shares
     held = [file_map_of(entry, without=alone) for entry in entries]
@@ -305,7 +270,7 @@ class HeadEntry:
     mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
 
 
-class RecordingEntry(KeptEntry):
+class RecordingEntry(MapEntry):
     """[[recording]]: these keys and those of a map."""
 
     file: str | list[str]  # Beside session.toml; several files are joined side by side

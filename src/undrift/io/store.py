@@ -13,7 +13,7 @@ from undrift.base import codec
 from undrift.files import write_whole
 from undrift.findings import Finding
 from undrift.io.imucal import is_imucal, read_imucal
-from undrift.io.session import KeptEntry, file_map_of
+from undrift.io.session import MapEntry, file_map_of
 from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
 
@@ -22,7 +22,7 @@ ANSWER_KEYS = frozenset({
     "lacking", "motion", "version", "findings", "result", "error",
 })  # fmt: skip
 # what ``undrift calibrate --json`` says beside the calibration
-codec.stored(form=KeptEntry, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
+codec.stored(form=MapEntry, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:
