@@ -215,7 +215,8 @@ def test_constraints_hold_names_and_versions_only() -> None:
 def test_the_extra_formats_names_what_the_readers_import() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     named = {re.split(r"[<>=\[]", d)[0] for d in project["optional-dependencies"]["formats"]}
-    imported = set(re.findall(r'_library\("(\w+)', (PACKAGE / "io" / "libraries.py").read_text()))
+    readers = "".join((PACKAGE / "io" / name).read_text() for name in ("libraries.py", "arrays.py"))
+    imported = set(re.findall(r'\blibrary\("(\w+)', readers))
     assert imported == named
 
 

@@ -98,7 +98,7 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
         at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
         if len(at_) == (1 if channel == "temp" else 3) and all(unit[k] == unit[at_[0]] != "" for k in at_):
             with contextlib.suppress(InputError):  # a unit that is not one: a map must state it
-                stated = canonical_unit(unit[at_[0]], QUANTITY[channel])
+                stated = canonical_unit(unit[at_[0]], QUANTITY[channel])  # type: ignore[index]
                 found[channel] = (values[:, at_[0]] if channel == "temp" else values[:, at_], stated)
     if not found.keys() & {"gyro", "accel"}:
         shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
