@@ -214,7 +214,7 @@ def keys() -> str:
     ]
     for title, *sources in (
         ("session.toml and maps", ("io/session.py", "Entry"), ("record.py", "RateTable", "TemperatureSensitivity")),
-        ("protocol.toml", ("rig/programme.py", "Protocol")),
+        ("protocol.toml", ("programme.py", "Protocol")),
         (
             "study.toml",
             ("study/plan.py", "Entry"),

@@ -16,7 +16,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.cli.app import run
 from undrift.io.session import read_session
 from undrift.model import Calibration
-from undrift.rig.programme import Protocol, write_protocol
+from undrift.programme import Protocol, write_protocol
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration

@@ -16,8 +16,8 @@ from undrift.calibration.rate_table import (
 )
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.least_squares import block_size, noise_of_means
+from undrift.programme import rate_grid
 from undrift.record import Record, Turn
-from undrift.rig.programme import rate_grid
 from undrift.units import EARTH_RATE
 
 DPS = np.pi / 180.0

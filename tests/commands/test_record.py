@@ -22,9 +22,9 @@ from undrift.io.formats import read_record
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.live import transports
+from undrift.live.hands import HandHeld, start_hand_held
 from undrift.record import Face
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.hands import HandHeld, start_hand_held
 
 HELD_SPEED = 4.0  # with the device, the person and the program in one process; a pseudo-terminal holds 45 lines
 

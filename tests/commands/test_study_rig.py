@@ -8,7 +8,7 @@ from undrift.cli.app import command_line
 from undrift.commands.rig import forecast
 from undrift.commands.study import study
 from undrift.commands.study_rig import rig_sections, write_protocol
-from undrift.rig.programme import Protocol, read_protocol
+from undrift.programme import Protocol, read_protocol
 from undrift.study.outcome import points_of
 
 pytestmark = pytest.mark.usefixtures("computed_once")

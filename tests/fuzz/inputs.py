@@ -22,8 +22,8 @@ from undrift.errors import UndriftError
 from undrift.io.session import read_file_map, read_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.live.decoder import read_description
+from undrift.programme import read_protocol
 from undrift.rate_log import read_rate_log
-from undrift.rig.programme import read_protocol
 from undrift.sim.device.model import read_device, write_device
 from undrift.sim.device.presets import preset
 from undrift.study.plan import read_study

@@ -11,7 +11,7 @@ from testkit.rig_bench import simulated
 from testkit.scripted_server import Scripted, VirtualScripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.chamber import ChamberSetup, SoakSettings, Steadiness, open_chamber
-from undrift.sim.bench import AirSettings
+from undrift.rig.simulated import AirSettings
 
 SOAK = SoakSettings(window_s=60.0)
 SETTINGS = ChamberSetup(soak=SOAK, reply_timeout_s=20.0)

@@ -14,7 +14,7 @@ from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
 from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
-from undrift.sim.bench import AirSettings
+from undrift.rig.simulated import AirSettings
 
 QUICK = AirSettings(ramp_c_per_min=300.0, period_s=1.0, board_lag_s=1.0)
 RISE_C = 1.5  # of the board above the air, by its own power

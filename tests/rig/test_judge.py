@@ -8,9 +8,9 @@ import pytest
 from testkit.rig_bench import DPS, GAIN, OFFSET, SHORT, UP, Device, Hands, run, simulated
 from undrift.errors import RigFault
 from undrift.io.parquet import read_parquet
+from undrift.programme import Dwell
 from undrift.record import FACES, Record
 from undrift.rig.judge import APART, STILL, Contradiction, Disturbed, RestCheck, TurnCheck
-from undrift.rig.programme import Dwell
 from undrift.units import STANDARD_GRAVITY
 
 FACES_ALONE = replace(SHORT, faces=("+z", "-z", "+x"), axes=())

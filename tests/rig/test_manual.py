@@ -12,10 +12,10 @@ from testkit.rig_bench import GAIN, OFFSET, UP
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LimitError, LinkError, RigFault
 from undrift.io.session import read_session
+from undrift.programme import programme_of, read_protocol
 from undrift.record import Record
 from undrift.rig.folder import RunFolder
 from undrift.rig.manual import AskedOperator, ManualRig
-from undrift.rig.programme import programme_of, read_protocol
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig
 from undrift.rig.run import RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
@@ -226,7 +226,7 @@ def test_an_operator_who_gives_up_a_turn_goes_on_with_it_on_resume(by_hand, tmp_
 
 
 def test_a_protocol_of_turns_reads_back_and_needs_no_rate_table(by_hand, tmp_path):
-    from undrift.rig.programme import write_protocol
+    from undrift.programme import write_protocol
 
     protocol, _, _ = by_hand
     write_protocol(protocol, tmp_path / "again.toml")

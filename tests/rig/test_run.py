@@ -9,9 +9,9 @@ from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import GAIN, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
+from undrift.programme import Protocol, programme_of
 from undrift.rig.judge import Contradiction, RestCheck, RunSettings
 from undrift.rig.manual import AskedOperator
-from undrift.rig.programme import Protocol, programme_of
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 

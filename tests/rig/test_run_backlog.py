@@ -12,7 +12,7 @@ from undrift.errors import RigTimeout
 from undrift.io.session import read_session
 from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
-from undrift.rig.programme import Protocol
+from undrift.programme import Protocol
 from undrift.units import STANDARD_GRAVITY
 
 RATE = 100.0

@@ -8,9 +8,9 @@ import pytest
 from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, gain_of, simulated
 from undrift.errors import LinkError, RigTimeout
 from undrift.io.session import read_session
+from undrift.programme import Dwell, programme_of
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
-from undrift.rig.programme import Dwell, programme_of
 from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
 

@@ -12,9 +12,9 @@ from testkit.rig_bench import GAIN, OFFSET, Device, Oven, at_rest, driven, run, 
 from undrift import calibrate
 from undrift.errors import RigError, RigTimeout, UndriftError
 from undrift.io.session import read_session
+from undrift.programme import Dwell, Protocol, programme_of
 from undrift.rig.folder import read_journal
 from undrift.rig.lock import stop_rig
-from undrift.rig.programme import Dwell, Protocol, programme_of
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 

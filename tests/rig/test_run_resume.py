@@ -18,10 +18,10 @@ from testkit.rig_bench import DEVICE, GAIN, OFFSET, SHORT, UP, at_rest, driven, 
 from testkit.rig_process import BenchOnHost, Command
 from undrift.errors import InputError, LinkError
 from undrift.io.session import read_session
+from undrift.programme import Protocol, write_protocol
 from undrift.rig import folder as folder_file
 from undrift.rig.folder import JOURNAL, RunFolder, read_journal
 from undrift.rig.lock import stop_rig
-from undrift.rig.programme import Protocol, write_protocol
 from undrift.sim.device.model import write_device
 from undrift.units import RADIAN_PER_DEGREE as DPS
 from undrift.units import STANDARD_GRAVITY

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from undrift.programme import Protocol
 from undrift.record import FACES
-from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.table_sessions import (

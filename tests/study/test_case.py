@@ -15,8 +15,8 @@ from undrift.fit.curve import not_a_knot
 from undrift.fit.least_squares import fit_paper
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift
 from undrift.orientation import OrientSettings, orient_unchecked, sagittal_pitch
+from undrift.programme import Protocol
 from undrift.record import Still
-from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Offset
 from undrift.sim.device.model import device_json

@@ -10,8 +10,8 @@ import pytest
 from testkit.surfaces import errors
 from undrift.commands.study import Studied
 from undrift.findings import finding
+from undrift.programme import Protocol
 from undrift.report.page import write_page
-from undrift.rig.programme import Protocol
 from undrift.study.case import units_of
 from undrift.study.judge import ParameterEffect
 from undrift.study.outcome import TaskOutcome, judge_study

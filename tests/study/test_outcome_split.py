@@ -9,7 +9,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.rig.programme import Protocol
+from undrift.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity, Offset
 from undrift.sim.device.model import device_json

@@ -11,7 +11,7 @@ import pytest
 from testkit.data import show
 from testkit.surfaces import candidates, errors
 from undrift.errors import InputError, NotObservable
-from undrift.rig.programme import Dwell, Protocol, programme_of
+from undrift.programme import Dwell, Protocol, programme_of
 from undrift.sim.table_sessions import FACE, RATE, REST
 from undrift.study.case import run_unit, session_of, units_of
 from undrift.study.front import pareto_front

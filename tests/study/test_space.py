@@ -15,8 +15,8 @@ from undrift.base.codec import slots_of
 from undrift.cli.common import show as show_summary
 from undrift.commands.study import Studied, study_json
 from undrift.errors import FileFormatError, InputError
+from undrift.programme import Protocol
 from undrift.report.page import write_page
-from undrift.rig.programme import Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Nonlinearity
 from undrift.sim.device.model import device_json

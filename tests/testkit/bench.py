@@ -26,7 +26,7 @@ IMPORTED += (
     "undrift.live.recorder",
     "undrift.rig.run",
     "undrift.rig.galil",
-    "undrift.sim.bench",
+    "undrift.rig.simulated",
 )
 IMPORTED += ("cyclopts", "rich.console", "undrift.kernels.device", "undrift.io.parquet", "pyarrow.parquet", "pandas")
 IMPORTED += ("undrift.calibration.calibrate", "undrift.correction.correct", "undrift.io.store")

@@ -11,7 +11,7 @@ from typing import Any
 
 from testkit.scripted_server import Scripted, VirtualScripted
 from undrift.base.clock import VirtualClock
-from undrift.sim.bench import SimulatedBench
+from undrift.rig.simulated import SimulatedBench
 
 # ---- Galil
 

@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from undrift.base.clock import VirtualClock
 from undrift.commands.bench.guides import ORDER
+from undrift.live.hands import start_hand_held
 from undrift.record import FACES, Record
-from undrift.sim.hands import start_hand_held
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.units import STANDARD_GRAVITY
 

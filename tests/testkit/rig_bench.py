@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from undrift.programme import Protocol, programme_of
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
-from undrift.rig.programme import Protocol, programme_of
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import RigBench, run_programme
-from undrift.sim.bench import SimulatedBench, SimulatedSettings
+from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

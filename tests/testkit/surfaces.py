@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from undrift.rig.programme import Protocol
+from undrift.programme import Protocol
 from undrift.study.plan import StudyTask
 from undrift.study.space import Setting
 

@@ -21,8 +21,8 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
+    from undrift.programme import Protocol
     from undrift.rig.folder import RecordedDwell
-    from undrift.rig.programme import Protocol
     from undrift.rig.run import RunResult
     from undrift.sim.device.model import DeviceModel
     from undrift.study.virtual_bench import BenchFit, BenchRun, Check

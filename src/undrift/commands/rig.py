@@ -18,13 +18,13 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
+    from undrift.programme import Forecast, Programme
     from undrift.rig.chamber import Readings
     from undrift.rig.check import CheckSettings, RigCheck
     from undrift.rig.folder import RecordedDwell, RunFolder
-    from undrift.rig.programme import Forecast, Programme
     from undrift.rig.rig import RigSettings
     from undrift.rig.run import Mounted, Progress, RigBench, RunResult
-    from undrift.sim.bench import SimulatedBench
+    from undrift.rig.simulated import SimulatedBench
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
@@ -157,10 +157,10 @@ def run(
     yes : bool
         Start without asking.
     """
+    from undrift.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.folder import RunFolder
     from undrift.rig.judge import RunSettings
     from undrift.rig.lock import one_run, stopping_on_signals
-    from undrift.rig.programme import ProgrammeSettings, programme_of, read_protocol
     from undrift.rig.rig import check_programme, parse_address
     from undrift.rig.run import run_programme
 
@@ -193,7 +193,7 @@ def run(
 
 def forecast(protocol: Path, rig: str) -> "Forecast":
     """Return what `run` takes for a protocol, within the limits of a table for which nothing is stated; nothing is opened."""
-    from undrift.rig.programme import ProgrammeSettings, forecast_of, programme_of, read_protocol
+    from undrift.programme import ProgrammeSettings, forecast_of, programme_of, read_protocol
     from undrift.rig.rig import check_programme, parse_address
 
     lines = parse_address(rig)[2].encoder_lines
@@ -220,7 +220,7 @@ def _simulated(
     import numpy as np
 
     from undrift.plugins import split_address
-    from undrift.sim.bench import SimulatedBench, SimulatedSettings
+    from undrift.rig.simulated import SimulatedBench, SimulatedSettings
     from undrift.sim.device.presets import PRESETS, random_device
 
     devices = (device,) if isinstance(device, str) else device
@@ -285,10 +285,10 @@ def _bench(
     resume: bool,
 ) -> "RigBench":
     """Connect chamber, operator and, last, the table."""
+    from undrift.programme import Soak
     from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
     from undrift.rig.lock import check_free
     from undrift.rig.manual import AskedOperator
-    from undrift.rig.programme import Soak
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import RigBench
 
@@ -315,7 +315,7 @@ class _Shown:
 
     def plan(self, programme: "Programme", done: frozenset[int], yes: bool) -> None:
         """Show how long each step and the whole takes, and ask whether to start."""
-        from undrift.rig.programme import forecast_of
+        from undrift.programme import forecast_of
 
         left = forecast_of(programme, done)
         steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 from undrift.base.summary import Section, plain_words
 
 if TYPE_CHECKING:
-    from undrift.rig.programme import Protocol
+    from undrift.programme import Protocol
     from undrift.study.outcome import StudyOutcome, TaskOutcome
 
 
 def protocol_of(outcome: "StudyOutcome", task: "TaskOutcome", place: int | None = None) -> "Protocol":
     """Return what the rate table does for a protocol of a task, by default the one to use."""
-    from undrift.rig.programme import DAMPING
+    from undrift.programme import DAMPING
     from undrift.study.outcome import points_of
 
     plan = next(each for each in outcome.study.tasks if each.key == task.surface.task)
@@ -30,7 +30,7 @@ def protocol_of(outcome: "StudyOutcome", task: "TaskOutcome", place: int | None 
 
 def write_protocol(folder: Path, task: str, protocol: "Protocol") -> Path:
     """Write the protocol of a task for ``rig run``; return the file."""
-    from undrift.rig.programme import write_protocol as write
+    from undrift.programme import write_protocol as write
 
     path = folder / f"protocol-{task}.toml"
     write(replace(protocol, faces=tuple(pose for pose in protocol.faces if " " not in pose)), path)  # no inclined ones
@@ -39,7 +39,7 @@ def write_protocol(folder: Path, task: str, protocol: "Protocol") -> Path:
 
 def _plan(protocol: "Protocol", title: str) -> tuple[Section, str]:
     """Return the plan of a session, mounting by mounting, and its length."""
-    from undrift.rig.programme import Dwell, Mount, Soak, programme_of
+    from undrift.programme import Dwell, Mount, Soak, programme_of
 
     programme, rows = programme_of(protocol), []
     first = [k for k, step in enumerate(programme.steps) if isinstance(step, Mount)]

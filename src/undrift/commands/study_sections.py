@@ -21,7 +21,7 @@ from undrift.base.summary import (
     with_interval,
 )
 from undrift.commands.study_figures import figure3_section, note_flows, task_words
-from undrift.rig.programme import ProgrammeSettings
+from undrift.programme import ProgrammeSettings
 from undrift.sim.motion.tasks import CATEGORIES
 from undrift.study.space import HEADINGS, OF_NOTE
 

@@ -3,7 +3,7 @@ Out: a ``Record`` of a stretch of time, in the device's units and axes (frame s)
 
 ``transports`` are ways for bytes and SOURCES, a row for each kind of address; ``decoder`` makes rows of numbers of bytes; ``clock``
 lays the device's clock on the host's, from packets that come late and never early; ``recorder`` is the one ring: a thread reads,
-any other asks for what came between two moments.
+any other asks for what came between two moments. ``hands`` is a simulated device to practise with.
 
 Device time is in s from the first reading; dwells are asked for by the host's monotonic clock, and a reading counts for one only
 where it was certainly taken after its start. A garbled reading is counted and left out, a silent device is an error. Open

@@ -41,7 +41,7 @@ LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a pers
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # kind -> the function that makes a source of an address
     **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
-    "simulated": "undrift.sim.hands:source_of",
+    "simulated": "undrift.live.hands:source_of",
 }
 GROUP = "undrift.sources"
 

@@ -1,13 +1,13 @@
 """A rate table that calibrates a device by itself: from a protocol to readings on the disk, whatever controller stands behind it.
 
-In: a protocol (``programme``: faces, rates, temperatures), the addresses of a table, a device and, where it is warmed, a chamber.
-Out: a folder with a recording for each dwell and ``session.toml``, which `calibrate` and `drift` read; the rate of a dwell is the
-one that the encoder shows, not the one that was asked for.
+In: a protocol (``undrift.programme``: faces, rates, temperatures), the addresses of a table, a device and, if it is warmed, a
+chamber. Out: a folder with a recording for each dwell and ``session.toml``, which `calibrate` and `drift` read. The rate of a
+dwell is the one that the encoder shows, not the one that was asked for.
 
-``programme``   what is done step by step, and how long it takes; nothing is opened
 ``rig``         what every table can do, its limits, the rate achieved
 ``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``: when air and board of a chamber stand still
 ``run``         a programme on a rig, dwell by dwell; ``judge`` says which dwells are kept, ``folder`` brings them to the disk
+``simulated``   a bench without hardware: table, chamber, device and operator, in simulated time
 ``lock``        one run for one table, and a run that signals end at rest; ``check``: acceptance of a table with a servo
 
 Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are

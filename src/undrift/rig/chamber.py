@@ -33,9 +33,9 @@ from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, check_positive
 from undrift.live.transports import number_of
 from undrift.plugins import load_named, names_in
+from undrift.programme import Soak
 from undrift.record import Face, Record
 from undrift.rig.link import Link, LinkSettings
-from undrift.rig.programme import Soak
 
 FEWEST_READINGS = 6
 

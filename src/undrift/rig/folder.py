@@ -33,9 +33,9 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
+from undrift.programme import DAMPING, Protocol, Purpose, write_protocol
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.lock import uninterrupted
-from undrift.rig.programme import DAMPING, Protocol, Purpose, write_protocol
 
 # ---- Journal: one line for each thing done, appended and brought to the disk before the next begins.
 

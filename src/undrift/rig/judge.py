@@ -36,8 +36,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigFault, RigTimeout
+from undrift.programme import Dwell
 from undrift.record import Axis, Face, Record
-from undrift.rig.programme import Dwell
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 

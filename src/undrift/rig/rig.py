@@ -23,7 +23,7 @@ import numpy as np
 from undrift.base.clock import Clock, PacedClock
 from undrift.errors import InputError, LimitError, check_positive
 from undrift.plugins import load_named, split_address
-from undrift.rig.programme import Dwell, Programme
+from undrift.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Counts and angles: an encoder's lines or a stepper's steps in rad, and how a card rounds commands.
@@ -331,10 +331,8 @@ def in_words(kind: str, code: int) -> str:
 
 # ---- Addresses.
 
-CONTROLLERS = {  # kind -> the function that opens a rig
-    **{kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual")},
-    "simulated": "undrift.sim.bench:open_from",
-}
+# kind -> the function that opens a rig
+CONTROLLERS = {kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual", "simulated")}
 GROUP = "undrift.rigs"
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from undrift.base.clock import Clock
 from undrift.errors import InputError, RigError, RigFault, RigTimeout
 from undrift.io.parquet import read_own_parquet
+from undrift.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
 from undrift.record import Face, Kind, Record
 from undrift.rig.chamber import Chamber, Operator, Readings, SoakWatch, mean_temp
 from undrift.rig.folder import Head, RecordedDwell, RunFolder
@@ -36,7 +37,6 @@ from undrift.rig.judge import (
 )
 from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
-from undrift.rig.programme import TURN_S, Dwell, Mount, Programme, Soak, Step
 from undrift.rig.rig import TRAVEL_MARGIN, Achieved, Position, Rig, achieved_turn_rate, check_programme
 
 # ---- run

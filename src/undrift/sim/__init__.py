@@ -9,7 +9,9 @@ effect added to it.
 ``sessions``    a device in a motion: calibration sessions and trials; ``thermal`` the same over temperature, hours long
 ``table_sessions``, ``bench_errors``   sessions dwell by dwell on a bench that errs, for studies of thousands
 ``host``                             a host that stamps late
-``bench``, ``servo``   table, chamber, device and operator, as `rig run` drives them; ``hands``: a device in a person's hands
+``servo``       motor and loop of a rate table
+
+A device that is read as time goes on (``device.causal``) is on the simulated bench of `rig`, or in a person's hands in `live`.
 
 Rates are rad/s, forces m/s2, temperatures degC; b is the case, n level with z up, quaternions turn b to n and are scalar first.
 Readings are in the unit of the device's data sheet. The forward equations are written here and nowhere else: nothing is imported

@@ -39,8 +39,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray, Shape, freeze
 from undrift.errors import InputError
+from undrift.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
 from undrift.record import FACES
-from undrift.rig.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of, play
 from undrift.sim.device.model import DeviceModel

@@ -44,8 +44,8 @@ from undrift.errors import AlignmentError, CalibrationError, InputError
 from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
 from undrift.orientation import IN_PLANE, initial_tilt, orient_unchecked, sagittal_pitch, shortest_rotation_up
+from undrift.programme import DAMPING, Protocol
 from undrift.record import FACES, Record, Reference, Still
-from undrift.rig.programme import DAMPING, Protocol
 from undrift.sim.bench_errors import BenchDraws, BenchErrors, draw_bench
 from undrift.sim.device.effects import BUTTERWORTH, LowPass, SensorChain
 from undrift.sim.device.model import DeviceModel, device_from_json

@@ -31,8 +31,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.io.formats import read_markers, read_reference
 from undrift.io.reference import L5_OFFSET, BodyName, device_on, find_body
+from undrift.programme import GridRule, Protocol
 from undrift.record import FACES, Reference
-from undrift.rig.programme import GridRule, Protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
 from undrift.sim.device.presets import PRESETS, preset

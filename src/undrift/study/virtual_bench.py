@@ -1,4 +1,4 @@
-"""The note's method on a simulated bench: table, chamber and device (sim/bench.py), fits, a worn trial, checks.
+"""The note's method on a simulated bench: table, chamber and device (rig/simulated.py), fits, a worn trial, checks.
 
     bench      faces and rates at room temperature                   -> calibrate    offset, matrix
     thermal    rates, in the longer plan faces too, at set-points    -> fit_drift    tables
@@ -22,13 +22,13 @@ from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import DriftFit, fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables, TriadModel
+from undrift.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.record import FACES, Record, Reference, Session
 from undrift.rig.chamber import ChamberSetup, SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
-from undrift.rig.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.rig.run import Progress, RigBench, RunResult, run_programme
-from undrift.sim.bench import AirSettings, SimulatedBench, SimulatedSettings
+from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables

@@ -25,7 +25,7 @@ from undrift.live.transports import source_at
 from undrift.record import Record, joined
 
 if TYPE_CHECKING:
-    from undrift.sim.hands import HandHeld
+    from undrift.live.hands import HandHeld
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
@@ -236,7 +236,7 @@ class PracticeDevice:
 
     def start(self, seed: int | None, speed: float, gravity_m_s2: float) -> str:
         """Start it, unless it is running; return its address."""
-        from undrift.sim.hands import start_hand_held
+        from undrift.live.hands import start_hand_held
 
         if self.device is None:
             self.device = start_hand_held(seed=seed, speed=speed, gravity_m_s2=gravity_m_s2)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from undrift.sim.bench import CausalDevice
+from undrift.sim.device.causal import CausalDevice
 from undrift.sim.device.effects import Scene, Thermometer, scene_of
 from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device

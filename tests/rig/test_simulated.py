@@ -11,12 +11,12 @@ from undrift.base.clock import PacedClock
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.io.session import read_session
+from undrift.programme import programme_of
 from undrift.record import FACES
 from undrift.rig.folder import RunFolder
-from undrift.rig.programme import programme_of
 from undrift.rig.rig import open_rig
 from undrift.rig.run import RigBench, run_programme
-from undrift.sim.bench import AirSettings, SimulatedBench, SimulatedSettings
+from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.units import RADIAN_PER_DEGREE as DPS

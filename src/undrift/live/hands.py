@@ -31,7 +31,7 @@ from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_produ
 from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.transports import Address, number_of
 from undrift.record import FACES, Axis, Face
-from undrift.sim.bench import Seen, SimulatedDevice
+from undrift.sim.device.causal import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector

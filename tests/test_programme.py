@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from undrift.errors import InputError
-from undrift.rig.programme import (
+from undrift.programme import (
     Dwell,
     Mount,
     Programme,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import FileFormatError
+from undrift.programme import Protocol, read_protocol, write_protocol
 from undrift.rig.folder import protocol_digest
-from undrift.rig.programme import Protocol, read_protocol, write_protocol
 
 DPS = np.pi / 180.0
 

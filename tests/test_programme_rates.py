@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.rig.programme import Protocol, rate_grid
+from undrift.programme import Protocol, rate_grid
 
 DPS = np.pi / 180.0
 SIT_TO_STAND = Protocol(turn_rate_min=5 * DPS, turn_rate_max=90 * DPS, turn_rate_step=5 * DPS, grid="paper")

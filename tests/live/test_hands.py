@@ -9,11 +9,11 @@ from testkit.waiting import eventually
 from undrift.base.clock import VirtualClock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
+from undrift.live.hands import HandSettings, start_hand_held
 from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
 from undrift.sim.device.presets import random_device, random_device_of
-from undrift.sim.hands import HandSettings, start_hand_held
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
