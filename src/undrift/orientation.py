@@ -453,7 +453,7 @@ def orient_unchecked(
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":
-        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (*findings, moved.finding)
+        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (*findings, *moved.findings)
     elif still is None:
         offsets = np.zeros((len(record), 3))
         uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))

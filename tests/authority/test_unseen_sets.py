@@ -1,11 +1,60 @@
 """Recordings that were not used to build undrift: what is determined, against each SOURCE.md, and what is refused."""
 
 import numpy as np
+import pytest
 from scipy.io import loadmat
 
 from testkit.data import data_path, show
+from testkit.findings import only
+from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.norm import QUADRATIC_SD, fit_norm
+from undrift.correction.motion import find_motion_offset
+from undrift.errors import NotObservable
+from undrift.record import Record
+from undrift.units import RADIAN_PER_DEGREE
 from undrift.units import STANDARD_GRAVITY as G
+
+
+def encoder(which: str) -> tuple[Record, np.ndarray]:
+    """Return the sensor on the motor and the angle of its encoder, deg."""
+    columns = {name: column.ravel() for name, column in loadmat(data_path("encoder_mpu6050", f"raw_{which}_slow.mat")).items()
+               if name.startswith("all")}  # fmt: skip
+    time = columns["all_time"]
+    later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1] + 1e-4)  # stamps step back or double
+    gyro, accel = (
+        np.stack([columns[f"all_{kind}_2_{axis}"] for axis in "xyz"], axis=1)[later] for kind in ("gyro", "accel")
+    )
+    record = Record(time=time[later] - time[0], gyro=gyro, accel=accel, gyro_unit="dps", accel_unit="g")
+    return record, columns["all_encoder"][later]
+
+
+@pytest.mark.parametrize(("which", "axes"), [("yaw", "z"), ("roll", "xyz")])
+def test_offset_from_motion_holds_the_encoder_or_keeps_its_prior(which: str, axes: str) -> None:
+    record, angle = encoder(which)
+    found = find_motion_offset(record.in_units("rad/s", "m/s2"), None)
+    offset, spread = np.degrees(found.rate), np.degrees(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)))
+    turned = np.cumsum(record.gyro * np.diff(record.time, prepend=0.0)[:, None], axis=0)
+    known = np.column_stack((angle, record.time, np.ones(len(angle))))
+    true = np.linalg.lstsq(known, turned, rcond=None)[0][1]  # rotation minus that of the encoder, per second
+    for axis in axes:
+        k = "xyz".index(axis)
+        show(
+            f"{which}, {axis}: offset, deg/s",
+            f"{offset[:, k].mean():.3f} +- {spread[:, k].max():.3f}, true {true[k]:.3f}",
+        )
+        assert abs(offset[:, k].mean() - true[k]) < 3.0 * spread[:, k].max()
+    if which == "yaw":  # gravity shows no turn about the vertical
+        assert np.abs(offset[:, 2]).max() < 1e-3
+        assert spread[:, 2].min() > 0.99 * found.prior[2] / RADIAN_PER_DEGREE
+        assert only(found.findings, "correct.motion_offset_kept").values["axes"] == "z"
+
+
+@pytest.mark.parametrize("which", ["yaw", "roll"])
+def test_motion_about_one_axis_calibrates_nothing(which: str) -> None:
+    record, _ = encoder(which)
+    with pytest.raises(NotObservable, match="one axis") as caught:
+        calibrate_from_motion([record.part(0, 12_000)])
+    show(f"{which}: rates along and across the axis, deg/s rms", (caught.value.along_dps, caught.value.across_dps))
 
 
 def test_matrix_and_offset_of_24_poses_leave_the_residual_that_is_stated() -> None:

@@ -109,21 +109,30 @@ def test_the_lie_of_the_case_is_not_seen_and_keeps_its_prior() -> None:
     assert "motion.case" in [item.code for item in fit_in_motion(records).gyro.verdict.findings]
 
 
-def test_turns_about_one_axis_are_named_with_the_movement_that_is_missing() -> None:
+def turned_about_y(late_s: float = 0.0) -> Record:
+    """Return a device that turns to and fro about y, with stops; its accelerometers are late."""
     time = np.arange(3000) / 50.0
-    angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))  # to and fro about y, with stops
+    angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))
     rng = np.random.default_rng(2)
     gyro = np.column_stack((np.zeros(3000), np.gradient(angle, time), np.zeros(3000))) + 1e-3 * rng.standard_normal(
         (3000, 3)
     )
-    force = np.column_stack((-np.sin(angle), np.zeros(3000), np.cos(angle))) * STANDARD_GRAVITY
-    fit = fit_in_motion([Record(time=time, gyro=gyro, accel=force + 0.05 * rng.standard_normal((3000, 3)))])
-    named = {item.code: item.text for item in fit.gyro.verdict.findings if item.level == "warn"}
-    show("named", list(named.values()))
-    assert "about x, z" in named["motion.gyro_prior"]
-    assert "y" in named["motion.accel_prior"]
-    assert fit.gyro.verdict.status == "marginal"
-    assert np.sqrt(fit.gyro.model.covariance[4, 4]) < 0.5 * np.sqrt(fit.gyro.model.covariance[0, 0])
+    seen = np.interp(time - late_s, time, angle)
+    force = np.column_stack((-np.sin(seen), np.zeros(3000), np.cos(seen))) * STANDARD_GRAVITY
+    return Record(time=time, gyro=gyro, accel=force + 0.05 * rng.standard_normal((3000, 3)))
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.04])
+def test_turns_about_one_axis_are_refused(late_s: float) -> None:
+    with pytest.raises(NotObservable, match="one axis") as caught:
+        fit_in_motion([turned_about_y(late_s)])
+    assert caught.value.along_dps > 10.0 * caught.value.across_dps
+
+
+def test_a_scale_that_no_part_has_is_refused() -> None:
+    records, _, _ = handled(3, 1)
+    with pytest.raises(Implausible, match="off its stated unit"):
+        fit_in_motion([replace(one, accel=1.4 * np.asarray(one.accel)) for one in records])
 
 
 @pytest.mark.parametrize(

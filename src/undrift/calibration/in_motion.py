@@ -40,8 +40,10 @@ STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)  # of a s
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # Errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8
 WIDENED = {"gyro": 1.5, "accel": 1.8}
+ONE_AXIS = 0.1  # share of the rates about the main axis, below which the others are no turns [assumed]
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
 FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
+IMPLAUSIBLE = 0.25  # of a scale factor: raw parts are within 0.2
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
 _OF_GYRO = np.r_[:9, 21:24]
@@ -290,7 +292,21 @@ def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
             f"motion: wanted a device that is turned, got rates of {turned:.2g} deg/s rms; turn it in the hand, slowly, about "
             "every axis, for a minute"
         )
+    _check_turned_axes(units)
     return units
+
+
+def _check_turned_axes(units: list[_Unit]) -> None:
+    """Raise NotObservable if the device turns about one axis: errors of the accelerometers then read as scale of a gyroscope."""
+    turns = np.sqrt(np.linalg.eigvalsh(np.mean([np.cov(one.rate.T) for one in units], axis=0)).clip(0.0))
+    if turns[1] < ONE_AXIS * turns[2]:
+        raise NotObservable(
+            f"motion: the device turns about one axis only, {np.degrees(turns[2]):.3g} deg/s rms; across it, rates are "
+            f"{np.degrees(turns[1]):.2g} deg/s rms. Errors of the accelerometers then read as scale of the gyroscope. Turn the "
+            "device in the hand, slowly, about every axis, for a minute",
+            along_dps=float(np.degrees(turns[2])),
+            across_dps=float(np.degrees(turns[1])),
+        )
 
 
 def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
@@ -348,6 +364,14 @@ def _result(
                 valid_range=(min(float(each.min()) for each in readings), max(float(each.max()) for each in readings)),
             )
         )
+    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
+        scale = np.linalg.norm(np.linalg.inv(matrix), axis=1)
+        if (most := float(np.abs(scale - 1.0).max())) > IMPLAUSIBLE:
+            raise Implausible(
+                f"motion: a scale of the {triad} is {100.0 * most:.3g} % off its stated unit, and raw parts are within "
+                f"{100.0 * IMPLAUSIBLE:g} %. Check unit, gain and sample rate, and that both triads share one clock",
+                percent=100.0 * most,
+            )
     spread = np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
     of_each = [[k for k, one in enumerate(units) if one.recording == r] for r in range(len(records))]
     sizes = [[np.exp(each.sizes[0]) for k in places for _, each, _ in units[k].stretches] for places in of_each]

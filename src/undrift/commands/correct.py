@@ -294,7 +294,7 @@ def _correct_one(
     (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
     if find_offset is not None:
         rest = find_offset(record, model, opening, corrector())
-        stream, notes = corrector(offset=rest), {rest.finding.text: None}
+        stream, notes = corrector(offset=rest), {item.text: None for item in rest.findings}
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
     beyond: tuple[Beyond, ...] = ()

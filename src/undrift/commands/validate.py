@@ -591,7 +591,7 @@ def recordings_section(method: Validated, trials: "tuple[Trial, ...]") -> Sectio
                 "optics seen, whole file (%)": _percent(trial.figures.valid_optics_file),
             }
         )
-    rests = (f"{trial.recording}: {trial.rest.finding.text}" for trial in trials if trial.rest)
+    rests = (f"{trial.recording}: {item.text}" for trial in trials if trial.rest for item in trial.rest.findings)
     text = ("The motion, over which the errors count, is shaded in each figure of errors.", *rests)
     return rows_section("Recordings", rows, text=text, on="page")
 

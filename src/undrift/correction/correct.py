@@ -334,7 +334,7 @@ def re_zeroed(
     in_pieces(subtract, len(rate), threads)
     rate.flags.writeable = False
     object.__setattr__(done.record, "offset_uncertainty", remainder.uncertainty)
-    return replace(done, rest=remainder, findings=(*done.findings, remainder.finding))
+    return replace(done, rest=remainder, findings=(*done.findings, *remainder.findings))
 
 
 def offset_left(

@@ -8,8 +8,9 @@ with the means, the walk of the attitude and the sizes of fit/carried.py. b, d a
 squares, linearised anew about the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset
 and sizes of its own; offsets follow a random walk from one stretch to the next.
 
-The prior of b is the mean at a rest; where there is none, what a calibration or a data sheet leaves of it. Gravity shows no turn
-about the vertical: along an axis that stays upright b keeps its prior.
+The prior of b is the mean at a rest; without a rest, what a calibration or a data sheet leaves of it. Gravity shows no turn about
+the vertical: along an axis that stays upright b keeps its prior. The rates of a device that was not calibrated are off by E w, E
+within the tolerances of data sheets: b answers that in part, and its uncertainty includes the answer.
 """
 
 import math
@@ -24,6 +25,7 @@ from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset, moved_
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
+from undrift.fit.priors import GYRO_CROSS_AXIS, SCALE_FACTOR
 from undrift.model import OFFSET_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.segments import unpadded
@@ -38,7 +40,9 @@ CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
+_KEPT = 0.7  # of the prior deviation, above which an axis keeps its prior
 _FIXED = 1e-9  # of an error of the rates while the sizes are sought: it is part of what is left
+_LEAST_MATRIX = 1e-5  # of an element of E
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
 
@@ -96,10 +100,17 @@ class MotionOffset:
         }
 
     @property
-    def finding(self) -> Finding:
-        """What was subtracted, in words."""
+    def findings(self) -> tuple[Finding, ...]:
+        """What was subtracted, and the axes whose offset the motion does not determine."""
         _, *figures = self.figures.values()
-        return finding("correct.motion_offset", "info", **dict(zip(_SHOWN, figures, strict=True)))
+        shown = finding("correct.motion_offset", "info", **dict(zip(_SHOWN, figures, strict=True)))
+        spread = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
+        kept = spread > _KEPT * self.prior
+        if self.rest is not None or not kept.any():
+            return (shown,)
+        axes = ", ".join(axis for axis, hidden in zip("xyz", kept.tolist(), strict=True) if hidden)
+        size = float(self.prior[kept].max()) / RADIAN_PER_DEGREE
+        return shown, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
 
 
 def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
@@ -116,21 +127,25 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         )
     prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
     usual = np.zeros(3) if rest is None else rest.rate
-    stretches, offsets, information = _fitted(record, usual, usual, prior, STRETCH_S)
+    stretches, theta, information = _fitted(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
-        short = _fitted(record, usual, usual, prior, SHORT_S)[1][:-3].reshape(-1, 3).mean(axis=0)
-        other = _fitted(record, short, usual, prior, STRETCH_S)
+        pieces, short, _ = _fitted(record, usual, usual, prior, SHORT_S)
+        near = short[: 3 * len(pieces)].reshape(-1, 3).mean(axis=0)
+        other = _fitted(record, near, usual, prior, STRETCH_S)
         if sum(one.cost for one in other[0]) < sum(one.cost for one in stretches):
-            stretches, offsets, information = other
+            stretches, theta, information = other
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
     covariance *= _UNRESTED**2 if rest is None else 1.0
+    if (of_matrix := matrix_deviation(record, model)) is not None:  # E turns gravity as an offset does
+        answers = _answers(record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro))
+        covariance += (answers * of_matrix.ravel() ** 2) @ answers.T
     first = np.r_[:3, count : count + 3]
     vertical, of_vertical = stretches[0].vertical(covariance[np.ix_(first, first)])
     return MotionOffset(
         vertical=vertical,
         vertical_covariance=of_vertical,
         time=np.array([one.middle for one in stretches]),
-        rate=offsets[:count].reshape(-1, 3),
+        rate=theta[:count].reshape(-1, 3),
         covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
         prior=np.sqrt(np.diag(prior)),
         acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
@@ -147,11 +162,16 @@ def offset_answer(record: Record, prior: FloatArray, of_rate: FloatArray) -> Flo
     none, unit = np.zeros(3), of_rate.shape[1]
     if record.duration_s < 2.0 * MEAN_S:  # two means show nothing beside the prior
         return np.zeros((3, 3, unit))
-    stretches, _, information = _fitted(record, none, none, np.diag(prior**2), STRETCH_S, of_rate)
-    own = 3 * len(stretches) + 3
-    answers = np.linalg.solve(information[:own, :own], information[:own, own:])[:-3]
+    answers = _answers(record, none, none, np.diag(prior**2), of_rate)[:-3]
     mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
     return mean
+
+
+def _answers(record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, of_rate: FloatArray) -> FloatArray:
+    """Return the change of the offsets of each stretch and of d, (3 S + 3, 3 C), per unit of an error x_c e_b of the rates."""
+    stretches, _, information = _fitted(record, near, usual, prior, STRETCH_S, of_rate)
+    own = 3 * len(stretches) + 3
+    return np.asarray(np.linalg.solve(information[:own, :own], information[:own, own:]))
 
 
 def _fitted(
@@ -172,6 +192,8 @@ def _fitted(
     accel = CALIBRATED if calibrated else RAW
     spans = [slice(a, b) for a, b in pairwise(edges)]
     stretches = [CarriedMeans(record.time[span]) for span in spans]
+    whole = tilted(force, accel[0])
+    axes = [tilted(force[span], accel[0]) if np.trace(whole) > 2.5 else whole for span in spans]
     more = np.ones((len(rate), 1)) if of_rate is None else np.hstack((np.ones((len(rate), 1)), of_rate))
     errors = 3 * (more.shape[1] - 1)
     loose = np.concatenate((np.repeat((_LOOSE, accel[0]), 3), np.full(errors, _FIXED)))
@@ -184,6 +206,7 @@ def _fitted(
             places = np.r_[3 * k : 3 * k + 3, count : count + 3 + errors]
             offset, of_force = theta[places[:6]].reshape(2, 3)
             mean, turned, fixed = one.means(rate[span] - offset, force[span] - of_force, more[span], more[span, :1])
+            turned = np.einsum("kibc,ab->kiac", turned, axes[k])
             of_error = turned[..., 1:].reshape(len(mean), 3, errors)
             design = -np.concatenate((turned[..., 0], fixed[..., 0], of_error), axis=2)
             own, towards = one.equations(mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY))
@@ -196,6 +219,25 @@ def _fitted(
         if np.abs(step[:count]).max() < _SETTLED:
             break
     return stretches, theta, information
+
+
+def tilted(force: FloatArray, deviation: float) -> FloatArray:
+    """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers of a deviation, m/s2, measure.
+
+    An error of the rate about the vertical turns no gravity. An axis that stays within ``deviation / g`` of the vertical, rms,
+    would seem to be determined by the errors of the accelerometers.
+    """
+    up = force / np.linalg.norm(force, axis=1)[:, None]
+    away, axes = np.linalg.eigh(np.eye(3) - up.T @ up / len(up))  # mean square sine of the angle to the vertical
+    tilts = axes[:, away > (deviation / STANDARD_GRAVITY) ** 2]
+    return np.asarray(tilts @ tilts.T)
+
+
+def matrix_deviation(record: Record, model: TriadModel | None) -> FloatArray | None:
+    """Return the standard deviation of each element of E (3, 3) by data sheets; None for a calibrated device, whose E is small."""
+    if record.state == "corrected" and (model is None or model.covariance[:9, :9].any()):
+        return None
+    return np.where(np.eye(3, dtype=bool), SCALE_FACTOR, GYRO_CROSS_AXIS)
 
 
 def axis_moved_by(model: TriadModel | None) -> float:

@@ -76,12 +76,11 @@ class RestOffset:
         return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 
     @property
-    def finding(self) -> Finding:
+    def findings(self) -> tuple[Finding, ...]:
         """What was subtracted, in words."""
         (start_s, stop_s), rate, uncertainty = self.figures.values()
-        return finding(
-            "correct.rest_offset", "info", start_s=start_s, stop_s=stop_s, offset_dps=rate, uncertainty_dps=uncertainty
-        )
+        shown = {"start_s": start_s, "stop_s": stop_s, "offset_dps": rate, "uncertainty_dps": uncertainty}
+        return (finding("correct.rest_offset", "info", **shown),)
 
 
 def moved_by(model: TriadModel | None) -> float:

@@ -28,3 +28,6 @@ TABLE_ARM = 0.1
 
 # start of a dwell in which the rate of a table settles, s: four time constants of 0.5 s. Assumed.
 SETTLE_S = 2.0
+
+# cross-axis term of a gyroscope as read, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, two standard deviations.
+GYRO_CROSS_AXIS = 0.01
