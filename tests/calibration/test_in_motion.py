@@ -129,10 +129,12 @@ def test_turns_about_one_axis_are_refused(late_s: float) -> None:
     assert caught.value.along_dps > 10.0 * caught.value.across_dps
 
 
-def test_a_scale_that_no_part_has_is_refused() -> None:
+@pytest.mark.parametrize(("gyro", "accel"), [(1.35, 1.0), (1.0, 1.8)])
+def test_a_scale_that_no_part_has_is_refused(gyro: float, accel: float) -> None:
     records, _, _ = handled(3, 1)
-    with pytest.raises(Implausible, match="off its stated unit"):
-        fit_in_motion([replace(one, accel=1.4 * np.asarray(one.accel)) for one in records])
+    with pytest.raises(Implausible, match="off its stated unit") as caught:
+        fit_in_motion([replace(one, gyro=gyro * one.gyro, accel=accel * one.accel) for one in records])  # type: ignore[operator]
+    assert caught.value.percent > 30.0
 
 
 @pytest.mark.parametrize(

@@ -364,8 +364,9 @@ def _result(
                 valid_range=(min(float(each.min()) for each in readings), max(float(each.max()) for each in readings)),
             )
         )
-    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
-        scale = np.linalg.norm(np.linalg.inv(matrix), axis=1)
+    gravity = np.median([np.median(np.linalg.norm(one.force, axis=1)) for one in units]) / STANDARD_GRAVITY
+    gyro_scale = np.linalg.norm(np.linalg.inv(model.gyro), axis=1)
+    for triad, scale in (("gyroscope", gyro_scale), ("accelerometer", gravity)):
         if (most := float(np.abs(scale - 1.0).max())) > IMPLAUSIBLE:
             raise Implausible(
                 f"motion: a scale of the {triad} is {100.0 * most:.3g} % off its stated unit, and raw parts are within "
