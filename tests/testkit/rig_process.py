@@ -75,13 +75,10 @@ class SendingDevice(TalkingDevice):
         readings = self.host.bench.readings[0]
         while not self._end.wait(TOGETHER_S):
             with self.host.card.lock:
-                record = readings.stop()
-                readings.start()
-            columns = (record.time * RATE_HZ, *record.gyro.T, *record.accel.T, record.temp_c)
-            lines = "".join(
-                ",".join([f"{count:.0f}", *(f"{x:.9g}" for x in row)]) + "\n"
-                for count, *row in zip(*columns, strict=True)
-            )
+                self.host.bench.advance()
+                chunks, readings._kept = readings._kept, []
+            rows = ((count, *row) for counts, values in chunks for count, row in zip(counts, values, strict=True))
+            lines = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
             for client in list(self._clients):
                 with contextlib.suppress(OSError):
                     client.sendall(lines.encode())
