@@ -165,3 +165,21 @@ def test_axes_numbered_from_0_or_1_are_three_axes(tmp_path):
     assert '"ACCEL_LSM6_0", "ACCEL_LSM6_1", "ACCEL_LSM6_2"' in found.example[0].partition("accel")[2]
     assert '"GYRO_LSM6_0", "GYRO_LSM6_1", "GYRO_LSM6_2"' in found.example[0].partition("gyro")[2]
     assert describe(put(tmp_path, "b.csv", f"n_0,n_1,n_2,n_3\n{'1,2,3,4' * 1}\n1,2,3,5\n")).example == ()
+
+
+@pytest.mark.parametrize(
+    ("content", "columns"),
+    [
+        ("1,2,3,4,5,6,7\n{}", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),  # numbered columns
+        ("t;ax;ay;az;gx;gy;gz\n{}\n", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),  # rows end with ;
+        ("=~=~= PuTTY log, 2026.01.31, 12:00 =~=~=\n{}", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),
+    ],
+)
+def test_odd_headers_leave_one_question(tmp_path, content, columns):
+    mark = ";" if ";" in content else ","
+    lines = "\n".join(
+        mark.join(f"{x:.4g}" for x in (k / 100, 0.1, 0.2 + k % 3 / 10, 9.8, k % 5 / 7, 0.3, k % 4 / 9))
+        + ";" * (mark == ";")
+        for k in range(200)
+    )
+    assert describe(put(tmp_path, "a.csv", content.format(lines + "\n"))).example[0] == columns

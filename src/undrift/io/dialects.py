@@ -210,7 +210,7 @@ def dialects() -> dict[str, Dialect]:
     }
 
 
-def holds_poses(name: str) -> bool:
+def may_hold_poses(name: str) -> bool:
     """Return whether a table of a shipped map may hold orientations."""
     return name in dialects() and dialects()[name].poses
 

@@ -76,7 +76,10 @@ def sniff(path: object) -> Text:
     delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
     skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
-    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in _cells(raw[skip], delimiter, decimal))
+    first = _cells(raw[skip], delimiter, decimal)
+    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
+    if len(first) > 2 and all(cell.strip().isdecimal() for cell in first) and set(np.diff([*map(int, first)])) == {1}:
+        skip += 1  # columns that are numbered, not named
     return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
 
 
@@ -328,9 +331,8 @@ def _by_position(text: Text) -> list[dict[str, str]]:
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
-    counters = [k for k in range(grows, width) if _counts(_readings(text, {}, [k]))]
-    clock = {"time": 0} if grows else {}
-    left = [k for k in range(grows, width) if k not in counters]
+    clock, columns = {"time": 0} if grows else {}, {k: _readings(text, {}, [k]) for k in range(grows, width)}
+    left = [k for k, values in columns.items() if len(values) and not _counts(values)]
     odd = [clock | {"temp": left[0]}, clock | {"temp": left[-1]}] if len(left) % 3 == 1 else [clock]
     found = []
     for keys in odd:

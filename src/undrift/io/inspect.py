@@ -29,7 +29,7 @@ from undrift.io.columns import (
     is_native,
     native_columns,
 )
-from undrift.io.dialects import holds_poses
+from undrift.io.dialects import may_hold_poses
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
 from undrift.io.imucal import is_imucal
@@ -290,7 +290,7 @@ def describe(
         missing = error.numbers.get("missing")
         if missing not in _MISSING:
             raise
-        if missing == "readings" and holds_poses(name):
+        if missing == "readings" and may_hold_poses(name):
             return _reference(path, name)
         names = error.numbers.get("names")
         shown = tuple(map(str, names)) if isinstance(names, tuple) else ()
@@ -436,7 +436,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
     more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
-    of_reading = columns is not None or holds_poses(name)
+    of_reading = columns is not None or may_hold_poses(name)
     more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
     return Description(
         path=str(path),
