@@ -97,21 +97,19 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     if case.none_found:
         settings = replace(settings, still=StillSettings(window_s=10.0))  # longer than any rest
     for _ in range(devices):
-        session, matrix, offset, settled = drawn(case, rng)
+        session, matrix, offset = drawn(case, rng)
         seen = observe(session, settings)
         accel = calibrate_faces(seen, None)
         made = calibrate_turns(seen, None, accel.fit)
         assert made.fit is not None
         drifted = offset_drift(seen, float(np.linalg.norm(made.fit.model.matrix, 2)))
         verdict = Verdict.of(*seen.findings, *made.findings, *drifted).also(made.fit.verdict)
-        settles = any(item.code == "gyro.warm_up" for item in verdict.findings)
-        tally.add_model(verdict, made.fit.model, matrix, settled if settles else offset)
+        tally.add_model(verdict, made.fit.model, matrix, offset)
     yield from tally.rows()
 
 
-def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the session of a device, its matrix and offset at the mean temperature of its rests and turns, and the offset where
-    the rise ends, which a calibration states where it says that the offset settles."""
+def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
+    """Return the session of a device, its matrix, and the mean of its offset from the first to the last of rests and turns."""
     device = random_device(rng)
     slope, flicker = drawn_slope(rng), FLICKER if case.flicker else None
     low_pass = None if case.cutoff_hz is None else LowPass(cutoff_hz=np.full(3, case.cutoff_hz))
@@ -144,9 +142,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     mean_c = float(np.mean([temp_c[piece.start : piece.stop].mean() for piece in pieces]))
     truth = true_calibration(device, temp_c=mean_c).gyro
     assert truth is not None
+    during = slice(min(piece.start for piece in pieces), max(piece.stop for piece in pieces))
     drift = np.zeros(3)
-    for name, on in (("instability", case.flicker), ("random_walk", case.whole_walk)):
-        drift = drift + (device.gyro.gain * shown.gyro.of(name).mean(axis=0) if on else 0.0)
-    ends = truth if case.creep_s is None else true_calibration(device, temp_c=25.0 + 0.5 * case.creep_c).gyro
-    assert ends is not None
-    return session, truth.matrix, truth.offset + drift, ends.offset + drift
+    for name, on in (("instability", case.flicker), ("random_walk", case.whole_walk), ("warm_up", warm_up.any())):
+        drift = drift + (device.gyro.gain * shown.gyro.of(name)[during].mean(axis=0) if on else 0.0)
+    return session, truth.matrix, truth.offset + drift

@@ -11,16 +11,12 @@ from testkit.cohorts import COHORTS, FALSE_ALARM, share_limits
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.creep import (
-    SIZES,
-    Blocks,
     Creep,
-    blocks_within,
     creep_of,
     flicker_about_mean,
     flicker_of_means,
-    mean_square_size,
     offset_drift,
-    size_unit,
+    walk_about_mean,
 )
 from undrift.calibration.observe import CalibrateSettings, Observed, observe
 from undrift.errors import InputError
@@ -167,27 +163,6 @@ def averages(span: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.asarray(inside / inside.sum(axis=1)[:, None])
 
 
-def rests(flicker: float, seed: int, count: int = 12) -> list[np.ndarray]:
-    """Return rests of 20 s with white noise of 1 and flicker of a standard deviation, 30 s from start to start."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(round(count * 30.0 * FLICKER_HZ)) / FLICKER_HZ
-    signal = rng.standard_normal((len(time), 3))
-    for power in np.linspace(0.0, 4.0, 9):
-        keep = np.exp(-1.0 / FLICKER_HZ / 10.0**power)
-        state = rng.standard_normal(3)
-        for row in range(len(time)):
-            state = keep * state + np.sqrt(1.0 - keep**2) * rng.standard_normal(3)
-            signal[row] += flicker / 3.0 * state
-    return [signal[k : k + 200] for k in range(0, len(time), 300)]
-
-
-def size_found(windows: list[np.ndarray]) -> float:
-    """Return the size of flicker, root mean square over its likelihood, in the unit of the readings."""
-    unit = 1.0 / np.sqrt(10.0 * FLICKER_HZ)
-    blocks = blocks_within(windows, [FLICKER_HZ] * len(windows))
-    return float(unit * np.sqrt(mean_square_size(blocks.likelihood(unit))))
-
-
 @pytest.mark.slow
 def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches() -> None:
     span = np.vstack((SPAN, [3.0, 52.0]))  # the last overlaps the others
@@ -199,48 +174,18 @@ def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches
 
 def test_the_mean_from_the_first_to_the_last_stretch_is_taken_off() -> None:
     time = np.arange(0.01, 54.0, 0.02)
-    extent = np.array([1.0, 1.0, 4.0])  # the last is an integral over 4 s
-    rows = extent[:, None] * (averages(SPAN, time) - averages(np.array([[0.0, 54.0]]), time))
-    np.testing.assert_allclose(flicker_about_mean(SPAN, extent), rows @ correlation(time) @ rows.T, atol=16 * 4e-5)
+    rows = averages(SPAN, time) - averages(np.array([[0.0, 54.0]]), time)
+    np.testing.assert_allclose(flicker_about_mean(SPAN), rows @ correlation(time) @ rows.T, atol=2e-4)
     assert flicker_about_mean(np.array([[5.0, 9.0]])) == 0.0  # one stretch is its own mean
 
 
-@pytest.mark.slow
-def test_rests_that_flicker_show_the_size_and_white_ones_little() -> None:
-    white, flickering = (np.median([size_found(rests(size, seed)) for seed in range(5)]) for size in (0.0, 0.5))
-    assert 0.25 < flickering < 1.0  # a factor of two: 36 rests of 20 s are as long as the slow parts of flicker
-    assert white < 0.1  # of a reading's noise; a mean over 10 s has 0.1
-
-
-def test_blocks_of_white_noise_are_uncorrelated_with_one_variance() -> None:
-    rng = np.random.default_rng(3)
-    windows = [rng.standard_normal((size, 3)) for size in 200 * [60, 600]]  # the longer ones have longer blocks
-    blocks = blocks_within(windows, [FLICKER_HZ] * 400, removed=2)
-    long = blocks.reading[blocks.gain > np.median(blocks.gain)]
-    assert len(blocks.reading) == 200 * (12 - 2) + 200 * (33 - 2)
-    # a block of half a second has a variance of 1 / 5; 1.6 % at 12,000 degrees of freedom, five of them
-    np.testing.assert_allclose((blocks.reading**2).mean(axis=0), 0.2, rtol=0.08)
-    np.testing.assert_allclose((long**2).mean(axis=0), 0.2, rtol=0.1)
-
-
-def test_a_slope_that_the_filter_takes_out_is_no_flicker() -> None:
-    windows = rests(0.0, 6)
-    tilted = [window + 50.0 * np.linspace(-1.0, 1.0, len(window))[:, None] for window in windows]
-    plain, other = (blocks_within(w, [FLICKER_HZ] * len(w), removed=2) for w in (windows, tilted))
-    np.testing.assert_allclose(other.likelihood(0.1), plain.likelihood(0.1), rtol=1e-9, atol=1e-9)
-    assert size_found(tilted) > 10.0 * size_found(windows)  # where only the mean is taken out, it is
-
-
-def test_readings_without_noise_say_nothing() -> None:
-    blocks = blocks_within([np.ones((100, 3))] * 6, [FLICKER_HZ] * 6)
-    np.testing.assert_array_equal(blocks.likelihood(1.0), np.zeros(len(SIZES)))
-    none = Blocks(reading=np.zeros((0, 3)), gain=np.zeros(0))
-    np.testing.assert_array_equal(none.likelihood(1.0), np.zeros(len(SIZES)))
-
-
-def test_the_unit_is_the_noise_of_a_mean_over_ten_seconds() -> None:
-    noise = np.full((2, 3), 0.2)
-    assert size_unit(noise, np.array([[0.0, 2.5], [10.0, 12.5]])) == 0.1
+def test_a_walk_about_its_mean_has_the_covariance_of_drawn_walks() -> None:
+    rng, time = np.random.default_rng(4), np.linspace(0.0, 100.0, 401)
+    walks = np.cumsum(rng.normal(0.0, 0.5, (4000, 401)), axis=1)  # 0.25 s a step: variance 1 per second
+    picked = [0, 80, 200, 400]
+    drawn = (walks - walks.mean(axis=1)[:, None])[:, picked]
+    # 4,000 walks know a variance to 2.2 %, of which the largest is 33
+    np.testing.assert_allclose(walk_about_mean(time[picked]), drawn.T @ drawn / 4000, atol=0.1 * 33.0)
 
 
 # ---- rest offsets that differ between start and end of a session: found where they drift, not where they scatter

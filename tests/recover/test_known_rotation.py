@@ -85,9 +85,11 @@ def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationM
     rng = np.random.default_rng(1)
     device = white_device(rng, g_sensitivity=True).without_noise()
     found, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
-    np.testing.assert_allclose(found[:9], wanted[:9], atol=1e-11 * wanted[0])  # rounding of a sum of 200 readings
-    np.testing.assert_allclose(found[9:12], wanted[9:12], atol=1e-9)
-    np.testing.assert_allclose(found[12:], wanted[12:], atol=1e-12)
+    # rounding of a sum of 200 readings; affine, the prior of the g-sensitivity against the stated flicker of the offset
+    share = {"paper": 1e-11, "affine": 1e-7}[mode]
+    np.testing.assert_allclose(found[:9], wanted[:9], rtol=0, atol=share * wanted[0])
+    np.testing.assert_allclose(found[9:12], wanted[9:12], rtol=1e-7, atol=100.0 * share)
+    np.testing.assert_allclose(found[12:], wanted[12:], rtol=1e-3 if mode == "affine" else 1e-7, atol=share)
 
 
 @pytest.mark.slow

@@ -367,7 +367,7 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
             yield finding("known_rotation.other_rates", "info")
         elif gyro.fit.model.g_sensitivity is None:
             yield finding("multi_position.g_sensitivity", "info")
-    if gyro.fit is not None and gyro.method == "rate-table" and accel.fit is None:
+    if gyro.fit is not None and gyro.method in ("rate-table", "known-rotation") and accel.fit is None:
         # An offset that differs between the axes asks for the same recording.
         shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)
         yield from () if shown else (finding("rate_table.no_accel", "info"),)

@@ -32,30 +32,20 @@ from undrift.model import AXES
 from undrift.record import Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-# ---- flicker of an offset: 1/f noise, whose size is not known, in means at rest and in integrals over turns
+# ---- flicker and walk of an offset, of a stated size, in means over pieces of a session
 #
-#     V(q) = white noise + q^2 F        F (E, E): exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
-#
-# q is the same for three sensors. Rests of some seconds hardly show it: so results are averaged over all q, by their likelihood and
-# the prior 1 / (1 + q) / (1 + q^2), q in units of the white noise of a mean over 10 s. At q = 1 the Allan deviation turns from
-# white noise to flicker at 67 s: inertial MEMS turn at 10 to 100 s. What shows q is scatter between rests, and block means within
-# them:
-#
-#     y = U' P m                                     m block means of one rest, P takes out their mean (and a slope)
-#     var y_k = s^2 (1 + q^2 lambda_k / s0^2)        U, lambda of P F P'; s is profiled, s0 the scatter of y as it is
+#     F (E, E)        flicker: exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
+#     B (E, E)        random walk (Brownian covariance)
 
 
-WARM_UP = 0.2 * RADIAN_PER_DEGREE  # rad/s, one deviation at the start; found on gyroscopes: 0.05 to 0.25 deg/s
-SIZES = np.concatenate(([0.0], np.geomspace(0.02, 200.0, 60)))  # q in units of the white noise of a mean over 10 s
-_UNIT_S = 10.0
-PRIOR = (1.0 + SIZES) * (1.0 + SIZES**2)
 _TIMES_S = np.geomspace(1.0, 1e4, 9)
-_MOST_BLOCKS = 32  # of one rest
 
 
-def size_unit(noise: FloatArray, span: FloatArray) -> float:
-    """Return the unit of the SIZES: the noise (P, 3) of means over stretches (P, 2), s, taken to 10 s; median of all."""
-    return float(np.median(noise * np.sqrt(np.maximum(np.diff(span, axis=1), 1e-3) / _UNIT_S)))
+def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (3 E, 3 E) of M n_e, for sensors that err on their own: covariance (E, E, 3)."""
+    count = len(covariance)
+    carried = np.einsum("ik,efk,jk->eifj", matrix, covariance, matrix)
+    return np.asarray(carried.reshape(3 * count, 3 * count))
 
 
 def flicker_of_means(span: FloatArray) -> FloatArray:
@@ -69,56 +59,19 @@ def flicker_of_means(span: FloatArray) -> FloatArray:
     return np.asarray(total / len(_TIMES_S) / np.outer(stop - start, stop - start))
 
 
-def flicker_about_mean(span: FloatArray, extent: FloatArray | None = None) -> FloatArray:
-    """Return F of integrals over stretches (E, 2), s, less the mean from the first to the last; extent (E,) is 1 for a mean."""
-    extent = np.ones(len(span)) if extent is None else extent
+def flicker_about_mean(span: FloatArray) -> FloatArray:
+    """Return F of means over stretches (E, 2), s, minus the mean from the first to the last."""
     every = flicker_of_means(np.vstack((span, (span[:, 0].min(), span[:, 1].max()))))
-    away = np.column_stack((np.diag(extent), -extent))
+    away = np.column_stack((np.eye(len(span)), -np.ones(len(span))))
     return np.asarray(away @ every @ away.T)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blocks:
-    """Block means within rests, uncorrelated for every size of flicker."""
-
-    reading: FloatArray  # (B, 3), y
-    gain: FloatArray  # (B,), lambda
-
-    def likelihood(self, unit: float) -> FloatArray:
-        """Return log L of the SIZES, given their unit in that of the readings."""
-        noise = (self.reading**2).mean(axis=0) if len(self.reading) else np.zeros(3)
-        if not (noise > 0.0).all():
-            return np.zeros(len(SIZES))
-        weight = 1.0 / (1.0 + (SIZES[:, None, None] * unit) ** 2 * (self.gain[:, None] / noise))
-        square = (weight * self.reading**2).sum(axis=1)
-        return np.asarray(
-            0.5 * (np.log(weight).sum(axis=(1, 2)) - len(self.reading) * np.log(square / square[0]).sum(axis=1))
-        )
-
-
-def blocks_within(windows: Sequence[FloatArray], rates_hz: Sequence[float], removed: int = 1) -> Blocks:
-    """Return the block means of readings (N, 3) at rest, each freed of a polynomial in time with so many terms."""
-    readings, gains = [np.zeros((0, 3))], [np.zeros(0)]
-    for values, rate_hz in zip(windows, rates_hz, strict=True):
-        shortest = block_size(rate_hz)
-        size = max(shortest, len(values) // _MOST_BLOCKS)
-        count = len(values) // size
-        if count <= removed:
-            continue
-        means = values[: count * size].reshape(count, size, 3).mean(axis=1)
-        edges = np.arange(count + 1) * size / rate_hz
-        trend = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), removed - 1)
-        rest = np.linalg.qr(trend, mode="complete")[0][:, removed:]
-        gain, vectors = np.linalg.eigh(rest.T @ flicker_of_means(np.column_stack((edges[:-1], edges[1:]))) @ rest)
-        readings.append((rest @ vectors).T @ (means - means.mean(axis=0)) * (size / shortest) ** 0.5)
-        gains.append(gain.clip(0.0) * size / shortest)
-    return Blocks(reading=np.vstack(readings), gain=np.concatenate(gains))
-
-
-def mean_square_size(likelihood: FloatArray) -> float:
-    """Return the mean of q^2 over the SIZES by their log likelihood."""
-    share = np.exp(likelihood - likelihood.max()) * np.gradient(SIZES) / PRIOR
-    return float(share @ SIZES**2 / share.sum())
+def walk_about_mean(time: FloatArray) -> FloatArray:
+    """Return the covariance (E, E) of a random walk of 1 per root second, minus its mean from the first time to the last."""
+    since = time - time.min()
+    length = float(since.max())
+    mean = since - since**2 / (2.0 * length)
+    return np.asarray(np.minimum.outer(since, since) - mean[:, None] - mean + length / 3.0)
 
 
 # ---- drift of the gyroscopes' rest offsets between start and end of a session
@@ -336,6 +289,14 @@ class Creep:
     limit_k: float = np.inf  # A larger span is a finding, K
     kind: Kind = "accel"
     recorded: bool = True  # False where the drift of the rests stands for a temperature
+
+    def covariance_in_case(self, value: FloatArray) -> FloatArray:
+        """Return the covariance (3 P, 3 P) of warmth (alpha + beta value), each axis with slopes of its own; value (P, 3), SI."""
+        slopes = np.stack((self.offset_per_k * np.ones_like(value), self.scale_per_k * value))
+        columns = (self.warmth[:, None] * slopes)[:, :, :, None] * np.eye(3)  # slope, piece, row, axis
+        reference = (self.reference_k * slopes[1:])[:, :, :, None] * np.eye(3)
+        both = np.concatenate((columns, reference)).transpose(1, 2, 0, 3).reshape(value.size, -1)
+        return np.asarray(both @ both.T)
 
     def columns(self, of_scale: FloatArray, gain: float = 1.0, of_offset: FloatArray | float = 1.0) -> FloatArray:
         """Return C (P, 2) of one sensor, unit of the reading: of offset and of scale, one standard deviation each.

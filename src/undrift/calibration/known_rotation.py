@@ -1,22 +1,27 @@
-"""Known rotation: six faces, then one turn by a known angle about each axis; no rate table.
+"""Known rotation: rests, and one turn by a known angle about each axis; no rate table.
 
-    s = K w + b + G a          forward model of the gyroscopes, a the true specific force
-
-At rest on face p the mean reading is b + G a_p. Over the turn about axis j by the angle t_j the sum of readings is K e_j t_j +
-b T + G A_j, T its duration and A_j the integral of the calibrated specific force.
+A turn about axis j by the angle t_j in the time T is a piece at the known mean rate t_j / T about j, whatever the rate was on the
+way. Its mean reading u and mean specific force f, and those of the rests, are rows of the same equations as on a rate table:
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
-    affine     K, b and G by weighted least squares over faces, turns and the other rests, whose specific force is measured
+    affine     M u - c - G f = w + errors          M (3, 3), c = M o, and G, the g-sensitivity; w = 0 at rest
 
-What moves more than sample noise is in the weights and in the covariance: noise of block means, temperature creep, flicker, what
-rounding leaves, the angle of each turn, jitter of the clock, and the axis of the turns against the case.
+Without accelerometers G is left out, and what it may do to each piece is a source of error. The errors in the frame of the case:
+
+    noise, adc     M n                    noise and rounding of the mean
+    angle          a / T along j          angle of a turn, and jitter of the clock
+    axis           (t / T) d_j across j   the axis of the turns about j against the case, in common to them
+    temperature    warmth (alpha + beta w)   offset and scale follow the temperature
+    instability    flicker of a stated size, and a random walk of each sensor, whose size is an excess variance (fit/gls.py)
+
+Moves between the rests turn gravity, which shows the matrix as well (multi_position.py): its fit joins both.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, NamedTuple
@@ -37,40 +42,19 @@ from undrift.calibration.checks import (
     nearest_signed_permutation,
     order_text,
 )
-from undrift.calibration.creep import (
-    PRIOR,
-    SIZES,
-    WARM_UP,
-    Blocks,
-    Creep,
-    OffsetPrior,
-    blocks_within,
-    creep_of,
-    flicker_about_mean,
-    mean_square_size,
-    size_unit,
-)
+from undrift.calibration.creep import Creep, OffsetPrior, creep_of, flicker_about_mean, in_case, walk_about_mean
 from undrift.calibration.observe import Observed, Outcome, spans_of
 from undrift.calibration.pieces import unused_stills
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.equations import (
-    Equations,
-    Inverse,
-    averaged,
-    diagonal,
-    fading,
-    mixed,
-    moved_by,
-    parameter_order,
-    shares,
-    solutions,
-)
+from undrift.fit.equations import Inverse, offset_of
+from undrift.fit.gls import GlsFit, Prior, solve_inverse
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
-from undrift.model import AXES, TriadModel, Verdict
+from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
 from undrift.record import Axis, Record, Still, Turn, TurnAxis
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- do the fitted gyroscopes turn gravity as the accelerometer measures it?
 #
@@ -130,7 +114,7 @@ class RotationData:
     angle: FloatArray  # (R,), angle of each turn about +axis, rad
     axis: tuple[TurnAxis, ...]  # Axis of each turn
     reading: FloatArray  # (R, 3), integral of the gyroscope readings over each turn, unit * s
-    force: FloatArray  # (R, 3), integral of the calibrated specific force over each turn, m/s
+    force: FloatArray | None  # (R, 3), integral of the calibrated specific force over each turn, m/s
     duration: FloatArray  # (R,), s
     noise: FloatArray | None = None  # (R, 3), standard deviation of ``reading`` from sample noise alone
     slip: FloatArray | None = None  # (R,), what jitter of the clock adds to ``reading`` of the turned axis, unit * s
@@ -138,7 +122,6 @@ class RotationData:
     rest_force: FloatArray | None = None  # (P + F, 3), specific force on the faces, then in the free rests, m/s2
     span: FloatArray | None = None  # (P + F + R, 2), start and stop of faces, free rests and turns on one clock, s
     rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, unit
-    blocks: Blocks | None = None  # Of the readings within all rests
     pieces: tuple[Still | Turn, ...] = ()  # Faces, free rests and turns, in this order
 
     @property
@@ -148,54 +131,61 @@ class RotationData:
 
 
 def rotation_data(
-    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn], *, matrix: FloatArray, offset: FloatArray
+    records: Sequence[Record],
+    stills: Sequence[Still],
+    turns: Sequence[Turn],
+    *,
+    matrix: FloatArray | None,
+    offset: FloatArray | None,
 ) -> RotationData:
-    """Sum the readings of a session over its rests and its turns; matrix and offset are the accelerometer's."""
+    """Sum the readings of a session over its rests and its turns; matrix and offset are the accelerometer's, if there is one."""
+    accel = None if matrix is None or offset is None else (matrix, offset)
     used = [t for t in turns if t.axis is not None and t.angle is not None]
     rests = [*(s for s in stills if s.face is not None), *(s for s in stills if s.face is None)]
     rests, used = _moved_apart(records, rests, used)
-    faces = [s.face for s in rests if s.face is not None]
-    gyro, force = [], []
+    windows, force, usable = list[FloatArray](), list[FloatArray](), list[Still]()
     for still in rests:
-        readings = np.hstack([values[still.start : still.stop] for values in _both(records[still.recording])])
-        readings = readings[~np.isnan(readings).any(axis=1)]
-        gyro.append(readings[:, :3])
-        force.append((readings[:, 3:].mean(axis=0) - offset) @ matrix.T if len(readings) else np.full(3, np.nan))
-        if still.face is not None and len(readings) < 2:
+        window = slice(still.start, still.stop)
+        gyro, felt = _gyro(records[still.recording])[window], _force(records[still.recording], accel)[window]
+        whole = ~np.isnan(gyro).any(axis=1) & ~np.isnan(felt).any(axis=1)
+        if still.face is not None and whole.sum() < 2:
             raise InputError(
-                f"known rotation: wanted readings at rest on face {still.face}, got {len(readings)}; choose another stretch"
+                f"known rotation: wanted readings at rest on face {still.face}, got {whole.sum()}; choose another stretch"
             )
-    usable = [k for k, window in enumerate(gyro) if len(window) > 1]
-    windows, rests = [gyro[k] for k in usable], [rests[k] for k in usable]
+        if whole.sum() > 1:
+            windows.append(gyro[whole])
+            force.append(felt[whole].mean(axis=0))
+            usable.append(still)
+    size = sum(still.face is not None for still in usable)
     count = np.array([len(w) for w in windows], float)
-    sizes = [block_size(records[s.recording].sample_rate_hz) for s in rests]
+    sizes = [block_size(records[s.recording].sample_rate_hz) for s in usable]
     white, block = _sample_noise(windows, sizes)
     rest_noise = np.maximum(white, block * np.array(sizes)[:, None] ** 0.5) / count[:, None] ** 0.5
-    sums = [_turn_sums(records[t.recording], t, (white, block), matrix, offset) for t in used]
-    size, number = len(faces), len(rests)
+    sums = [_turn_sums(records[t.recording], t, (white, block), accel) for t in used]
     unit = records[0].gyro_unit
     means = np.array([w.mean(axis=0) for w in windows]).reshape(-1, 3)
-    noise = np.array([one.noise for one in sums]).reshape(-1, 3)
     return RotationData(
         rest=FaceMeans(
-            reading=means[:size], faces=tuple(faces), noise=rest_noise[:size] if number else None, unit=unit
+            reading=means[:size],
+            faces=tuple(still.face for still in usable if still.face is not None),
+            noise=rest_noise[:size] if usable else None,
+            unit=unit,
         ),
         rest_samples=count[:size],
         angle=np.array([t.angle for t in used], float),
         axis=tuple(t.axis for t in used if t.axis is not None),
-        reading=np.array([one.reading for one in sums]).reshape(-1, 3),
-        force=np.array([one.force for one in sums]).reshape(-1, 3),
-        duration=np.array([one.duration for one in sums]),
-        noise=noise,
-        slip=np.array([one.slip for one in sums]),
-        free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit) if number > size else None,
-        rest_force=np.array(force)[usable].reshape(-1, 3),
-        span=spans_of(records, [*rests, *used]),
-        blocks=blocks_within(windows, [records[s.recording].sample_rate_hz for s in rests], removed=2),
-        rounding=mean_rounding([_both(records[k])[0] for k in {s.recording for s in rests}], windows)
-        if number
+        reading=np.array([turn.reading for turn in sums]).reshape(-1, 3),
+        force=None if accel is None else np.array([turn.force for turn in sums]).reshape(-1, 3),
+        duration=np.array([turn.duration for turn in sums]),
+        noise=np.array([turn.noise for turn in sums]).reshape(-1, 3),
+        slip=np.array([turn.slip for turn in sums]),
+        free=FaceMeans(reading=means[size:], faces=(), noise=rest_noise[size:], unit=unit)
+        if len(usable) > size
         else None,
-        pieces=(*rests, *used),
+        rest_force=None if accel is None else np.array(force).reshape(-1, 3),
+        span=spans_of(records, [*usable, *used]),
+        rounding=mean_rounding([_gyro(records[k]) for k in {s.recording for s in usable}], windows) if usable else None,
+        pieces=(*usable, *used),
     )
 
 
@@ -221,10 +211,10 @@ class _TurnSums(NamedTuple):
 
 
 def _turn_sums(
-    record: Record, turn: Turn, noise: tuple[FloatArray, FloatArray], matrix: FloatArray, offset: FloatArray
+    record: Record, turn: Turn, noise: tuple[FloatArray, FloatArray], accel: tuple[FloatArray, FloatArray] | None
 ) -> _TurnSums:
-    gyro, accel = (values[turn.start : turn.stop] for values in _both(record))
-    if np.isnan(gyro).any() or np.isnan(accel).any():
+    gyro, force = _gyro(record)[turn.start : turn.stop], _force(record, accel)[turn.start : turn.stop]
+    if np.isnan(gyro).any() or np.isnan(force).any():
         raise InputError(f"known rotation: wanted the turn about {turn.axis} without gaps, got some; record it again")
     check_range([gyro], f"gyroscope in the turn about {turn.axis}")
     steps = np.diff(record.time)
@@ -237,7 +227,7 @@ def _turn_sums(
     change = float((np.diff(gyro[:, axis]) ** 2).sum()) - 2.0 * (len(gyro) - 1) * float(white[axis]) ** 2
     return _TurnSums(
         reading=step @ gyro,
-        force=step @ ((accel - offset) @ matrix.T),
+        force=step @ force,
         duration=float(step.sum()),
         noise=sample * np.sqrt(step @ step),
         slip=float(np.sqrt(0.5 * even.var() * max(change, 0.0))),
@@ -260,7 +250,7 @@ def _moved_apart(
     for still in stills:
         record = records[still.recording]
         chunk = max(1, round(_CHUNK_S * record.sample_rate_hz))
-        rest = _quiet(still, _both(record)[0][still.start : still.stop], chunk)
+        rest = _quiet(still, _gyro(record)[still.start : still.stop], chunk)
         for k, turn in enumerate(moved):
             if (
                 turn.recording == still.recording
@@ -289,141 +279,136 @@ def _quiet(still: Still, readings: FloatArray, chunk: int) -> Still:
     return replace(still, start=still.start + cut[0], stop=still.stop - cut[1])
 
 
-def _both(record: Record) -> tuple[FloatArray, FloatArray]:
-    if record.gyro is None or record.accel is None:
+def _gyro(record: Record) -> FloatArray:
+    if record.gyro is None:
+        raise InputError("known rotation: expected gyroscope readings in every recording, got none. Map their columns.")
+    return record.gyro
+
+
+def _force(record: Record, accel: tuple[FloatArray, FloatArray] | None) -> FloatArray:
+    """Return the specific force (N, 3), m/s2, by matrix and offset of the accelerometer; zeros without them."""
+    if accel is None:
+        return np.zeros((len(record), 3))
+    if record.accel is None:
         raise InputError("known rotation: wanted gyroscope and accelerometer, got one of them; map the missing columns")
-    return record.gyro, record.accel
+    return np.asarray((record.accel - accel[1]) @ accel[0].T)
 
 
 # ---- fit
-#
-# One sensor i has the rows  y = X theta + e,  theta = K_i, b_i, G_i:  a rest (0, 1, f), a turn (u t, T, A).
-#
-#     V_i(q) = noise + creep + rounding + q^2 F + what the sensors share: the angle of a turn, and its axis
-#
-# F is flicker (creep.py), over whose size q the parameters are averaged: rests and turns show it, and block means within the rests.
 
-_WARMER_K = 0.3  # what a thermometer shows moves the offset; less is no warm-up of 0.1 deg/s
-_DISAGREE = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
-_ROUNDING = 1e-12  # of the largest reading: no mean is known better than its arithmetic
+CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
+MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic
 
 
-def _equations(
-    data: RotationData,
-    unknowns: Mapping[str, FloatArray],
-    forward: FloatArray,
-    sigma: tuple[float, float],
-    creep: Creep | None,
-) -> Equations:
-    """Return the rows of rests and turns, and what is known of their errors: forward (3, 3), sigma of angle and axis, rad."""
-    rests, turns = len(data.means), len(data.angle)
-    extent = unknowns["offset"][:, 0]
-    covariances = {"noise": diagonal(_noise(data, extent) ** 2)}
-    if data.rounding is not None:
-        # One code for all rests errs alike in all; a turn's slow parts err by themselves.
-        alike = np.zeros((rests + turns, rests + turns))
-        alike[:rests, :rests] = 1.0
-        covariances["adc"] = (data.rounding**2)[:, None, None] * (alike + np.diag(extent**2))
-    if creep is not None:
-        gain = np.linalg.norm(forward, axis=1)
-        along = unknowns["matrix"] @ (forward / gain[:, None]).T
-        covariances["temperature"] = np.stack([creep.covariance(along[:, k], float(gain[k]), extent) for k in range(3)])
-    shared = _shared(data, forward, sigma, rests)
-    # So that V stays invertible; with flicker, which is the rest of the budget
-    covariances["instability"] = 1e-12 * diagonal(sum((columns**2).sum(axis=2).T for columns in shared.values()))
-    return Equations(unknowns=unknowns, reading=np.vstack((data.means, data.reading)), own=covariances, shared=shared)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _RotationRows:
+    """Rests, then turns, by their means: E pieces, three rows each."""
+
+    reading: FloatArray  # (E, 3), unit of the readings
+    rate: FloatArray  # (E, 3), rad/s
+    force: FloatArray | None  # (E, 3), m/s2
+    noise: FloatArray  # (E, 3), standard deviation of each mean
+    duration: FloatArray  # (R,), of the turns, s
+    along: FloatArray  # (R, 3), axis of each turn
+
+    @property
+    def rests(self) -> int:
+        """Number of rests."""
+        return len(self.reading) - len(self.duration)
+
+    def of_turns(self, values: FloatArray) -> FloatArray:
+        """Return rows (E, 3, ...) that are zero at rest, from those of the turns (R, 3, ...)."""
+        return np.concatenate((np.zeros((self.rests, *values.shape[1:])), values))
 
 
-def _noise(data: RotationData, extent: FloatArray) -> FloatArray:
-    """Return the standard deviation (E, 3) of each row; of an assumed size, alike in all samples, where it is not known."""
-    if data.rest.noise is None or data.noise is None:
+def _rows(data: RotationData, gravity: float) -> _RotationRows:
+    duration, along = data.duration[:, None], axis_vectors(data.axis)
+    force = None
+    if data.force is not None:
+        at_rest = gravity * face_vectors(data.rest.faces) if data.rest_force is None else data.rest_force
+        force = np.vstack((at_rest, data.force / duration))
+    if data.rest.noise is None or data.noise is None:  # alike in all samples
         samples = data.rest_samples.mean() / data.rest_samples
-        alike = np.ones(len(data.means) - len(samples))
-        return np.asarray(np.sqrt(np.concatenate((samples, alike, data.duration)))[:, None] * np.ones(3))
-    free = np.zeros((0, 3)) if data.free is None or data.free.noise is None else data.free.noise
-    least = _ROUNDING * np.abs(data.means).max() * extent[:, None]
-    return np.asarray(np.maximum(np.vstack((data.rest.noise, free, data.noise)), least))
+        others = np.ones(len(data.means) - len(samples))
+        noise = np.sqrt(np.concatenate((samples, others, 1.0 / data.duration)))[:, None] * np.ones(3)
+    else:
+        free = np.zeros((0, 3)) if data.free is None or data.free.noise is None else data.free.noise
+        noise = np.vstack((data.rest.noise, free, data.noise / duration))
+    reading = np.vstack((data.means, data.reading / duration))
+    return _RotationRows(
+        reading=reading,
+        rate=np.vstack((np.zeros_like(data.means), along * data.angle[:, None] / duration)),
+        force=force,
+        noise=np.maximum(noise, MIN_NOISE * np.abs(reading).max()),
+        duration=data.duration,
+        along=along,
+    )
 
 
-def _shared(data: RotationData, forward: FloatArray, sigma: tuple[float, float], rests: int) -> dict[str, FloatArray]:
-    """Return the errors of angle and axis, (3, E, c) each: one deviation of each turn, and of all turns about one axis."""
-    turns, leans = [], []
-    slip = np.zeros(len(data.angle)) if data.slip is None else data.slip
-    for turn, axis in enumerate(data.axis):
-        about = AXES.index(axis)
-        column = np.zeros((3, rests + len(data.angle)))
-        column[:, rests + turn] = forward[:, about] * np.hypot(sigma[0], slip[turn] / forward[about, about])
-        turns.append(column)
-    for about, name in enumerate(AXES):  # all turns about one axis lean alike, as a fixture or an edge does
-        along = np.where(np.array(data.axis) == name, data.angle, 0.0)
-        for across in {0, 1, 2} - {about}:
-            column = np.zeros((3, rests + len(data.angle)))
-            column[:, rests:] = sigma[1] * np.outer(forward[:, across], along)
-            leans.append(column)
-    return {"angle": np.stack(turns, axis=-1), "axis": np.stack(leans, axis=-1)}
+def _start(rows: _RotationRows) -> FloatArray:
+    """Return a first forward matrix K by least squares, with the g-sensitivity if the rests show it."""
+    design = np.column_stack((rows.rate, np.ones(len(rows.rate))))
+    if rows.force is not None and scaled_condition(full := np.column_stack((design, rows.force)))[0] == full.shape[1]:
+        design = full
+    return np.asarray(np.linalg.lstsq(design, rows.reading, rcond=None)[0][:3].T)
 
 
-class _Average(NamedTuple):
-    """Unknowns over all sizes of flicker and all time constants of a warm-up."""
-
-    theta: FloatArray  # (21,), in the order of a model
-    covariance: FloatArray  # (21, 21)
-    flicker: FloatArray  # (E, E), covariance of flicker of the mean q^2
-    warm_up: float = 0.0  # Probability that the offset settles
-    settles_s: float = np.nan  # Its time constant, s
-
-
-def _averaged(equations: Equations, data: RotationData, scale: FloatArray, creep: Creep | None) -> _Average:
-    """Average over sizes of flicker, and over time constants of a warm-up; scale (3,), unit per rad/s.
-
-    A warm-up stands in place of an even creep of the offset that no thermometer shows; what a thermometer shows is none.
-    """
-    none, rests = np.zeros((len(equations.reading),) * 2), len(data.means)
-    if data.span is None:
-        theta, covariance, _ = _over_sizes(equations, none[None], 0.0)
-        return _Average(theta[0], covariance[0], none)
-    extent = equations.unknowns["offset"][:, 0]
-    size = size_unit(_noise(data, extent)[:rests], data.span[:rests])
-    flicker = flicker_about_mean(data.span, extent)  # the offset is the mean of the session
-    within = 0.0 if data.blocks is None else data.blocks.likelihood(size)
-    times, settling = fading(data.span, extent)
-    if creep is not None and creep.recorded and np.ptp(creep.warmth) > _WARMER_K:
-        times, settling = times[:0], settling[:0]
-    even = none if creep is None else creep.covariance(0.0 * creep.warmth, 1.0, extent)
-    solved, evidence = [], []
-    largest = np.minimum(WARM_UP, 1e5 * size / scale.max())  # without noise V stays invertible
-    for warm in (none, *(largest**2 * columns @ columns.T - even for columns in settling)):
-        more = (scale**2)[:, None, None] * warm
-        thetas, covariances, likelihood = _over_sizes(equations, (SIZES[:, None, None] * size) ** 2 * flicker, more)
-        solved.append((likelihood + within, thetas, covariances))
-        evidence.append(np.logaddexp.reduce(likelihood + within + np.log(np.gradient(SIZES) / PRIOR)))
-    share, settles, settles_s = shares(np.array(evidence), times)
-    means, spreads = zip(*(averaged(SIZES, *one, (PRIOR, PRIOR)) for one in solved), strict=True)
-    theta, covariance = mixed(np.array(means), np.array(spreads), share)
-    return _Average(theta, covariance, mean_square_size(solved[0][0]) * size**2 * flicker, settles, settles_s)
-
-
-def _by_creep(equations: Equations, average: _Average, inverse: Inverse, creep: Creep | None) -> FloatArray:
-    """Return what one deviation of each sensor's creep of scale adds to the matrix row by row, (9, 3)."""
-    columns = np.zeros((3, len(equations.reading), 3))
+def _sources(
+    rows: _RotationRows, data: RotationData, matrix: FloatArray, sigma: tuple[float, float], creep: Creep | None
+) -> dict[str, FloatArray]:
+    """Return the stated covariances (3 E, 3 E) of the rows, or their diagonals (3 E,), (rad/s)^2; sigma of angle and axis, rad."""
+    count, own = len(rows.reading), np.eye(len(rows.reading))
+    sources = {"noise": in_case(matrix, own[:, :, None] * rows.noise[:, None] ** 2)}
+    if data.rounding is not None:
+        alike = own.copy()  # the rests read one code and err alike; a turn errs by itself
+        alike[: rows.rests, : rows.rests] = 1.0
+        sources["adc"] = in_case(matrix, alike[:, :, None] * data.rounding**2)
+    if data.span is not None:
+        sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(data.span), np.eye(3))
     if creep is not None:
-        forward = inverse.forward[:, :3]
-        for k, gain in enumerate(np.linalg.norm(forward, axis=1)):
-            columns[k, :, k] = creep.columns(equations.unknowns["matrix"] @ forward[k] / gain, float(gain))[:, 1]
-    moved = moved_by(equations.gains(equations.covariance + average.flicker), columns)
-    return np.asarray(inverse.jacobian[:9] @ moved)
+        sources["temperature"] = creep.covariance_in_case(rows.rate)
+    slip = 0.0 if data.slip is None else data.slip[:, None] * np.diag(matrix)  # rad
+    angle = rows.along * (sigma[0] ** 2 + slip**2) / rows.duration[:, None] ** 2
+    sources["angle"] = rows.of_turns(angle).ravel()
+    # all turns about one axis lean alike, as a fixture or an edge does
+    rate = rows.rate[rows.rests :].sum(axis=1)
+    lean = np.einsum("rj,ik->rijk", rows.along * rate[:, None], np.eye(3)) * (1.0 - np.eye(3))[:, :, None]
+    columns = sigma[1] * rows.of_turns(lean.reshape(-1, 3, 9)).reshape(3 * count, 9)
+    sources["axis"] = columns @ columns.T
+    if rows.force is None:  # the g-sensitivity keeps its prior
+        sources["prior"] = np.full(3 * count, (G_SENSITIVITY * STANDARD_GRAVITY) ** 2)
+    return sources
 
 
-def _over_sizes(
-    equations: Equations, family: FloatArray, more: FloatArray | float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return theta (T, 21), covariances (T, 21, 21) and log likelihood (T,) of a family (T, E, E) and more beside the stated."""
-    root = [np.linalg.cholesky(family + part) for part in equations.covariance + more]
-    fits = [solutions(equations.design, reading, own) for reading, own in zip(equations.reading.T, root, strict=True)]
-    gains = np.stack([fit.gain for fit in fits], axis=1)
-    covariances = [equations.carried(gain, part + more) for gain, part in zip(gains, family, strict=True)]
-    thetas = np.hstack([fit.theta for fit in fits])[:, parameter_order(7)]
-    return thetas, np.array(covariances), np.sum([fit.likelihood for fit in fits], axis=0)
+def _excess(rows: _RotationRows, span: FloatArray | None) -> dict[str, FloatArray]:
+    """Return the shapes of errors whose sizes the residuals show: the hand, and a walk of each sensor."""
+    shapes: dict[str, FloatArray] = {}
+    if len(rows.along) > 3:  # one turn about each axis shows nothing of the hand
+        shapes["hand"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
+    if span is not None and np.ptp(middle := span.mean(axis=1)) > 0.0:
+        walk = walk_about_mean(middle)
+        shapes |= {f"walk {axis}": np.kron(walk, np.diag(np.eye(3)[k])) for k, axis in enumerate(AXES)}
+    return shapes
+
+
+class RotationParameters(NamedTuple):
+    """Parameters of the model with their covariance, in its order: M row by row, o, and G row by row if it was fitted."""
+
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    parts: dict[str, FloatArray]  # covariance by source
+    by_creep: FloatArray  # (9, 3), change of M by one deviation of each sensor's creep of scale
+    walk: FloatArray  # (3,), variance of the walk of each sensor, (rad/s)^2 / s
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M (3, 3)."""
+        return self.theta[:9].reshape(3, 3)
+
+    @property
+    def g_sensitivity(self) -> FloatArray | None:
+        """G (3, 3), or None."""
+        return self.theta[12:].reshape(3, 3) if len(self.theta) > 12 else None
 
 
 def fit_known_rotation(
@@ -435,134 +420,181 @@ def fit_known_rotation(
     axis_uncertainty: float = 0.0,
     scale_tolerance: float = 0.25,
     creep: Creep | None = None,
-    moves: Callable[
-        [Inverse, FloatArray, FloatArray], TriadModel | PoorFit | None
-    ] = lambda inverse, covariance, by_creep: None,
+    moves: Callable[[RotationParameters], TriadModel | PoorFit | None] = lambda fitted: None,
 ) -> TriadFit:
-    """Fit gyroscopes, with their g-sensitivity, to rests and turns; angle and axis have standard uncertainties, rad.
+    """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
-    ``moves`` returns what moves between the rests make of the matrix that the turns show, with its covariance and (9, 3) by how
-    much it follows creep of each scale.
+    Angle and axis have standard uncertainties, rad. ``moves`` returns the matrix that turns and moves together determine.
     """
-    _check_complete(data)
-    up = face_vectors(data.rest.faces)
-    force = gravity * up if data.rest_force is None else data.rest_force
-    turns = axis_vectors(data.axis) * data.angle[:, None]
-    leak = np.column_stack((data.duration, data.force))
-    unknowns = {
-        "matrix": np.vstack((np.zeros((len(force), 3)), turns)),
-        "offset": np.concatenate((np.ones(len(force)), leak[:, 0]))[:, None],
-        "g": np.vstack((force, leak[:, 1:])),
-    }
-    closed = _closed_form(data, up, gravity, turns, leak, mode)
-    reading = np.vstack((data.means, data.reading))
-    theta = (closed @ reading).T
-    _check_turns(theta[:, :3], data, scale_tolerance)
-    equations = _equations(data, unknowns, theta[:, :3], (angle_uncertainty, axis_uncertainty), creep)
-    average = _averaged(equations, data, np.linalg.norm(theta[:, :3], axis=1), creep)
-    gains, moved = equations.gains(), None
+    _check_complete(data, mode)
+    rows = _rows(data, gravity)
+    start = _start(rows)
+    _check_turns(start, data, scale_tolerance)
+    matrix = np.linalg.inv(start)
+    sources = _sources(rows, data, matrix, (angle_uncertainty, axis_uncertainty), creep)
     if mode == "paper":
-        gains = np.stack((closed, closed, closed))
-        inverse = Inverse.of(theta)
-        covariance = inverse.carried(equations.carried(gains, average.flicker))
+        fitted, residuals = _paper(data, rows, sources, gravity)
+        checked = finding("known_rotation.no_spare_equations", "info")
     else:
-        inverse = Inverse.of(average.theta[np.argsort(parameter_order(7))].reshape(3, 7))
-        covariance = inverse.carried(average.covariance)
-        moved = moves(inverse, covariance, _by_creep(equations, average, inverse, creep))
-    inverse, covariance, checked = _with_moves(inverse, covariance, moved)
-    theta = inverse.forward
-    rank, condition = scaled_condition(np.column_stack((np.ones(len(up)), up)))
+        fitted, residuals = _affine(data, rows, sources, matrix, creep)
+        fitted, checked = _with_moves(fitted, moves(fitted))
+    g = fitted.g_sensitivity
+    at_rest = (
+        np.ones((rows.rests, 1))
+        if rows.force is None
+        else np.column_stack((np.ones(rows.rests), rows.force[: rows.rests]))
+    )
+    condition = scaled_condition(at_rest)[1]
     fastest = float(np.abs(data.angle / data.duration).max())
     has_noise = data.rest.noise is not None and data.noise is not None
+    variances = {name: np.diag(part) for name, part in fitted.parts.items()}
     return triad_fit(
-        (reading - equations.design @ theta.T) @ inverse.matrix.T,
-        Verdict.of(checked, *_judged(data, angle_uncertainty, creep, average, np.diag(covariance)[9:12])),
+        residuals,
+        Verdict.of(checked, *_judged(data, angle_uncertainty, creep, np.diag(fitted.covariance)[9:12])),
         method=f"known-rotation/{mode}",
         unit_in=data.rest.unit,
         unit_out="rad/s",
-        matrix=inverse.matrix,
-        offset=inverse.offset,
-        g_sensitivity=inverse.g_sensitivity,
-        parameters=inverse.parameters,
-        covariance=covariance if has_noise else np.full((21, 21), np.nan),
-        budget=equations.budget(inverse, covariance, "instability", gains=gains) if has_noise else None,
-        rank=3 * rank + 9,
+        matrix=fitted.matrix,
+        offset=fitted.theta[9:12],
+        g_sensitivity=g,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(() if g is None else G_NAMES)),
+        covariance=fitted.covariance if has_noise else np.full(fitted.covariance.shape, np.nan),
+        budget=Budget.of(fitted.covariance, variances, "instability") if has_noise else None,
+        rank=len(fitted.theta),
         condition=condition,
         valid_range=(-fastest, fastest),
     )
 
 
-def _closed_form(
-    data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray, mode: KnownRotationMode
-) -> FloatArray:
-    """Return (7, E): K, b and G of one sensor from its means and sums, b and G from the faces alone."""
+def _affine(
+    data: RotationData, rows: _RotationRows, sources: dict[str, FloatArray], matrix: FloatArray, creep: Creep | None
+) -> tuple[RotationParameters, FloatArray]:
+    """Return the parameters by generalised least squares, and the residuals (E, 3), rad/s."""
+    prior, excess = None, _excess(rows, data.span)
+    if rows.force is not None:
+        prior = Prior(mean=np.zeros(21), precision=np.diag(np.repeat([0.0, G_SENSITIVITY**-2], [12, 9])))
+    fit = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
+    offset, jacobian = offset_of(fit.theta[:9].reshape(3, 3), fit.theta[9:12], len(fit.theta))
+    parts = dict(fit.budget)
+    for kind in excess:
+        source = "angle" if kind == "hand" else "instability"
+        parts[source] = parts.pop(kind) + parts.get(source, 0.0)
+    fitted = RotationParameters(
+        theta=np.concatenate((fit.theta[:9], offset, fit.theta[12:])),
+        covariance=jacobian @ fit.covariance @ jacobian.T,
+        parts={name: jacobian @ part @ jacobian.T for name, part in parts.items()},
+        by_creep=_by_creep(rows, fit, creep),
+        walk=np.array([fit.excess.get(f"walk {axis}", 0.0) for axis in AXES]),
+    )
+    return fitted, -fit.residuals.reshape(-1, 3)
+
+
+def _by_creep(rows: _RotationRows, fit: GlsFit, creep: Creep | None) -> FloatArray:
+    """Return what one deviation of each sensor's creep of scale adds to the matrix row by row, (9, 3)."""
+    if creep is None:
+        return np.zeros((9, 3))
+    columns = (creep.warmth * creep.scale_per_k)[:, None, None] * rows.rate[:, :, None] * np.eye(3)
+    return np.asarray(-fit.gains[:9] @ columns.reshape(-1, 3))
+
+
+def _paper(
+    data: RotationData, rows: _RotationRows, sources: dict[str, FloatArray], gravity: float
+) -> tuple[RotationParameters, FloatArray]:
+    """Return the parameters by the closed form, and the residuals (E, 3), rad/s."""
+    up, turns = face_vectors(data.rest.faces), rows.along * data.angle[:, None]
+    force = np.zeros_like(data.reading) if data.force is None else data.force
+    leak = np.column_stack((data.duration, force))
+    closed = _closed_form(data, up, gravity, turns, leak)
+    inverse = Inverse.of((closed @ np.vstack((data.means, data.reading))).T)
+    # errors e of the rows are errors K e of the mean readings, and T K e of the sums over turns
+    extent = np.concatenate((np.ones(rows.rests), data.duration))
+    each = np.einsum("pe,ik->ipek", closed * extent, inverse.forward[:, :3]).reshape(3, 7, -1)
+    gains = inverse.jacobian @ np.vstack((each[:, :3].reshape(9, -1), each[:, 3], each[:, 4:].reshape(9, -1)))
+    parts = {name: (gains * s if s.ndim == 1 else gains @ s) @ gains.T for name, s in sources.items()}
+    g = np.zeros((3, 3)) if inverse.g_sensitivity is None else inverse.g_sensitivity
+    theta = np.concatenate((inverse.matrix.ravel(), inverse.offset, g.ravel()))
+    fitted = RotationParameters(
+        theta=theta,
+        covariance=np.sum([*parts.values()], axis=0),
+        parts=parts,
+        by_creep=np.zeros((9, 3)),
+        walk=np.zeros(3),
+    )
+    corrected = (rows.reading - inverse.offset) @ inverse.matrix.T
+    if rows.force is not None:
+        corrected = corrected - rows.force @ g.T
+    return fitted, corrected - rows.rate
+
+
+def _closed_form(data: RotationData, up: FloatArray, gravity: float, turns: FloatArray, leak: FloatArray) -> FloatArray:
+    """Return (7, E): K, b and G of one sensor from its means and sums, b and G from half differences of the faces."""
     samples, count = data.rest_samples, len(data.rest.faces)
-    if mode == "paper":  # half differences, repeated faces averaged
-        to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
-    else:
-        design = np.column_stack((np.ones(len(up)), gravity * up))
-        weighted = design * samples[:, None]
-        to_rest = np.linalg.solve(weighted.T @ design, weighted.T)
-    per_turn, made = np.linalg.pinv(turns), np.zeros((7, len(data.means) + len(turns)))
-    made[:3, :count], made[:3, len(data.means) :] = -per_turn @ leak @ to_rest, per_turn
-    made[3:, :count] = to_rest
-    return made
+    to_rest = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
+    per_turn, solver = np.linalg.pinv(turns), np.zeros((7, len(data.means) + len(turns)))
+    solver[:3, :count], solver[:3, len(data.means) :] = -per_turn @ leak @ to_rest, per_turn
+    solver[3:, :count] = to_rest
+    return solver
 
 
 # Moves from rest to rest turn gravity (multi_position.py), whatever angle and axis of a turn were. The turns' matrix and its
-# covariance C enter their fit, which returns both joined, m and C_m; the other parameters x follow:
+# covariance C enter their fit, which returns both joined, m and C_m. The other parameters x follow:
 #
-#     x + B (m - x_M)        B = cov(x, x_M) C^-1        and of errors e of x by the turns alone is left  (1 + B (C_m C^-1 - 1)) e
+#     x + B (m - x_M)        B = cov(x, x_M) C^-1
+#
+# Of errors e of x by the turns only, (1 + B (C_m C^-1 - 1)) e is left.
 
 
-def _with_moves(
-    inverse: Inverse, covariance: FloatArray, moved: TriadModel | PoorFit | None
-) -> tuple[Inverse, FloatArray, Finding]:
-    """Return model and covariance (21, 21) of rests, turns and moves together, and whether chance makes them differ so."""
+def _with_moves(fitted: RotationParameters, moved: TriadModel | PoorFit | None) -> tuple[RotationParameters, Finding]:
+    """Return the parameters by rests, turns and moves together, and whether chance makes them differ so."""
     if isinstance(moved, PoorFit):
-        return inverse, covariance, finding("known_rotation.moves_contradict", "warn", reason=str(moved))
-    if moved is None or inverse.g_sensitivity is None:
-        return inverse, covariance, finding("known_rotation.no_spare_equations", "info")
-    of_turns, joint, away = covariance[:9, :9], moved.covariance[:9, :9], (moved.matrix - inverse.matrix).ravel()
-    gain, change = np.linalg.solve(of_turns, covariance[:9]).T, np.eye(21)
-    change[:, :9] += gain @ (np.linalg.solve(of_turns, joint).T - np.eye(9))
-    changed = Inverse(
-        matrix=moved.matrix,
-        offset=inverse.offset + gain[9:12] @ away,
-        g_sensitivity=inverse.g_sensitivity + (gain[12:] @ away).reshape(3, 3),
-        jacobian=change @ inverse.jacobian,
+        return fitted, finding("known_rotation.moves_contradict", "warn", reason=str(moved))
+    if moved is None:
+        return fitted, finding("known_rotation.no_spare_equations", "info")
+    by_turns, joint = fitted.covariance[:9, :9], moved.covariance[:9, :9]
+    away = (moved.matrix - fitted.matrix).ravel()
+    gain, change = np.linalg.solve(by_turns, fitted.covariance[:9]).T, np.eye(len(fitted.theta))
+    change[:, :9] += gain @ (np.linalg.solve(by_turns, joint).T - np.eye(9))
+    joined = fitted._replace(
+        theta=fitted.theta + gain @ away,
+        covariance=fitted.covariance + gain @ (joint - by_turns) @ gain.T,
+        parts={name: change @ part @ change.T for name, part in fitted.parts.items()},
     )
     shown = {"percent": 100.0 * float(np.abs(away).max() / np.linalg.norm(moved.matrix, 2)), "count": moved.count // 2}
-    apart = away @ np.linalg.solve((1.0 + 1e-6) * of_turns - joint, away) > _DISAGREE
+    apart = away @ np.linalg.solve((1.0 + 1e-6) * by_turns - joint, away) > CONTRADICTION
     agreement = finding(
         "known_rotation.moves_disagree" if apart else "known_rotation.moves_agree", "warn" if apart else "info", **shown
     )
-    return changed, covariance + gain @ (joint - of_turns) @ gain.T, agreement
+    return joined, agreement
 
 
-def _judged(
-    data: RotationData, angle: float, creep: Creep | None, average: _Average, variance: FloatArray
-) -> Iterator[Finding]:
+def _judged(data: RotationData, angle: float, creep: Creep | None, variance: FloatArray) -> Iterator[Finding]:
     if angle == 0.0:
         yield finding("known_rotation.angles_exact", "info")
     if creep is not None:
         yield from creep.findings()
-    if average.warm_up > 0.5:
-        yield finding("gyro.warm_up", "info", time_constant_s=average.settles_s)
     if data.rounding is not None:
         yield from limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
 
 
-def _check_complete(data: RotationData) -> None:
-    faces, axes = missing_faces(data.rest.faces), tuple(axis for axis in AXES if axis not in data.axis)
-    for missing, wanted, about, action in (
-        (faces, "rest on all six faces", "for", "record the missing faces"),
-        (axes, "a turn about each axis", "about", f"turn the device about {', '.join(axes)} by a known angle"),
-    ):
-        if missing:
-            raise NotObservable(
-                f"known rotation: wanted {wanted}, got none {about} {', '.join(missing)}; {action}", missing=missing
-            )
+def _check_complete(data: RotationData, mode: KnownRotationMode) -> None:
+    axes = tuple(axis for axis in AXES if axis not in data.axis)
+    if axes:
+        raise NotObservable(
+            f"known rotation: wanted a turn about each axis, got none about {', '.join(axes)}; turn the device about "
+            f"{', '.join(axes)} by a known angle",
+            missing=axes,
+        )
+    if not len(data.means):
+        raise NotObservable(
+            "known rotation: expected a rest for the offset, got none. Rest before and after each turn."
+        )
+    faces = missing_faces(data.rest.faces)
+    if mode == "paper" and (faces or data.force is None):
+        raise NotObservable(
+            f"known rotation, mode paper: wanted accelerometers and rest on all six faces, got none for "
+            f"{', '.join(faces) or 'the accelerometers'}; record the missing faces",
+            missing=faces,
+        )
 
 
 def _check_turns(forward: FloatArray, data: RotationData, tolerance: float) -> None:
@@ -599,45 +631,42 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
     return tuple(axis for axis in AXES if axis in lacking)
 
 
-def _under_flicker(moves: multi_position.Moves, blocks: Blocks | None) -> OffsetPrior:
-    """Return what rests show of the offset in each move, under flicker of the size q that they and their blocks show.
+def _offset_in_moves(moves: multi_position.Moves, walk: FloatArray, scale: FloatArray) -> OffsetPrior:
+    """Return what rests show of the offset in each move; walk (3,), (rad/s)^2 / s, and scale (3,), raw unit per rad/s.
 
-    m = o + f + e,  cov f = q^2 F:  o by least squares, f of a move from the rests around it (best linear prediction).
+    m = o + d + e, where d is flicker of the stated size and a walk about their means: o by least squares, d of a move from the
+    rests around it (best linear prediction).
     """
     reading, noise, count = multi_position.still_moments(moves.gyro, *moves.cores)
     number, white = len(reading), np.maximum(noise[:, None] / count, 1e-30)  # (3, K)
     clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # recordings follow each other
     rests, between = np.stack((moves.cores[0], moves.cores[1] - 1)), np.stack((moves.first, moves.last))
     span = clock[np.hstack((rests, between)).T]
-    unit, flicker, ones = size_unit(white.T**0.5, span[:number]), flicker_about_mean(span), np.ones((number, 1))
-    family = (SIZES[:, None, None] * unit) ** 2 * flicker[:number, :number]
-    likelihood = np.zeros(len(SIZES)) if blocks is None else blocks.likelihood(unit)
-    for values, own in zip(reading.T, white, strict=True):
-        likelihood = likelihood + solutions(ones, values, np.linalg.cholesky(family + np.diag(own))).likelihood
-    flicker *= mean_square_size(likelihood) * unit**2
-    inverse = np.linalg.inv(flicker[:number, :number] + np.eye(number) * white[:, None, :])  # (3, K, K)
+    drifts = GYRO_FLICKER**2 * flicker_about_mean(span) + walk[:, None, None] * walk_about_mean(span.mean(axis=1))
+    drifts *= scale[:, None, None] ** 2
+    inverse = np.linalg.inv(drifts[:, :number, :number] + np.eye(number) * white[:, None, :])  # (3, K, K)
     variance = 1.0 / inverse.sum(axis=(1, 2))
     mean = variance * np.einsum("kij,jk->k", inverse, reading)
-    to_moves = flicker[number:, :number] @ inverse
+    to_moves = drifts[:, number:, :number] @ inverse
     return OffsetPrior(
         mean=mean,
         variance=variance,
         drift=np.einsum("kij,jk->ik", to_moves, reading - mean),
-        drift_covariance=flicker[number:, number:] - to_moves @ flicker[:number, number:],
+        drift_covariance=drifts[:, number:, number:] - to_moves @ drifts[:, :number, number:],
         noise=noise,
         force=np.zeros(3),
     )
 
 
 def _by_moves(
-    seen: Observed, data: RotationData, accel: TriadModel, shown: tuple[Inverse, FloatArray, FloatArray]
+    seen: Observed, data: RotationData, accel: TriadModel, fitted: RotationParameters
 ) -> TriadModel | PoorFit | None:
     """Fit the matrix to turns and moves, with readings freed of the g-sensitivity.
 
     Return None if the moves determine nothing, and the error if no matrix fits turns and moves together.
     """
-    inverse, covariance, by_creep = shown
-    slope = inverse.forward[:, 4:]
+    forward = np.linalg.inv(fitted.matrix)
+    slope = np.zeros((3, 3)) if fitted.g_sensitivity is None else forward @ fitted.g_sensitivity
     records = [
         replace(r, gyro=r.gyro - (r.accel - accel.offset) @ accel.matrix.T @ slope.T)
         for r in seen.session.records
@@ -645,9 +674,11 @@ def _by_moves(
     ]
     stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
-    by_turns = multi_position.ByTurns(
-        inverse.matrix, covariance[:9, :9], by_creep, partial(_under_flicker, blocks=data.blocks)
-    )
+    # an offset that follows the temperature, or that rests show to drift, is interpolated between the rests as a walk is
+    drift = creep[1].offset_per_k * creep[1].span_k
+    walk = fitted.walk + drift**2 / max(float(np.ptp(spans_of(seen.session.records, stills))), 1.0)
+    offset = partial(_offset_in_moves, walk=walk, scale=np.linalg.norm(forward, axis=1))
+    by_turns = multi_position.ByTurns(fitted.matrix, fitted.covariance[:9, :9], fitted.by_creep, offset)
     try:
         return multi_position.fit_gyro_between_stills(
             records, stills, accel, creep=creep, by_turns=by_turns, scale_tolerance=seen.settings.scale_tolerance
@@ -660,11 +691,6 @@ def _by_moves(
 
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
-    if all(r.accel is None for r in seen.session.records):
-        return Outcome(findings=(finding("known_rotation.needs_accel", "warn"),))
-    missing = missing_faces([s.face for s in seen.faced if s.face is not None])
-    if accel is None or missing:
-        return Outcome(findings=(finding("known_rotation.needs_faces", "warn", missing=missing or "none"),))
     turns = tuple(t for t in seen.session.turns if t.angle is not None)
     findings: tuple[Finding, ...] = ()
     if not turns:
@@ -680,7 +706,9 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             findings = (*findings, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
     if lacking := _without_rest(seen.session.records, rests, turns):
         findings = (*findings, finding("known_rotation.no_rests", "warn", axes=lacking, within_s=_NEAR_S))
-    data = rotation_data(seen.session.records, rests, turns, matrix=accel.model.matrix, offset=accel.model.offset)
+    model = None if accel is None else accel.model
+    matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
+    data = rotation_data(seen.session.records, rests, turns, matrix=matrix, offset=offset)
     fit = fit_known_rotation(
         data,
         gravity=seen.session.gravity_m_s2,
@@ -689,7 +717,8 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         axis_uncertainty=seen.settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         creep=creep_of(seen, data.pieces, "gyro"),
         scale_tolerance=seen.settings.scale_tolerance,
-        moves=lambda *shown: _by_moves(seen, data, accel.model, shown),
+        moves=lambda fitted: None if model is None else _by_moves(seen, data, model, fitted),
     )
-    check_turns_gravity(seen.session.records, seen.stills, accel.model, fit.model)
+    if model is not None:
+        check_turns_gravity(seen.session.records, seen.stills, model, fit.model)
     return Outcome(fit=fit, method="known-rotation", findings=findings)

@@ -30,7 +30,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.adc import limited_by_codes
 from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
-from undrift.calibration.creep import Creep, creep_of, flicker_about_mean
+from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case, walk_about_mean
 from undrift.calibration.dwells import (
     DwellMeans,
     Dwells,
@@ -248,13 +248,13 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
     # means at one place between two codes err alike: apart by a share d of a step, rounding errors correlate by 1 - 6 d + 6 d^2
     rounding = np.sqrt(codes[:, None] * codes) * (1.0 - 6.0 * apart * (1.0 - apart))
     sources = {
-        "noise": _in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
-        "adc": _in_case(matrix, rounding),
+        "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
+        "adc": in_case(matrix, rounding),
     }
     if rows.span is not None:
         sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
     if rows.creep is not None:
-        sources["temperature"] = _temperature(rows.creep, rows.rate)
+        sources["temperature"] = rows.creep.covariance_in_case(rows.rate)
     if dwells.axes is not None:
         across, _ = _turning(dwells, count)
         columns = np.zeros((count, 3, dwells.axes.columns.shape[2]))
@@ -292,31 +292,6 @@ def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
     along[: len(own)] = np.where(own, dwells.turn_rate[:, None], 0.0)
     across[: len(own)] = np.where(own, 0.0, dwells.turn_rate[:, None])
     return across, along
-
-
-def _in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (3 E, 3 E) of M n_i for sensors that err on their own, (E, E, 3)."""
-    count = len(covariance)
-    carried = np.einsum("ik,efk,jk->eifj", matrix, covariance, matrix)
-    return np.asarray(carried.reshape(3 * count, 3 * count))
-
-
-def _temperature(creep: Creep, rate: FloatArray) -> FloatArray:
-    """Return the covariance of warmth (alpha + beta w), each axis with slopes of its own."""
-    count = len(rate)
-    slopes = np.stack((creep.offset_per_k * np.ones_like(rate), creep.scale_per_k * rate))
-    columns = (creep.warmth[:, None] * slopes)[:, :, :, None] * np.eye(3)  # slope, piece, row, axis
-    reference = (creep.reference_k * slopes[1:])[:, :, :, None] * np.eye(3)
-    both = np.concatenate((columns, reference)).transpose(1, 2, 0, 3).reshape(3 * count, -1)
-    return np.asarray(both @ both.T)
-
-
-def walk_about_mean(time: FloatArray) -> FloatArray:
-    """Return the covariance (E, E) of a random walk of 1 per root second, minus its mean from the first time to the last."""
-    since = time - time.min()
-    length = float(since.max())
-    mean = since - since**2 / (2.0 * length)
-    return np.asarray(np.minimum.outer(since, since) - mean[:, None] - mean + length / 3.0)
 
 
 # ---- model and findings

@@ -36,7 +36,7 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
-from undrift.calibration.creep import Creep, creep_of, flicker_about_mean
+from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case
 from undrift.calibration.dwells import mountings
 from undrift.calibration.norm import MG, QUADRATIC_SD
 from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
@@ -151,32 +151,16 @@ def _sources(poses: FaceMeans, up: FloatArray, gravity: float, matrix: FloatArra
     floor = MIN_NOISE * float(np.abs(poses.reading).max())
     noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
     rounding = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise)
+    own = np.eye(len(noise))[:, :, None]
     sources = {
-        "noise": _by_pose(matrix, np.maximum(noise**2 - rounding**2, floor**2)),
-        "adc": _by_pose(matrix, rounding**2),
+        "noise": in_case(matrix, own * np.maximum(noise**2 - rounding**2, floor**2)[:, None]),
+        "adc": in_case(matrix, own * np.broadcast_to(rounding**2, noise.shape)[:, None]),
     }
     if poses.creep is not None:
-        sources["temperature"] = _temperature(poses.creep, gravity * up)
+        sources["temperature"] = poses.creep.covariance_in_case(gravity * up)
     if poses.flicker is not None:
         sources["instability"] = np.kron(poses.flicker, np.eye(3))
     return sources
-
-
-def _by_pose(matrix: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return the covariance (3 P, 3 P) of M n_p, for independent readings n_p of variance (P, 3)."""
-    count = len(variance)
-    covariance = np.zeros((count, 3, count, 3))
-    for pose in range(count):
-        covariance[pose, :, pose] = (matrix * variance[pose]) @ matrix.T
-    return covariance.reshape(3 * count, 3 * count)
-
-
-def _temperature(creep: Creep, force: FloatArray) -> FloatArray:
-    """Return the covariance of warmth (alpha + beta force), each axis with slopes of its own; force (P, 3), m/s2."""
-    slopes = creep.warmth[:, None] * np.stack((creep.offset_per_k * np.ones(force.shape), creep.scale_per_k * force))
-    columns = slopes[:, :, :, None] * np.eye(3)  # slope, pose, row, axis
-    columns = columns.transpose(1, 2, 0, 3).reshape(force.size, -1)
-    return np.asarray(columns @ columns.T)
 
 
 def _tilt_shape(up: FloatArray, gravity: float) -> FloatArray:
