@@ -7,10 +7,12 @@ from scipy.io import loadmat
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate_from_motion
+from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.norm import QUADRATIC_SD, fit_norm
 from undrift.correction.motion import find_motion_offset
 from undrift.errors import NotObservable
 from undrift.record import Record
+from undrift.segments import sphere_of
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.units import STANDARD_GRAVITY as G
 
@@ -55,6 +57,28 @@ def test_motion_about_one_axis_calibrates_nothing(which: str) -> None:
     with pytest.raises(NotObservable, match="one axis") as caught:
         calibrate_from_motion([record.part(0, 12_000)])
     show(f"{which}: rates along and across the axis, deg/s rms", (caught.value.along_dps, caught.value.across_dps))
+
+
+def test_motion_of_analog_gyroscopes_holds_their_gains_by_optics() -> None:
+    log = loadmat(data_path("analog_gyro_with_optics", "imuRaw3.mat"))
+    counts, time = log["vals"].astype(float).T, log["ts"].ravel()
+    accel = counts[:, :3] * np.array([-1.0, -1.0, 1.0])
+    center, radius = sphere_of(np.array([block.mean(axis=0) for block in np.array_split(accel, len(accel) // 50)]))
+    nominal = 0.0163  # rad/s a count
+    gyro = (counts[:, [4, 5, 3]] - counts[:100, [4, 5, 3]].mean(axis=0)) * nominal
+    record = Record(
+        time=time - time[0], gyro=gyro, accel=(accel - center) * G / radius, gyro_unit="rad/s", accel_unit="m/s2"
+    )
+    model = fit_in_motion([record]).gyro
+    gain = 1e3 * nominal * np.diag(model.model.matrix)
+    spread = 1e3 * nominal * model.model.standard_uncertainty[[0, 4, 8]]
+    optics = np.array([15.49, 16.07, 17.29])
+    show(
+        "analog gyroscopes, motion alone: gains, 1e-3 rad/s a count",
+        f"{gain.round(2)} +- {spread.round(2)}, optics {optics}",
+    )
+    assert (np.abs(gain - optics) < 3.0 * spread).all()
+    assert "motion.gyro_prior" in [item.code for item in model.verdict.findings]
 
 
 def test_matrix_and_offset_of_24_poses_leave_the_residual_that_is_stated() -> None:

@@ -339,3 +339,12 @@ def test_scale_tolerance_holds_for_free_poses_and_their_moves() -> None:
     with pytest.raises(Implausible, match="wanted a scale factor"):
         fit_multi_position(fast, gravity=G)
     assert fit_multi_position(fast, gravity=G, scale_tolerance=0.5).gyro is not None
+
+
+def test_gyroscopes_that_read_nothing_are_refused() -> None:
+    record = recorded()
+    silent = replace(record, gyro=np.zeros_like(record.accel))
+    accel = fit_multi_position(record, gravity=G, stills=MOTION.stills, gyro=False).accel.model
+    with pytest.raises(NotObservable, match="nothing but their offset") as caught:
+        fit_gyro_between_stills([silent], MOTION.stills, accel)
+    assert caught.value.moves == 19

@@ -1,6 +1,7 @@
 """The gyroscope fit against an orientation reference: exact without noise, honest with it, plain about what it cannot see."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -15,6 +16,7 @@ from undrift.calibration.adc import restored_gyro
 from undrift.calibration.reference import (
     CODE_PRIOR,
     ReferenceSettings,
+    _shared_matrix,
     fit_reference,
     leave_one_out,
 )
@@ -534,3 +536,21 @@ def test_a_fit_says_that_samples_were_lost_and_rows_repeated():
     time = np.append(record.time, record.time[-1] + np.arange(1, 301) / record.sample_rate_hz)
     padded = replace(record, time=time, gyro=gyro, accel=accel)
     assert only(fit_reference([padded], [reference]).triad.verdict.findings, "recording.padded").level == "info"
+
+
+def test_elements_that_a_recording_does_not_determine_are_no_difference() -> None:
+    rng = np.random.default_rng(4)
+    recordings = []
+    for axis in range(3):  # each turns about one axis, and its own matrix is right about that axis only
+        gyro = 0.001 * rng.standard_normal((400, 3))
+        gyro[:, axis] += rng.standard_normal(400)
+        recordings.append(SimpleNamespace(gyro=gyro, moving=np.ones(400, bool)))
+    true = np.diag([1.01, 0.98, 1.02])
+    junk = true + 2.0 * rng.standard_normal((3, 3, 3))
+    for axis in range(3):
+        junk[axis, :, axis] = true[:, axis]
+    shared, worst = _shared_matrix(recordings, junk)  # type: ignore[arg-type]
+    np.testing.assert_allclose(shared, true, atol=0.01)
+    assert worst < 0.01
+    _, twice = _shared_matrix([recordings[0], recordings[0]], np.stack((true, 1.3 * true)))  # type: ignore[arg-type]
+    assert twice > 0.1

@@ -28,6 +28,7 @@ from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.least_squares import TriadFit, triad_fit
+from undrift.fit.priors import SCALE_FACTOR
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still
@@ -221,7 +222,12 @@ def fit_in_motion(
     wide[9:21] = WIDENED["accel"]
     freedom = 3.0 + np.array([one.as_from for one in prior.kinds])
     model.sizes = model.sizes * np.sqrt(freedom / (freedom - 2.0))  # Student's t: sizes are known from few elements
-    return _result(records, scales, units, model, np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide))
+    covariance = np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide)
+    for first, size in ((0, model.sizes[0]), (9, model.sizes[2])):
+        scale = first + np.array([0, 4, 8])
+        hidden = scale[np.sqrt(np.diag(covariance)[scale]) > SHOWN * size]
+        covariance[hidden, hidden] += SCALE_FACTOR**2  # only a data sheet states it
+    return _result(records, scales, units, model, covariance)
 
 
 def without_gaps(record: Record) -> list[Record]:

@@ -336,6 +336,12 @@ def fit_gyro_between_stills(
     felt: FloatArray = np.zeros((len(moves.before), 3))
     if by_turns is None:
         size = float(np.cbrt(abs(np.linalg.det(rough)) + 1e-18 * np.abs(rough).max() ** 3))
+        if not size > 0.0:
+            raise NotObservable(
+                f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
+                "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses",
+                moves=len(moves.first),
+            )
         prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / size)
         moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]

@@ -472,17 +472,25 @@ def _first_mountings(prepared: Sequence[Recording], settings: ReferenceSettings)
     """Return the rotation from the first recording's body to each one's, (R, 3, 3), where single fits show one; else none."""
     none = np.tile(np.eye(3), (len(prepared), 1, 1))
     matrices = np.array([p.lag.matrix for p in prepared])
-    if settings.mounting == "one" or _difference(matrices) <= _MOUNTING:
+    if settings.mounting == "one" or _shared_matrix(prepared, matrices)[1] <= _MOUNTING:
         return none
     left, _, right = np.linalg.svd(matrices @ np.linalg.pinv(matrices[0]))
     turned = left @ right
     return turned if (np.linalg.det(turned) > 0.0).all() else none
 
 
-def _difference(matrices: FloatArray) -> float:
-    """Return how far matrices (R, 3, 3) are from their mean, as a share of its size."""
-    mean = matrices.mean(axis=0)
-    return float(np.abs(matrices - mean).max()) / float(np.linalg.norm(mean, 2))
+def _shared_matrix(prepared: Sequence[Recording], matrices: FloatArray) -> tuple[FloatArray, float]:
+    """Return the matrix (3, 3) of all recordings from those of each (R, 3, 3), and the largest relative difference from it.
+
+    A recording weighs by its turns W, the covariance of its rates: M = sum(M_r W_r) (sum W_r)^-1. Its difference is that of the
+    corrected rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|, so that elements which it does not determine count for nothing.
+    """
+    turns = np.array([np.cov(p.gyro[p.moving].T) for p in prepared])
+    shared = np.asarray((matrices @ turns).sum(axis=0) @ np.linalg.pinv(turns.sum(axis=0)))
+    away, whole = (
+        np.trace(m @ turns @ np.swapaxes(m, -1, -2), axis1=-2, axis2=-1) for m in (matrices - shared, shared)
+    )
+    return shared, float(np.sqrt((away / whole).max()))
 
 
 def _first_guess(
@@ -491,7 +499,7 @@ def _first_guess(
     # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
     back = np.swapaxes(mounted, 1, 2)
     matrices = back @ np.array([p.lag.matrix for p in prepared])
-    matrix, worst = matrices.mean(axis=0), _difference(matrices)
+    matrix, worst = _shared_matrix(prepared, matrices)
     if worst > _MOUNTING:
         raise AlignmentError(
             f"reference: wanted one {'mounting' if settings.mounting == 'one' else 'device'} for all recordings, got matrices that "
