@@ -36,10 +36,10 @@ class Port(Protocol):
         """Send all of it."""
 
     def wake(self) -> None:
-        """Have a read that waits in another thread return soon."""
+        """Wake up a read that is blocked in another thread."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
 
 
 class Repeat:
@@ -173,7 +173,7 @@ class VirtualClock(Clock):
         self.pass_until(self._now + duration_s)
 
     def jump(self, time_s: float) -> None:
-        """Be later, and leave what is due to the next wait: for who holds what others wait for, as a link."""
+        """Advance the clock without running what is due (for code that holds a lock)."""
         self._now = max(self._now, time_s)
 
     def pass_until(self, time_s: float, enough: Callable[[], bool] = lambda: False) -> None:

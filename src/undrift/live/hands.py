@@ -328,7 +328,7 @@ class HandHeldSource:
         raise RigTimeout(f"{self.name}: wanted a reading within {deadline_s:g} s, got nothing; connect again")
 
     def close(self) -> None:
-        """Let go of it; harmless when called again."""
+        """Close it; harmless when called again."""
         self._open = False
         if self._alone:
             self._held.close()

@@ -25,7 +25,7 @@ from undrift.record import Record
 
 log = logging.getLogger(__name__)
 READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
-WAITED_S = 5e-4  # a read that took longer found nothing that waited for it
+WAITED_S = 5e-4  # a read that took longer than this had to wait for data
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

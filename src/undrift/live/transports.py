@@ -54,13 +54,13 @@ class Source(Protocol):
     errors: int  # Garbled readings that were left out so far
 
     def open(self) -> None:
-        """Connect; LinkError where nobody is."""
+        """Connect; raise LinkError if nothing answers."""
 
     def read(self, deadline_s: float) -> Chunk:
         """Return what has come, one reading or more."""
 
     def close(self) -> None:
-        """Let go of it; harmless when called again."""
+        """Close it; harmless when called again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,11 +119,11 @@ class SocketPort:
 
     def wake(self) -> None:
         """End the conversation, so that a read that waits in another thread returns at once."""
-        with contextlib.suppress(OSError):  # the other side was first
+        with contextlib.suppress(OSError):  # the peer has already closed
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
 
 
@@ -168,7 +168,7 @@ class SerialPort:
         """Nothing to do: a read waits a moment only."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         self._port.close()
 
 
@@ -268,7 +268,7 @@ class ByteSource:
                 )
 
     def close(self) -> None:
-        """Let go of the port; harmless when called again."""
+        """Close the port; harmless when called again."""
         if self.port is not None:
             getattr(self.port, self.ending)()
             self.port = None

@@ -268,7 +268,7 @@ class Readings(Protocol):
         """Return the latest reading in words, "" where there is none."""
 
     def close(self) -> None:
-        """Let go of the device; harmless when called again."""
+        """Close the device; harmless when called again."""
 
 
 class Operator(Protocol):
@@ -297,7 +297,7 @@ class SoakWatch:
         self._known = False
         self._air_since: float | None = None
         self._since = clock.now()
-        readings.start(certain=False)  # a board changes slowly, and looks follow each other without a pause
+        readings.start(certain=False)  # the board changes slowly, so the exact start does not matter
 
     def __str__(self) -> str:
         return "" if self.temp_c is None else f", device {self.temp_c:.2f} degC"

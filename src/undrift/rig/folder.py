@@ -75,7 +75,7 @@ class Journal:
         self.entries, self._sum = (*self.entries, entry), following
 
     def close(self) -> None:
-        """Let go of the file; harmless when called again."""
+        """Close the file; harmless when called again."""
         try:
             self._file.close()
         finally:
@@ -171,7 +171,7 @@ def _fsync(path: Path, flags: int) -> None:
 
 
 def claim(path: Path) -> None:
-    """Take a name for readings that are written next; never one that is taken."""
+    """Create the empty file of readings that are written next; refuse a name that exists."""
     try:
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
     except FileExistsError as error:
@@ -183,7 +183,7 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def room(path: Path) -> Iterator[None]:
-    """Say what a full or broken disk means for the run."""
+    """Turn an OSError into an error that names the file and what to do."""
     try:
         yield
     except OSError as error:

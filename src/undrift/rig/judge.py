@@ -66,7 +66,7 @@ class RunSettings:
 
 
 def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
-    """Tell whether the positions came too late to say how fast the table turned."""
+    """Return whether the positions came too late to determine how fast the table turned."""
     return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
 
 
@@ -283,7 +283,7 @@ def _part_means(gyro: FloatArray) -> FloatArray:
 
 
 def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
-    """Tell whether a force lies along a face's axis; in counts the sign of an axis is not known."""
+    """Return whether a force lies along the axis of a face; in counts the sign of an axis is not known."""
     along = (1.0 if face[0] == "+" else -1.0) * float(force["xyz".index(face[1])])
     return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))
 

@@ -26,8 +26,8 @@ from undrift.rig.rig import Limits, RigSettings
 
 T = TypeVar("T")
 ReplyEnd = Callable[[bytes], int]  # where a reply ends in what has come; 0 while it is not whole
-LONGEST_REPLY = 65536  # bytes without an end: no device of ours says so much
-CLOSE_S = 5.0  # that whoever waits for an answer is given to notice that the link is closed
+LONGEST_REPLY = 65536  # bytes, longest reply that is accepted
+CLOSE_S = 5.0  # s, how long close() waits for a pending exchange to fail
 
 log = logging.getLogger(__name__)
 
@@ -172,7 +172,7 @@ class Link(AbstractContextManager["Link"]):
             self._connect()
 
     def close(self) -> None:
-        """Let go of the connection; whoever waits for an answer is refused it. Harmless when called again."""
+        """Close the connection; a pending exchange raises LinkError. Harmless when called again."""
         self._lose("closed")
         self._port.wake()
         alone = self._one_at_a_time.acquire(timeout=CLOSE_S)

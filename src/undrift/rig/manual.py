@@ -47,7 +47,7 @@ class AskedOperator:
 class HandChamber(Chamber):
     """A chamber that a person sets when asked to; nothing can be read from it."""
 
-    near_c = 5.0  # self-heating of a board, and what an untrimmed thermometer is off
+    near_c = 5.0  # K, self-heating plus the error of an untrimmed thermometer
 
     def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
@@ -76,7 +76,7 @@ class HandChamber(Chamber):
 
 
 def open_chamber_from(address: str, settings: ChamberSetup, ask: Callable[[str], str] | None) -> HandChamber:
-    """Take a person's word for a chamber."""
+    """Return a chamber that a person sets and switches off."""
     if ask is None:
         raise InputError("chamber: wanted a person to ask, got none; a chamber by hand needs a terminal")
     return HandChamber(ask, settings)

@@ -385,7 +385,7 @@ class SimulatedReadings:
         return "  ".join(f"{name} {value:.6g}" for name, value in zip(names, self._newest, strict=True))
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Keep no more readings."""
         self._kept = None
 
 
