@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from undrift.errors import InputError, NotObservable
-from undrift.fit.equations import averaged, inverse_jacobian
+from undrift.fit.equations import inverse_jacobian
 from undrift.fit.least_squares import (
     excess_variance,
     fit_forward,
@@ -49,6 +48,21 @@ def test_the_jacobian_of_the_inverse_is_its_derivative():
         step[k] = 1e-6
         ends = [np.linalg.inv(matrix + sign * step.reshape(3, 3)).reshape(-1) for sign in (1.0, -1.0)]
         np.testing.assert_allclose(jacobian[:, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=1e-9)
+
+
+def test_an_error_in_common_weighs_as_by_generalised_least_squares():
+    rng = np.random.default_rng(12)
+    sigma, columns = 0.01 * (1.0 + rng.random((30, 3))), 0.05 * rng.normal(size=(3, 30, 2))
+    readings = INPUTS @ FORWARD.T + OFFSET + sigma * rng.normal(size=(30, 3))
+    fit = fit_forward(INPUTS, readings, sigma, columns @ columns.transpose(0, 2, 1))
+    design = np.column_stack((INPUTS, np.ones(30)))
+    for k in range(3):
+        weight = np.linalg.inv(np.diag(sigma[:, k] ** 2) + columns[k] @ columns[k].T)
+        covariance = np.linalg.inv(design.T @ weight @ design)
+        theta = covariance @ design.T @ weight @ readings[:, k]
+        np.testing.assert_allclose([*fit.matrix[k], fit.offset[k]], theta, rtol=1e-9)
+        places = [3 * k, 3 * k + 1, 3 * k + 2, 9 + k]
+        np.testing.assert_allclose(fit.covariance[np.ix_(places, places)], covariance, rtol=1e-7, atol=1e-18)
 
 
 def test_unequal_noise_weighs_the_equations_and_is_their_covariance():
@@ -101,22 +115,6 @@ def test_excess_variance_brings_the_weighted_squares_to_their_degrees_of_freedom
     stated, residuals = rng.uniform(0.5, 2.0, 20), 3.0 * rng.standard_normal(20)
     excess = excess_variance(residuals, stated, 13)
     assert float((residuals**2 / (stated + excess)).sum()) == pytest.approx(13.0, rel=1e-6)
-
-
-def test_averages_over_a_grid_are_integrals_with_the_scatter_of_the_parameters():
-    grid = np.concatenate(([0.0], np.geomspace(0.02, 5.0, 400)))
-    likelihood = -grid
-    thetas, covariances = np.column_stack((grid, grid**2)), np.tile(np.diag([2.0, 3.0]), (401, 1, 1))
-    theta, covariance = averaged(grid, likelihood, thetas, covariances, (1.0, np.ones(401)))
-    # density exp(-x) on [0, 5], moments by parts
-    moment = [quad(lambda x, n=n: x**n * np.exp(-x), 0.0, 5.0)[0] for n in range(5)]
-    mean = np.array([moment[1], moment[2]]) / moment[0]
-    second = np.array([[moment[2], moment[3]], [moment[3], moment[4]]]) / moment[0]
-    np.testing.assert_allclose(theta, mean, rtol=1e-3)  # trapezoids of a step of 1.4 %
-    np.testing.assert_allclose(covariance, np.diag([2.0, 3.0]) + second - np.outer(mean, mean), rtol=3e-3)
-    coarse = np.array([0.0, 1.0, 2.0])
-    theta, _ = averaged(coarse, np.zeros(3), coarse[:, None], np.zeros((3, 1, 1)), (1.0, np.array([1.0, 1.0, 0.5])))
-    assert theta[0] == pytest.approx((0.5 * 0.0 + 1.0 * 1.0 + 0.5 * 2.0 / 0.5) / (0.5 + 1.0 + 0.5 / 0.5))
 
 
 def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():

@@ -19,7 +19,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Level, finding
-from undrift.fit.equations import Inverse, joined, roots, solutions
+from undrift.fit.equations import Inverse, joined
 from undrift.model import TriadModel, Verdict
 
 
@@ -209,13 +209,15 @@ def fit_forward(
     spread = np.ones_like(readings) if sigma is None else np.broadcast_to(sigma, readings.shape)
     spread = np.maximum(spread, 1e-9 * np.abs(readings).max())  # a channel without any scatter still has a last digit
     weighed = np.zeros((3, 1, 1)) if in_common is None or sigma is None else in_common
-    fits = [solutions(design, readings[:, k], roots(spread[:, k], weighed[k])) for k in range(3)]
-    theta, covariances = np.array([fit.theta[0] for fit in fits]), np.array([fit.covariance[0] for fit in fits])
+    fits = [_solve(design, readings[:, k], spread[:, k], weighed[k]) for k in range(3)]
+    theta, gains = (np.array(part) for part in zip(*fits, strict=True))
+    stated = [np.diag(spread[:, k] ** 2) + weighed[k] for k in range(3)]
+    covariances = np.array([gain @ part @ gain.T for gain, part in zip(gains, stated, strict=True)])
     residuals = readings - design @ theta.T
     if sigma is None:
         covariances *= np.reshape([student_variance(column, len(inputs) - 4) for column in residuals.T], (3, 1, 1))
         if in_common is not None:
-            covariances += [fit.gain[0] @ part @ fit.gain[0].T for fit, part in zip(fits, in_common, strict=True)]
+            covariances += [gain @ part @ gain.T for gain, part in zip(gains, in_common, strict=True)]
     return ForwardFit(
         inputs=inputs,
         matrix=theta[:, :3],
@@ -225,6 +227,17 @@ def fit_forward(
         rank=3 * rank,
         condition=condition,
     )
+
+
+def _solve(
+    design: FloatArray, reading: FloatArray, sigma: FloatArray, in_common: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the parameters (P,) of one sensor and their gains (P, E), for noise sigma (E,) and a covariance (E, E) beside it."""
+    factor = np.linalg.cholesky(np.diag(sigma**2) + in_common)
+    white, length = np.linalg.solve(factor, design), np.linalg.norm(design, axis=0)
+    gain = np.linalg.solve(factor.T, np.linalg.pinv(white / length).T).T / length[:, None]
+    theta = gain @ reading
+    return theta + gain @ (reading - design @ theta), gain
 
 
 def student_variance(residuals: FloatArray, spare: int) -> float:
