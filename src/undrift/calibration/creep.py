@@ -186,7 +186,6 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
 # Neumann's ratio of the mean square successive difference to the variance (1941) separates the two; where neighbours are not alike,
 # q = 0 and the offset is constant. A move has the mean offset of its two stills, uncertain by q / 12 more.
 
-G_SENSITIVITY_SD = 0.1 * RADIAN_PER_DEGREE / STANDARD_GRAVITY  # s_h, rad/s per m/s2: data sheets state 0.1 deg/s/g
 _LEAST_WITH_G = 8  # rests: three columns more, and four to tell jitter and drift by
 
 

@@ -19,13 +19,14 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
 from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
-from undrift.calibration.creep import G_SENSITIVITY_SD, Creep, Kind, OffsetPrior, creep_of, offset_prior
+from undrift.calibration.creep import Creep, Kind, OffsetPrior, creep_of, offset_prior
 from undrift.calibration.norm import QUADRATIC_SD, TOLERANCE, WEAKEST, NormFit, check_count, fit_norm, judged
 from undrift.calibration.observe import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.equations import Rows, covariance_of, descend
 from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
+from undrift.fit.priors import G_SENSITIVITY
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -342,7 +343,7 @@ def fit_gyro_between_stills(
                 "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses",
                 moves=len(moves.first),
             )
-        prior = offset_prior(rests, moves.before, force, G_SENSITIVITY_SD / size)
+        prior = offset_prior(rests, moves.before, force, G_SENSITIVITY / size)
         moves, felt = _without_g(moves, accel, prior)
     within = [moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
     codes = code_variance(code_steps(records, rate=True), prior.noise)  # rests lie at one place between two codes
