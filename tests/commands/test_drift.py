@@ -122,7 +122,7 @@ REFUSED = {
     "constant": ({"temp_c": lambda n: np.full(n, 25.0)}, r"got 25\.00 degC throughout \(constant\)"),
     "a narrow span": (
         {"temp_c": lambda n: np.linspace(20.0, 21.6, n)},
-        r"wanted a span of 2 degC or more, got 1\.6 \(20\.00 to 21\.60\)",
+        r"wanted a span of 2 degC or more, got 1\.6 \(",
     ),
     "impossible": ({"temp_c": lambda n: np.linspace(20.0, 300.0, n)}, r"wanted -40 to 125 degC of a board, got 125"),
     "corrected": ({"state": "corrected", "frame": "b"}, "wanted raw readings, got a corrected record"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps, step_error
+from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session, Still, Turn
 
@@ -97,13 +97,3 @@ def test_dwells_are_numbered_by_soak_and_carry_the_imposed_rate():
     with pytest.raises(InputError, match=r"dwell \[0, 300\) of recording 0: wanted a temperature, got none"):
         observe_steps([made], temperatures=[[np.full(6000, np.nan)]])
     assert len(observe_steps([session(log())], temperatures=[[temp]])) == 0
-
-
-@pytest.mark.parametrize("noise", [0.01, 0.15, 0.3])
-def test_the_error_of_steps_is_what_a_converter_leaves_over_all_levels(noise):
-    rng = np.random.default_rng(2)
-    levels = rng.uniform(0.0, 1.0, 400)
-    codes = np.round(levels[:, None] + noise * rng.normal(size=(400, 2000)))
-    left = np.sqrt(np.mean((codes.mean(axis=1) - levels) ** 2))
-    stated = step_error(np.ones(3), np.full(3, codes.var(axis=1).mean()))
-    np.testing.assert_allclose(stated, left, rtol=0.12, atol=noise / 2000**0.5)  # 400 levels tell a deviation to 4-8 %

@@ -403,9 +403,13 @@ def _chosen(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
 ) -> tuple[Choice | None, Verdict]:
     """Return the choice of tables, what they are worth, or why there is none."""
-    if device.gyro is None or static.table.gyro_offset is None:
-        why = finding("drift.no_gyroscopes", "warn")
-    elif not len(steps):
+    if device.gyro is None or static.table.gyro_offset is None:  # a device of accelerometers alone
+        if settings.tables not in ("auto", "none"):
+            raise NotObservable(
+                f"tables: {settings.tables} needs gyroscopes, and the calibration or the sessions have none."
+            )
+        return None, Verdict()
+    if not len(steps):
         why = finding("drift.no_turns", "warn")
     else:
         try:

@@ -12,20 +12,19 @@ Sessions are made ready first: each reading once, in the calibration's units, co
 A session in several recordings whose clock runs on from one to the next was switched on once, when the first began; a clock that
 begins anew is another switch-on.
 
-The fit takes sessions as independent. A copy of one would halve the variance and add a second switch-on; so would one log whose
-rows were dealt out to two files. Those are known by their readings: between two rows of the one, the other lies in the middle but
-for noise, in every channel, stretch by stretch. Two switch-ons differ in temperature, pose or offset by more than that.
+The fit takes sessions as independent. A copy of one would halve the variance and add a second switch-on, so it is refused.
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise, product
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray, runs
-from undrift.calibration.adc import restored
+from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.adc import code_variance, restored
 from undrift.calibration.checks import axis_vectors
 from undrift.calibration.dwells import dwell_means
 from undrift.errors import InputError, NotObservable
@@ -46,12 +45,6 @@ ROBUST = 1.4826  # standard deviation of normal noise over its median absolute d
 _LEAST_SHARE = 0.5  # of a block's samples that have to be there
 _JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is an outlier
 _RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
-_RUN = 16  # equal rows one after another: noise does not make them
-_DISTINCT = 8  # of them: a stuck or coarse sensor repeats itself
-_STRETCH = 64  # rows, over whose mean noise is small beside what two switch-ons differ by
-_HOLE = 8.0  # steps: rows beyond are not between two of the other
-_LIKE_NOISE = 2.0  # mean square of the stretches' means over that of noise
-_SIGNIFICANT = 5.0  # standard deviations of the mean over all
 _GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
 
 
@@ -164,7 +157,11 @@ def observe_steps(
             parts.append(set_point_steps(session, temps, number=number, first_soak=soaks, soak_c=settings.soak_c))
             soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
             continue
-        turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
+        turns = [
+            turn
+            for turn in session.turns
+            if turn.axis is not None and turn.turn_rate is not None and session.records[turn.recording].gyro is not None
+        ]
         if turns:
             turns.sort(key=lambda t: (t.recording, t.start))
             parts.append(_steps(session, turns, temps, settings, session_number=number, first_soak=soaks))
@@ -343,22 +340,8 @@ def _means(
         return means, means.copy(), np.zeros_like(means)
     variance = square / (2.0 * pairs) if pairs else np.full(3, np.nan)  # of a sample with the noise of a half second
     seen = np.isfinite(means)
-    error = step_error(step, np.mean(own_variance, axis=0))
+    error = np.sqrt(code_variance(step, np.mean(own_variance, axis=0)))
     return means, np.where(seen, variance / np.maximum(counts, 1.0)[:, None], np.nan), np.where(seen, error, np.nan)
-
-
-def step_error(step: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return what the steps of a converter leave in a mean at a level that may be anywhere between two codes.
-
-    Noise of deviation s before a converter of step q blurs its steps. Over all levels, the mean reading is off with variance
-    ``B2(s) = sum over k of (q / pi k)^2 / 2 exp(-4 pi^2 k^2 s^2 / q^2)``, and the readings scatter by ``s^2 + q^2 / 12 - B2(s)``.
-    """
-    blur = np.linspace(0.0, 1.5, 151)  # s / q
-    order = np.arange(1, 60)[:, None]
-    left = ((1.0 / (np.pi * order)) ** 2 / 2.0 * np.exp(-4.0 * np.pi**2 * order**2 * blur**2)).sum(axis=0)
-    seen = np.maximum.accumulate(blur**2 + 1.0 / 12.0 - left)
-    scaled = np.where(step > 0.0, variance / np.where(step > 0.0, step, 1.0) ** 2, np.inf)
-    return np.asarray(step * np.sqrt(np.interp(scaled, seen, left, right=0.0)))
 
 
 def _clean(blocks: list[FloatArray]) -> list[BoolArray]:
@@ -586,9 +569,14 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
     """Return a calibration that keeps the scale that the readings' units state, and knows no offset."""
     first = sessions[0]
     unit = next((r.gyro_unit for s in sessions for r in s.records if r.gyro is not None), None)
-    if unit is None or not is_physical(unit):
+    if unit is None:
         raise NotObservable(
-            f"drift: wanted a calibration, or gyroscope readings in a physical unit, got {unit or 'none'}; give "
+            "drift: without a calibration, accelerometers at rest show only how the offset changes. Calibrate six faces, and give "
+            "the calibration."
+        )
+    if not is_physical(unit):
+        raise NotObservable(
+            f"drift: wanted a calibration, or gyroscope readings in a physical unit, got {unit}; give "
             "`calibration`, or the scale of the columns"
         )
     return Calibration(
@@ -692,90 +680,24 @@ def _continues(earlier: Session, later: Session) -> bool:
 
 
 def check_once(sessions: Sequence[Session]) -> None:
-    """Refuse data that were given twice."""
-    first: dict[str, str] = {}
+    """Refuse data that were given twice, as one file or as equal readings: they would make the uncertainty too small."""
+    first = dict[str, str]()
     for number, session in enumerate(sessions):
-        names = {digest: _called(number, name) for name, digest in _files(session)}
-        for digest, here in names.items():
+        hashes = {digest: (_called(number, name), "the same file") for name, digest in _files(session)}
+        for k, record in enumerate(session.records):
+            readings = np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
+            if (
+                len(readings) > 1 and (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any()
+            ):  # not a stuck sensor
+                digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
+                hashes[digest] = _called(number, _name(session, k)), f"all {len(readings)} readings are equal"
+        for digest, (name, equality) in hashes.items():
             if digest in first:
-                raise _twice(first[digest], here, "the same file")
-        first |= names
-    records = [
-        [(_called(number, _name(session, k)), record) for k, record in enumerate(session.records)]
-        for number, session in enumerate(sessions)
-    ]
-    for b in range(1, len(sessions)):
-        for ours, theirs in product(chain.from_iterable(records[:b]), records[b]):
-            _check_pair(*ours, *theirs)
-
-
-def _check_pair(name: str, one: Record, other_name: str, other: Record) -> None:
-    if equal := _same_readings(one, other):
-        raise _twice(name, other_name, equal)
-    if _dealt_out(one, other):
-        raise InputError(
-            f"drift: wanted one recording for each switch-on, got rows of one log in turn in {name} and {other_name}: "
-            "between the times of one lie those of the other, with the same course; put them into one file by time, or "
-            "leave one out"
-        )
-
-
-def _same_readings(one: Record, other: Record) -> str:
-    """Return what is equal in two records; nothing where they differ."""
-    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
-        return ""
-    ours, theirs = _rows(one), _rows(other)
-    if len(ours) == len(theirs) >= _RUN and np.array_equal(ours, theirs, equal_nan=True) and _varies(ours):
-        return f"all {len(ours)} readings are equal"
-    if one.time[0] > other.time[-1] or other.time[0] > one.time[-1]:
-        return ""
-    _, at, there = np.intersect1d(one.time, other.time, assume_unique=True, return_indices=True)
-    equal: BoolArray = (ours[at] == theirs[there]).all(axis=1)
-    for start, stop in runs(equal).tolist():
-        if stop - start >= _RUN and _varies(ours[at[start:stop]]):
-            return f"{stop - start} readings one after another are equal, from {one.time[at[start]]:g} s on"
-    return ""
-
-
-def _dealt_out(one: Record, other: Record) -> bool:
-    """Whether two records are rows of one log: their times interleave, and each goes where the other goes."""
-    if (one.gyro is None) != (other.gyro is None) or (one.accel is None) != (other.accel is None):
-        return False
-    ours, theirs = (_rows(r) if r.temp_c is None else np.column_stack((_rows(r), r.temp_c)) for r in (one, other))
-    here = np.flatnonzero((other.time > one.time[0]) & (other.time < one.time[-1]))
-    if len(here) < 2 * _STRETCH or ours.shape[1] != theirs.shape[1]:
-        return False
-    after = np.searchsorted(one.time, other.time[here])
-    step = one.time[after] - one.time[after - 1]
-    between = (one.time[after] > other.time[here]) & (step <= _HOLE * float(np.median(np.diff(other.time))))
-    if between.mean() < 0.9:  # the same times, or holes
-        return False
-    here, after = here[between], after[between]
-    share = ((other.time[here] - one.time[after - 1]) / step[between])[:, None]
-    off = theirs[here] - (1.0 - share) * ours[after - 1] - share * ours[after]
-    known = np.isfinite(off).all(axis=1)
-    off, after = off[known], after[known]
-    count = len(off) // _STRETCH
-    varies = np.ptp(off, axis=0) > 0.0 if len(off) else np.zeros(0, bool)
-    if count < 2 or not varies.any():
-        return False
-    means = off[: count * _STRETCH].reshape(count, _STRETCH, -1).mean(axis=1)
-    rows = np.array([len(np.unique(part)) for part in np.split(after[: count * _STRETCH], count)])
-    # White noise s2 in both: s2 (1 + 2/3) in a difference, s2 / n + s2 / m in the mean over n rows of one and m of the other.
-    expected = (off.var(axis=0) / (1.0 + 2.0 / 3.0)) * (1.0 / _STRETCH + 1.0 / rows)[:, None]
-    like = (means**2).mean(axis=0) <= _LIKE_NOISE * expected.mean(axis=0)
-    even = np.abs(means.mean(axis=0)) <= _SIGNIFICANT * np.sqrt(expected.mean(axis=0) / count)
-    return bool((like & even).all())
-
-
-def _varies(rows: FloatArray) -> bool:
-    """Whether 16 rows one after another hold 8 different ones, somewhere; looked at from 8 rows to 8 rows."""
-    starts = range(0, len(rows) - _RUN + 1, _DISTINCT)
-    return any(len(np.unique(rows[k : k + _RUN], axis=0)) >= _DISTINCT for k in starts)
-
-
-def _rows(record: Record) -> FloatArray:
-    return np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
+                raise InputError(
+                    f"drift: the same data are in {first[digest]} and {name} ({equality}). Leave one out: the same data twice "
+                    "would make the uncertainty too small."
+                )
+        first |= {digest: name for digest, (name, _) in hashes.items()}
 
 
 def _files(session: Session) -> list[tuple[str, str]]:
@@ -790,10 +712,3 @@ def _name(session: Session, recording: int) -> str:
 
 def _called(session: int, name: str) -> str:
     return f"session {session + 1} ({name})"
-
-
-def _twice(one: str, other: str, what: str) -> InputError:
-    return InputError(
-        f"drift: wanted every reading once, got the same data in {one} and {other}: {what}; leave one out, as twice the same "
-        "would only make the uncertainty too small"
-    )

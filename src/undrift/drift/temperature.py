@@ -3,14 +3,8 @@
 A board thermometer comes noisy, in steps of up to 1 degC, with gaps, stale or on the wrong scale. What a fit cannot use raises;
 what needs care is a finding; the rest is smoothed.
 
-Noise that blurs the steps is smoothed: block means y_i with variance s^2 / n_i of a curve g whose second derivative is white noise
-of density q, so that g is the natural cubic smoothing spline with stiffness l = s^2 / q [1]_::
-
-    g = y - l W^-1 Q c,   (R + l Q^T W^-1 Q) c = Q^T y        Q second divided differences, R their tent functions
-
-The stiffness is the likeliest one: Q^T y has the covariance q R + s^2 Q^T W^-1 Q whatever level and slope are, and one banded
-factor gives its likelihood. Time may be uneven. Steps that no noise blurs hold no more than the moments at which they change:
-there the temperature is midway between two steps, and a monotone cubic joins those moments.
+Noise that blurs the steps is smoothed by a moving mean, over 30 s or as much less as leaves 0.02 K of it. Steps that no noise blurs
+tell only when they change: there the temperature is midway between two steps, and it is interpolated between those moments.
 
 A thermometer lags the sensors, T_m' = (T - T_m) / tau. The lag stays in the smooth course, and is subtracted from it::
 
@@ -26,10 +20,6 @@ Per axis::
 
 tau has the least residual: the profile of n_eff sum over axes of log(residual), f, m, h, w fitted anew at each. A hysteresis h does
 not depend on the speed of the ramp and a lag does, so that ramps of two speeds separate them and one does not.
-
-References
-----------
-.. [1] P. J. Green, B. W. Silverman, "Nonparametric Regression and Generalized Linear Models", 1994, section 2.3.
 """
 
 import math
@@ -56,13 +46,10 @@ HOT_C = 45.0  # above it all along: no room, and no body
 COARSE_C = 0.5
 SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
 LEAST_SPIKE_C = 0.5
-MOST_BLOCKS = 4000
-BLOCK_S = 1.0  # a board does not warm and cool within a second
-FEWEST_BLOCKS = 200
-STIFFNESS = np.geomspace(1e-3, 1e13, 49)  # s^3, in means of one reading: from no smoothing to a straight line over days
+WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest
+KNOWN_TO_C = 0.02  # the window is as long as the mean needs for this standard deviation: a longer one blurs fast ramps
+QUIET = 0.05  # of a step: noise below does not repeat its changes
 BLURRED = 0.35  # of a step: where the scatter of readings, steps included, is larger, their mean shows no step
-MOVING = 0.35  # uncertainty where steps follow each other, over that of one step by itself
-CHATTER = 0.25  # of the time to the next step: crossings closer than that are noise
 SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
@@ -346,176 +333,52 @@ def noise_of(temp_c: FloatArray, step_c: float) -> float:
 
 def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> tuple[FloatArray, float]:
     """Return the smooth course behind readings and its standard uncertainty."""
-    from scipy.interpolate import CubicSpline
-
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return temp_c, math.hypot(noise, step / math.sqrt(12.0))
+    interval_s = float(np.median(np.diff(time)))
+    window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
     if step > 0.0 and noise < BLURRED * step:
-        return _between_steps(temp_c, time, step)
-    t, y, count = block_means(time, temp_c)
-    g, variance = smoothing_spline(t, y, count)
-    spline = CubicSpline(t, g, bc_type="natural")
-    course = np.asarray(spline(np.clip(time, t[0], t[-1])))
-    for end, out in ((0, time < t[0]), (-1, time > t[-1])):  # straight on over the half block at each end
-        course[out] = g[end] + spline(t[end], 1) * (time[out] - t[end])
+        smooth = temp_c if noise < QUIET * step else moving_mean(temp_c, time, WINDOW_S)
+        return _between_steps(smooth, time, step, float(temp_c[0])), step / math.sqrt(12.0)
     ripple = 0.0  # what noise s leaves of the steps in a mean: step / pi exp(-2 pi^2 s^2 / step^2), a sine of the temperature
     if step > 0.0:
         blur = max(noise**2 / step**2 - 1.0 / 12.0, 0.0)
         ripple = step / math.pi * math.exp(-2.0 * math.pi**2 * blur) / math.sqrt(2.0)
-    return course, math.hypot(math.sqrt(variance), ripple)
+    return moving_mean(temp_c, time, window_s), math.hypot(noise / math.sqrt(max(window_s / interval_s, 1.0)), ripple)
 
 
-def block_means(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return means over blocks of a second or so; an empty stretch makes no block."""
-    span = float(time[-1] - time[0])
-    width = max(min(BLOCK_S, span / FEWEST_BLOCKS), span / MOST_BLOCKS)
-    number = np.floor((time - time[0]) / width).astype(np.int64)
-    first = np.flatnonzero(np.concatenate(([True], np.diff(number) > 0)))
-    count = np.diff(np.append(first, len(time))).astype(np.float64)
-    return np.add.reduceat(time, first) / count, np.add.reduceat(values, first) / count, count
-
-
-def smoothing_spline(t: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Return the values of the likeliest natural cubic smoothing spline at its knots, and their mean variance."""
-    from scipy.linalg import cho_solve_banded, cholesky_banded
-
-    h, v = np.diff(t), 1.0 / weight
-    left, right = 1.0 / h[:-1], 1.0 / h[1:]
-    middle, z = -(left + right), np.diff(np.diff(y) / h)
-    tents, second = np.zeros((3, len(z))), np.zeros((3, len(z)))  # R and Q^T W^-1 Q as upper bands
-    tents[2], tents[1, 1:] = (h[:-1] + h[1:]) / 3.0, h[1:-1] / 6.0
-    second[2] = left**2 * v[:-2] + middle**2 * v[1:-1] + right**2 * v[2:]
-    second[1, 1:] = middle[:-1] * left[1:] * v[1:-2] + right[:-1] * middle[1:] * v[2:-1]
-    second[0, 2:] = right[:-2] * left[2:] * v[2:-2]
-    fits = []
-    for stiffness in STIFFNESS:  # z = Q^T y has covariance s^2 (R / l + Q^T W^-1 Q)
-        factor = cholesky_banded(tents / stiffness + second)
-        c = cho_solve_banded((factor, False), z)
-        variance = max(float(z @ c) / len(z), 0.0)
-        likelihood = -math.inf  # of a straight line without noise
-        if variance > 0.0:
-            likelihood = -0.5 * len(z) * math.log(variance) - float(np.log(factor[2]).sum())
-        fits.append((likelihood, stiffness, np.asarray(c) / stiffness, variance))
-    _, stiffness, c, variance = max(fits, key=lambda each: each[0])
-
-    def half_log(x: float) -> float:
-        return float(np.log(cholesky_banded(tents + x * second)[2]).sum())
-
-    step = 1e-3  # of the logarithm of the stiffness: the trace of the smoother is n - d log|R + l D| / d log l
-    slope = 2.0 * (half_log(stiffness * (1.0 + step)) - half_log(stiffness * (1.0 - step))) / (2.0 * step)
-    pull = np.diff(np.concatenate(([0.0], np.diff(np.concatenate(([0.0], c, [0.0]))) / h, [0.0])))  # Q c
-    return y - stiffness * pull / weight, float(variance / weight.mean() * float(len(z) + 2 - slope) / len(t))
-
-
-# ---- steps that no noise blurs
-
-
-def _between_steps(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[FloatArray, float]:
-    from scipy.interpolate import PchipInterpolator
-
-    level = np.round((temp_c - temp_c.min()) / step)
-    at, height, up = _crossings(level, time)
-    half = np.where(up, 0.5, -0.5)
-    course = np.full(len(time), level.mean())
-    if len(at):
-        t, y = _with_turns(at, height, half)
-        if len(t) > 1:
-            course = PchipInterpolator(t, y)(np.clip(time, t[0], t[-1]))
-        before, after = time < t[0], time > t[-1]
-        course[before] = _extrapolated_end(t[0] - time[before], t, y, height[0] - half[0])
-        course[after] = _extrapolated_end(time[after] - t[-1], t[::-1], y[::-1], height[-1] + half[-1])
-        course[(time == t[0]) & (len(t) == 1)] = y[0]
-    stays = np.diff(np.concatenate((time[:1], at, time[-1:])))
-    long = float(stays[stays > 3.0 * float(np.median(stays))].sum()) / float(stays.sum())
-    return temp_c.min() + step * course, step * math.sqrt((long + (1.0 - long) * MOVING**2) / 12.0)
-
-
-def _crossings(level: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return when a running mean of the steps passes midway between two of them, at which height, and whether upward."""
-    from scipy.ndimage import median_filter
-
-    span = float(time[-1] - time[0])
-    passed, ref = [float(time[0])], level[0]
-    calm = median_filter(level, size=9, mode="nearest")  # without single readings two steps off
-    for k in np.flatnonzero(np.diff(calm)) + 1:
-        if abs(calm[k] - ref) >= 2.0:  # two steps on: no chatter between neighbours
-            passed.append(float(time[k]))
-            ref = calm[k]
-    dwell = 0.5 * float(np.quantile(np.diff(passed), 0.1)) if len(passed) > 1 else 0.2 * span
-    mean = _running_mean(level, time, 0.25 * dwell)
-    code = np.floor(mean + 0.5)
-    crossings = []
-    for k in np.flatnonzero(np.diff(code)):
-        low, high = sorted(code[k : k + 2])
-        rising = bool(code[k + 1] > code[k])
-        for between in np.arange(low, high)[:: 1 if rising else -1] + 0.5:
-            part = (between - mean[k]) / (mean[k + 1] - mean[k])
-            crossings.append((float(time[k] + part * (time[k + 1] - time[k])), between, rising))
-    at, height, up = np.array(crossings).reshape(-1, 3).T
-    return _without_chatter(at, height, up > 0.0, span)
-
-
-def _without_chatter(
-    at: FloatArray, height: FloatArray, up: BoolArray, span: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the crossings with those that noise repeats made one, at their mean time; there and back makes two."""
-    bounds = [0, *(np.flatnonzero(np.diff(height)) + 1).tolist(), len(at)] if len(at) else list[int]()
-    times, first = list[float](), list[int]()
-    for start, stop in pairwise(bounds):
-        stays = np.diff(at)[[k for k in (start - 1, stop - 1) if 0 <= k < len(at) - 1]]
-        near = CHATTER * float(np.mean(stays) if len(stays) else span)
-        cuts = np.flatnonzero(np.diff(at[start:stop]) >= near) + 1
-        for group in np.split(np.arange(start, stop), cuts):
-            if len(group) % 2 == 1:
-                times.append(float(at[group].mean()))
-                first.append(group[0])
-            elif at[group[-1]] > at[group[0]]:  # touched and went back: a slow end of the record would lose it
-                times += at[group[[0, -1]]].tolist()
-                first += group[[0, -1]].tolist()
-    return np.array(times), height[first], up[first]
-
-
-def _running_mean(values: FloatArray, time: FloatArray, width: float) -> FloatArray:
-    """Return the mean over a window of time around each sample, cut off at the ends of the record."""
-    if width < 3.0 * float(np.median(np.diff(time))):
+def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatArray:
+    """Return the mean over a window around each sample, (N,). Near the ends the window shrinks on both sides: nothing shifts."""
+    length = float(time[-1] - time[0])
+    if length < 2.0 * LEAST_REACH_S or float(np.median(np.diff(time))) > LEAST_REACH_S:
         return values
     total = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))))
-    reach = np.minimum(0.5 * width, np.minimum(time - time[0], time[-1] - time))  # even on both sides: no shift
-    inside = reach > 0.0
-    wide = np.interp(time + reach, time, total) - np.interp(time - reach, time, total)
-    return np.where(inside, wide / np.where(inside, 2.0 * reach, 1.0), values)
+    middle = np.clip(time, time[0] + LEAST_REACH_S, time[-1] - LEAST_REACH_S)
+    reach = np.minimum(0.5 * window_s, np.minimum(middle - time[0], time[-1] - middle))
+    mean = (np.interp(middle + reach, time, total) - np.interp(middle - reach, time, total)) / (2.0 * reach)
+    return np.asarray(mean)
 
 
-def _with_turns(at: FloatArray, height: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the crossings with points between two at one height, where the temperature turned or stayed."""
-    t, y = [at[0]], [height[0]]
-    for k in range(1, len(at)):
-        if height[k] == height[k - 1]:
-            stay = at[k] - at[k - 1]
-            slope = max(_slope(at[k - 1 :: -1], height[k - 1 :: -1]), _slope(at[k:], height[k:]))
-            rise = math.copysign(min(0.5, slope * stay / 3.0), half[k - 1])
-            if rise != 0.0:
-                aside = min(0.5 * stay, 1.5 * abs(rise) / slope)
-                t += [at[k - 1] + aside] + ([at[k] - aside] if aside < 0.45 * stay else [])
-                y += [height[k] + rise] * (2 if aside < 0.45 * stay else 1)
-        t.append(at[k])
-        y.append(height[k])
-    return np.array(t), np.array(y)
+def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, origin_c: float) -> FloatArray:
+    """Return the course between the moments at which the temperature passes midway between two steps, (N,).
 
-
-def _extrapolated_end(away: FloatArray, t: FloatArray, y: FloatArray, code: float) -> FloatArray:
-    """Return the way on from the last crossing: the slope there, decaying toward the middle of the step."""
-    if len(away) == 0:
-        return away
-    room = code - y[0]
-    slope = _slope(t, y) or 2.0 * abs(room) / float(away.max())
-    return np.asarray(y[0] - room * np.expm1(-away * slope / abs(room)))
-
-
-def _slope(t: FloatArray, y: FloatArray) -> float:
-    """Return the size of the slope from the first point to the first at another height, steps/s; 0 where there is none."""
-    other = np.flatnonzero(y != y[0])
-    return float(abs((y[other[0]] - y[0]) / (t[other[0]] - t[0]))) if len(other) else 0.0
+    Noise repeats a passage: passages of one height that lead across count once, at their mean time. Passages that lead back hold a
+    turn between the first and the last.
+    """
+    code = np.round((temp_c - origin_c) / step)
+    change = np.flatnonzero(np.diff(code))
+    at, height = 0.5 * (time[change] + time[change + 1]), origin_c + 0.5 * step * (code[change] + code[change + 1])
+    points = [(time[0], temp_c[0])]  # the record begins and ends in the middle of a step
+    for group in np.split(np.arange(len(at)), np.flatnonzero(np.abs(np.diff(height)) > 0.1 * step) + 1):
+        if len(group) % 2:
+            points.append((at[group].mean(), height[group[0]]))
+        elif len(group):
+            longest = group[int(np.argmax(np.diff(at[group])))]
+            turn = 0.5 * (at[longest] + at[longest + 1]), origin_c + step * code[change[longest] + 1]
+            points += [(at[group[0]], height[group[0]]), turn, (at[group[-1]], height[group[0]])]
+    points.append((time[-1], temp_c[-1]))
+    moments, course = np.array(points).T
+    return np.asarray(np.interp(time, moments, course))
 
 
 # ---- lag of the thermometer
