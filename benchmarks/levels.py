@@ -30,7 +30,7 @@ from undrift.sim.motion.poses import fit_pose_spline, see
 from undrift.sim.motion.tasks import draw_task
 from undrift.study.case import REST_S
 from undrift.study.figure3 import OPTICS, SETTLED_S, actual_device, calibrated, worn_record
-from undrift.study.plan import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
+from undrift.study.recorded import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out
 from undrift.validation.levels import LevelTable, LevelTrial, judge_levels, simulate_trial_of

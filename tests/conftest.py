@@ -43,7 +43,6 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     """Pure functions whose results tests share, each with one that remembers."""
     from undrift.calibration.reference import align
     from undrift.drift.fit import choose_tables
-    from undrift.study.case import run_unit
     from undrift.study.figure3 import calibrated, figure3
     from undrift.sync import find_lag, in_step, native_poses
     from undrift.twin.fit import fit_prepared
@@ -52,10 +51,9 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
 
     poses = native_poses, find_lag, in_step, align
     fits = choose_tables, fit_prepared, calibrated
-    studies = run_unit, figure3
     folder = run_folder(tmp_path_factory)
     return [
-        (pure, remembered(pure, folder)) for pure in (*poses, *fits, *studies, validate_trial, validate_leave_one_out)
+        (pure, remembered(pure, folder)) for pure in (*poses, *fits, figure3, validate_trial, validate_leave_one_out)
     ]
 
 

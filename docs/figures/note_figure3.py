@@ -5,13 +5,12 @@ from pathlib import Path
 
 from undrift.report.figures import save_figure
 from undrift.report.note import draw_figure3
-from undrift.study.figure3 import figure3
-from undrift.study.space import COMPARED_NAMES
+from undrift.study.figure3 import COMPARED, figure3
 
 
 def draw(folder: Path) -> None:
     """Draw it into a folder."""
-    save_figure(draw_figure3(figure3(seed=0), COMPARED_NAMES), folder / "note-figure-3.svg")
+    save_figure(draw_figure3(figure3(seed=0), COMPARED), folder / "note-figure-3.svg")
 
 
 if __name__ == "__main__":

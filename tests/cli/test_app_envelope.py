@@ -61,7 +61,7 @@ BAD = {  # a call that is refused, and the kind that a good answer would have
     "rig stop": (f"rig stop --rig '{NOBODY}'", "undrift.rig_stop"),
     "rig check": ("rig check --rig manual:", "undrift.rig_check"),
     "bench": ("bench --port 70000", "undrift.bench"),
-    "study": ("study --preset note --quick --seed -1", STUDY),
+    "study": ("study --preset note --seed -1", STUDY),
     "demo": ("demo --out {here}", "undrift.demo"),
 }
 LEAVES = [name for name in EXAMPLES if name and name not in program.commands.GROUPS]

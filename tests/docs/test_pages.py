@@ -23,7 +23,6 @@ WITHOUT_BLOCKS = {
     "model.md",
     "nomenclature.md",
     "study-bench.md",
-    "study-results.md",
     "worklist.md",
 }
 

@@ -46,15 +46,9 @@ class Call:
 STUDY = """[study]
 name = "small"
 subjects = 3
+sessions = ["hand"]
 [[task]]
 name = "sit_to_stand"
-[task.space]
-cutoff_hz = [5.0]
-turn_rate_step_dps = [5.0]
-turn_rate_min_dps = [5.0]
-turn_rate_max_dps = [50.0]
-[task.protocol]
-dwell_s = 1.0
 """
 TRIALS = """recording,reference,person,task,device,calibration
 trial.parquet,reference.parquet,1,sit_to_stand,A,calibration.json
@@ -87,7 +81,7 @@ CALLS = {
     "export c": Call("export {b}/calibration.json --target c -o {o}/x.h", together=True),
     "export constants": Call("export {b}/calibration.json --target constants -o {o}/x.json"),
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
-    "validate --study": Call("validate --study {b}/people -o {o}/people", fresh=True, slow=True),
+    "validate --trials": Call("validate {b}/people --trials trials.csv -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.html"),
     "noise": Call("noise {b}/rest.parquet --figure {o}/allan.svg --report {o}/r.html", slow=True),
     "simulate task": Call(
@@ -95,7 +89,7 @@ CALLS = {
     ),
     "simulate .csv": Call("simulate sit_to_stand --device mpu6050 -o {o}/x.csv --truth {o}/t.parquet"),
     "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
-    "study": Call("study {b}/study.toml -o {o}/study --workers 1 --no-rivals", fresh=True, slow=True),
+    "study": Call("study {b}/study.toml -o {o}/study --workers 1", fresh=True, slow=True),
     "sample": Call("sample {o}/sample", fresh=True, together=True),
     "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
     "record .parquet": Call("record {device} -o {o}/x.parquet --duration-s 5", fresh=True, live=True),

@@ -185,13 +185,11 @@ subjects = 4
 seed = 1
 [[task]]
 name = "sit_to_stand"
-[task.space]
+[task.tried]
 cutoff_hz = [5.0, 11.1]
 turn_rate_step_dps = [5.0]
 turn_rate_min_dps = [5.0]
 turn_rate_max_dps = [45.0]
-[task.protocol]
-dwell_s = 2.0
 """
 RATES = b"time_s,angle_deg\n" + b"".join(b"%.2f,%.2f\n" % (k / 20, 3.0 * k) for k in range(200))
 STREAM = b"""[stream]

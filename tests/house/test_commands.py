@@ -23,7 +23,6 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
     assert out.startswith(f"Usage: undrift {name}")
     assert "--json" in out
     assert set(re.findall(r"--no-\w+", out)) <= {
-        "--no-rivals",
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
     home = importlib.import_module(f"undrift.{'commands' if name in (*VERBS, *GROUPS) else 'cli'}.{name}")

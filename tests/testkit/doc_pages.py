@@ -295,13 +295,9 @@ def _study(path: Path) -> None:
 
 STUDY = """[study]
 subjects = 3
+sessions = ["hand"]
 [[task]]
 name = "step"
-[task.space]
-cutoff_hz = [11.4]
-turn_rate_step_dps = [15.0]
-turn_rate_min_dps = [15.0]
-turn_rate_max_dps = [30.0, 45.0]
 """
 
 FILES: dict[str, Callable[[Path], None]] = {

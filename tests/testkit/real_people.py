@@ -32,7 +32,7 @@ from undrift.sim.motion.tasks import (
     cohort,
     draw_task,
 )
-from undrift.study.plan import SAMPLE_RATE_HZ, SKIN
+from undrift.study.recorded import SAMPLE_RATE_HZ, SKIN
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- captured people and the cohort

@@ -234,12 +234,13 @@ def _correct_all(
             dict[int, CorrectedFile](),
         )
         if scheduler is not None:
-            from undrift.study.run import Dask
+            from undrift.study.run import executor
 
             there = [(record.resolve(), part.resolve()) for record, part in jobs]  # workers stand in other folders
-            for place, one in Dask(scheduler).run(correct_one, there):
-                done[place] = one
-                progress(records[place].name, len(done) / len(jobs))
+            with executor(None, scheduler) as spread:
+                for place, one in enumerate(spread(correct_one, there)):
+                    done[place] = one
+                    progress(records[place].name, len(done) / len(jobs))
         else:
             for k, job in enumerate(jobs):
                 done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))

@@ -182,8 +182,7 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
     """Say what the worn trial shows."""
     import numpy as np
 
-    from undrift.commands.study_figures import SLOPE_OF_THE_NOTE
-    from undrift.commands.study_sections import NOTE
+    from undrift.commands.study_note import NOTE, SLOPE_OF_THE_NOTE
     from undrift.study.virtual_bench import EXCURSION_K
 
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]

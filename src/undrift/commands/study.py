@@ -1,27 +1,27 @@
-"""``undrift study``: which calibration protocol is enough for a task, found by simulation, tested on other subjects."""
+"""``undrift study``: which calibration session is enough for a task, found with simulated devices and people."""
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from undrift.base.options import Flag, Output, options, verb
-from undrift.base.summary import Result, Section, Summary, at, figure_of
+from undrift.base.options import Output, verb
+from undrift.base.summary import Result, Section, Summary, at, figure_of, interval, number, plain_words
 from undrift.commands import Progress, silent
 from undrift.commands.files import check_folder, origin_of, save_json
+from undrift.commands.study_note import NOTE, figure3_section, methods_section, note_flows, table_1, table_2
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.files import write_whole
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
-    from undrift.study.judge import ParameterEffect
-    from undrift.study.outcome import ErrorBreakdown, StudyOutcome, TaskOutcome
+    from undrift.study.judge import Answer, StudyOutcome, TaskOutcome
     from undrift.study.plan import Study
-    from undrift.study.run import TaskSurface
+    from undrift.study.run import Run
+    from undrift.study.sessions import CalibrationSession
 
-QUICK_SUBJECTS = 8
-# Of a study, in place of the plan's
-NUMBERS = ("subjects", "offset", "target_deg", "confidence", "seed")
+RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # shares of the time at which each stage ends
+EFFECT_DEVICES = 10  # whose error is split
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -29,75 +29,26 @@ class Studied(Result):
     """A study that was run to its end, and its folder."""
 
     outcome: "StudyOutcome"
+    figure3: "Figure3 | None"
     output: Path
 
     def summary(self) -> Summary:
-        """Return the protocol to use for each task, and all that speaks for it."""
-        from undrift.commands.study_rig import protocol_of, rig_sections, run_words
-        from undrift.commands.study_sections import NOTE, answer_of, sections_of
-
-        outcome, note = self.outcome, Section(title="The note", text=(NOTE,), folded=True)
-        files = ("report.html", "summary.json", "surface.parquet")
+        """Return the answer first, then the tables behind it."""
+        outcome = self.outcome
+        sections = [_for_all(outcome)]
+        sections += [_sessions(outcome, task) for task in outcome.tasks]
+        sections += [_sensitivity(outcome), *(table_1(task, _name(task)) for task in outcome.tasks)]
+        sections += [figure3_section(self.figure3)] if self.figure3 else []
+        sections += [_made_of(outcome), table_2(outcome), methods_section(outcome), _commands(outcome, self.output)]
+        shown = tuple(section for section in sections if section.rows or section.text)
         return Summary(
             title=f"Study: {outcome.study.name}",
-            answer=answer_of(outcome),
-            data=study_json(outcome),
-            pictures=(figure_of("figures:draw_pareto", outcome, outcome.tasks[0]),),
-            sections=(*sections_of(outcome), *rig_sections(outcome, self.output), note),
-            written=(*(self.output / name for name in files), *sorted(self.output.glob("protocol-*.toml"))),
-            next=run_words(protocol_of(outcome, outcome.tasks[0]), self.output),
+            answer=_answer(outcome),
+            data=study_json(outcome, self.figure3),
+            pictures=(figure_of("figures:draw_sessions", outcome),),
+            sections=(*shown, *note_flows(), Section(title="The note", text=(NOTE,), folded=True)),
+            written=tuple(self.output / name for name in ("report.html", "summary.json", "runs.parquet")),
         )
-
-
-@options
-@dataclass(frozen=True, kw_only=True)
-class Choices:
-    """What is other than in the plan.
-
-    Parameters
-    ----------
-    quick : bool
-        The ends of what is tried, on eight subjects: a first look.
-    categories : str or None
-        Categories of subjects, separated by commas, or "all": level_1 to level_4 (level_2 is the note's), young, elderly,
-        impaired, parkinson, and those of the plan. Each performs every task. The plan's where not given, else level_2.
-    subjects : int or None
-        Other number of subjects than the plan's.
-    offset : str or None
-        Of the gyroscopes in a trial: "rest" takes off the mean of the rest before it; "motion" what a trial of 20 s or more shows
-        from there on, as `orient` does; "none" nothing, as in the note. The plan's where not given, else "rest".
-    target_deg : float or None
-        Mean error that is good enough, deg: the cheapest session whose upper limit on other people and devices is below it.
-    confidence : float or None
-        Of that limit, one-sided; the plan's where not given, else 0.95.
-    seed : int or None
-        Other seed than the plan's; the same seed gives the same bits on any machine and any number of workers.
-    """
-
-    quick: Flag = False
-    categories: str | None = None
-    subjects: int | None = None
-    offset: Literal["rest", "motion", "none"] | None = None
-    target_deg: float | None = None
-    confidence: float | None = None
-    seed: int | None = None
-
-    def applied(self, plan: Path | None) -> "Study":
-        """Return the study of a plan, or the note's, with these choices."""
-        from undrift.study.plan import ends_of, note_study, read_study, with_categories
-
-        if self.seed is not None and self.seed < 0:
-            raise InputError(f"seed: wanted 0 or more, got {self.seed}; give another")
-        study = note_study(quick=self.quick) if plan is None else read_study(plan)
-        if self.quick:
-            study = study if plan is None else ends_of(study)
-            study = replace(study, subjects=min(QUICK_SUBJECTS, study.subjects))
-        numbers: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
-        study = replace(study, **{name: value for name, value in numbers.items() if value is not None})
-        if self.categories is None:
-            return study
-        stated = [name.strip() for name in self.categories.split(",")]
-        return with_categories(study, study.known if self.categories == "all" else stated)
 
 
 @verb
@@ -107,220 +58,309 @@ def study(
     *,
     output: Output = Path("study"),
     preset: Literal["note"] | None = None,
-    choices: Choices = Choices(),
+    target_deg: float | None = None,
+    categories: str | None = None,
+    subjects: int | None = None,
+    seed: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
-    no_rivals: Flag = False,
     progress: Progress = silent,
 ) -> Studied:
-    """Try calibration protocols on simulated subjects; find which is enough, with its error and its minutes on the rig.
+    """Calibrate simulated devices by named sessions; find the cheapest one whose error in a task is good enough.
 
     Parameters
     ----------
     plan : Path or None
-        study.toml: tasks, subjects, device, what is tried. See docs/study.md.
+        study.toml: tasks, people, device, sessions. See docs/study.md.
     output : Path
-        Folder for surface.parquet, report.html, summary.json and a protocol.toml for each task; an interrupted study in it
-        resumes.
+        Folder for report.html, summary.json, runs.parquet and a protocol.toml for each answer that needs a rate table.
     preset : str or None
-        "note" in place of a plan: the technical note's three tasks, thirty subjects, over 600 protocols each.
+        "note" in place of a plan: the technical note's three tasks, with its fits.
+    target_deg : float or None
+        Error that is good enough for 95 % of devices, deg; the plan's if not given, otherwise 0.5, 1 and 2.
+    categories : str or None
+        Categories of people, separated by commas: level_1 to level_4 (level_2 is the note's), young, elderly, impaired, parkinson,
+        and those of the plan. Each performs every task.
+    subjects : int or None
+        Number of devices, each on a person of its own; the plan's if not given, otherwise 30.
+    seed : int or None
+        Other seed than the plan's; the same seed gives the same numbers with any number of workers.
     workers : int or None
-        Processes on this machine; all its processors where not given.
+        Processes on this machine; all its processors if not given.
     scheduler : str or None
         Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
-    no_rivals : bool
-        Leave out the other ways to calibrate, which the note's Discussion names, 12 units of about 10 s, and the 30 drawn units
-        of Figure 3, 5 s each on one processor. --quick implies it.
     """
-    from undrift.study.case import run_unit, units_of
-    from undrift.study.run import HEAD, Pool, RunStore, choose_executor
+    from undrift.study.figure3 import figure3
+    from undrift.study.judge import breakdown_session, chosen_sessions, judge, with_test
+    from undrift.study.methods import compare_methods
+    from undrift.study.run import executor, run_chosen, run_effects, run_study
 
     if (plan is None) == (preset is None):
-        raise InputError(f"study: wanted a study.toml or `preset` note, got {'both' if plan else 'neither'}; name one")
-    planned = choices.applied(plan)
-    executor, rivals = choose_executor(scheduler, workers), not (no_rivals or choices.quick)
+        raise InputError(
+            f"study: expected a study.toml or `preset` note, got {'both' if plan else 'neither'}. Name one."
+        )
+    planned = _planned(plan, target_deg, categories, subjects, seed)
     check_folder(output)
-    if output.is_dir() and any(output.iterdir()) and not (output / HEAD).is_file():
-        raise InputError(f"{output}: wanted a new folder, or that of this study, got other files; name another")
-    RunStore(output, planned)  # refuses the folder of another study before anything is computed
-    if isinstance(executor, Pool):  # while this process imports what it alone needs
-        executor.start(partial(run_unit, units_of(planned)[0]))
-    from undrift.commands.study_rig import write_protocols
-    from undrift.study.outcome import StudyProgress, judge_study
-
-    progress("\n".join((*_announced(planned, executor.workers), "")), 0.0)
-    course = StudyProgress(progress, stages=5 if rivals else 3)
-    outcome = judge_study(planned, executor, output, course=course, rivals=rivals)
-    result = Studied(outcome=outcome, output=output)
-    write_protocols(result.outcome, output)
+    if output.is_dir() and any(output.iterdir()) and not (output / "runs.parquet").is_file():
+        raise InputError(f"{output}: this folder contains other files. Name a new folder, or the folder of a study.")
+    with executor(workers, scheduler) as spread:
+        runs = run_study(planned, spread, lambda done, total: progress(f"device {done} of {total}", RUN * done / total))
+        outcome = judge(planned, runs)
+        progress("errors switched off one at a time", RUN)
+        split = tuple((task.task.key, breakdown_session(task)) for task in outcome.tasks)
+        devices = range(min(EFFECT_DEVICES, outcome.subjects))
+        effects = [run for made in spread(partial(run_effects, planned, split), devices) for run in made]
+        progress("answers on the other group of people", EFFECTS)
+        chosen = chosen_sessions(outcome)
+        tested = list["Run"]()
+        if chosen and all(task.motion is None for task in planned.tasks):
+            others = range(outcome.subjects)
+            tested = [run for made in spread(partial(run_chosen, planned.other(), chosen), others) for run in made]
+        outcome = with_test(outcome, tested, effects)
+        progress("methods and rivals", TESTING)
+        if preset is not None:
+            outcome = replace(outcome, methods=compare_methods(planned, spread, min(EFFECT_DEVICES, outcome.subjects)))
+    progress("Figure 3", METHODS)
+    figure = figure3(planned.typical_unit(), seed=planned.seed) if preset is not None else None
+    result = Studied(outcome=outcome, figure3=figure, output=output)
+    output.mkdir(exist_ok=True)
+    _write_runs(outcome, output / "runs.parquet")
+    _write_protocols(outcome, output)
     summary = result.summary()
     save_json(output / "summary.json", summary.data)
     at("undrift.report.page:write_page")(output / "report.html", summary, origin_of(plan))
     return result
 
 
-def _announced(planned: "Study", workers: int) -> tuple[str, ...]:
-    """Return how many runs there are, and which values no protocol has."""
-    from undrift.study.outcome import untried_findings
-    from undrift.study.run import count_runs
+def _planned(
+    plan: Path | None, target_deg: float | None, categories: str | None, subjects: int | None, seed: int | None
+) -> "Study":
+    from undrift.study.plan import note_study, read_study, with_categories
 
-    tasks = ", ".join(task.key for task in planned.tasks)
-    return (
-        f"{planned.name}: {count_runs(planned)} runs ({tasks}; {planned.subjects} subjects) on {workers} "
-        f"worker{'s' * (workers > 1)}",
-        *(f"{task.key}: {item.text}" for task in planned.tasks for item in untried_findings(task.space.untried())),
+    planned = note_study() if plan is None else read_study(plan)
+    if target_deg is not None:
+        if not target_deg > 0.0:
+            raise InputError(f"study: `target_deg` must be above 0, got {target_deg:g}.")
+        planned = replace(planned, target_deg=(target_deg,))
+    if subjects is not None:
+        if subjects < 3:
+            raise InputError(f"study: `subjects` must be 3 or more, got {subjects}.")
+        planned = replace(
+            planned, subjects=subjects, subjects_max=max(subjects, planned.subjects_max if plan else subjects)
+        )
+    if seed is not None:
+        if seed < 0:
+            raise InputError(f"study: `seed` must be 0 or more, got {seed}.")
+        planned = replace(planned, seed=seed)
+    return planned if categories is None else with_categories(planned, [name.strip() for name in categories.split(",")])
+
+
+# ---- sections
+
+
+def _name(task: "TaskOutcome") -> str:
+    return plain_words(task.task.key.replace("-", ", "))
+
+
+def _sentence(answer: "Answer", outcome: "StudyOutcome") -> str:
+    if not answer.session:
+        return f"for {answer.target_deg:g} deg no session is good enough"
+    session = next(one for one in outcome.study.sessions if one.name == answer.session)
+    needs = "no instrument" if session.instruments == "none" else session.instruments
+    tested = f", {answer.below} of {answer.tested} devices of the other group below" if answer.tested else ""
+    return f"for {answer.target_deg:g} deg '{answer.session}', {session.length_min:.0f} min, {needs}{tested}"
+
+
+def _answer(outcome: "StudyOutcome") -> str:
+    """Return the cheapest session that does for all tasks."""
+    several = "all tasks" if len(outcome.tasks) > 1 else _name(outcome.tasks[0])
+    return f"Cheapest session that is good enough in {several}: {'; '.join(_sentence(one, outcome) for one in outcome.for_all)}."
+
+
+def _for_all(outcome: "StudyOutcome") -> Section:
+    rows = tuple(
+        (f"{task.answers[k].target_deg:g}", name, session or "none", tested)
+        for k in range(len(outcome.for_all))
+        for task, name, session, tested in (
+            *((one, _name(one), one.answers[k].session, _tested(one.answers[k])) for one in outcome.tasks),
+            (outcome.tasks[0], "all tasks", outcome.for_all[k].session, _tested(outcome.for_all[k])),
+        )
     )
+    text = (
+        "Good enough: 95 % of the simulated devices, each on a person of its own, stay below the target. A session is tested with "
+        "other devices on the other group of people. All figures are simulated, and errors are those of a device that is fixed to "
+        "the bone: how it sits on the body adds about 1 deg, whichever session is chosen.",
+    )
+    heads = ("target (deg)", "task", "cheapest session", "other group below the target")
+    return Section(title="The cheapest session that is good enough", columns=heads, rows=rows, text=text)
+
+
+def _tested(answer: "Answer") -> str:
+    return f"{answer.below} of {answer.tested}{'' if answer.confirmed else ': not confirmed'}" if answer.tested else "–"
+
+
+def _sessions(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
+    rows = list[tuple[str, ...]]()
+    for row in task.sessions:
+        enough = [f"{target:g}" for target in outcome.study.target_deg if row.quantile_deg <= target]
+        about = (row.session.name, f"{row.session.length_min:.0f}", row.session.instruments)
+        failed = f"{row.failed} of {outcome.subjects}" if row.failed else "none"
+        if row.failed == outcome.subjects:
+            rows.append((*about, *("–",) * 7, failed))
+            continue
+        low, high = row.interval_deg
+        quantile = number(row.quantile_deg) if row.quantile_deg < float("inf") else "–"
+        cells = (
+            number(row.mean_deg),
+            interval((max(low, 0.0), high), ".3f"),
+            quantile,
+            interval(row.single_deg, ".3f"),
+        )
+        versus = "best" if row.against_best is None else row.against_best.verdict
+        rows.append((*about, *cells, number(row.real_time_deg), enough[0] if enough else "–", versus, failed))
+    heads = (
+        "session", "minutes", "instruments", "mean (deg)", "95 %", "95 % of devices below", "single device, 95 %",
+        "mean in real time", "enough for (deg)", "against the best", "devices that fail",
+    )  # fmt: skip
+    timing = "aligned in time, as the note compares" if outcome.study.timing == "aligned" else "in real time"
+    text = (
+        f"Pitch error, root mean square over the motion, {timing}; {outcome.subjects} devices, {_rise(outcome)} K above the room, "
+        f"offset rule {outcome.study.offset}. Against the best: margin {outcome.study.margin_deg:g} deg, 5 % over all sessions.",
+    )
+    return Section(title=f"{_name(task)}: sessions", columns=heads, rows=tuple(rows), text=text)
+
+
+def _rise(outcome: "StudyOutcome") -> str:
+    low, high = outcome.study.excursion_k
+    return f"{low:g} to {high:g}"
+
+
+def _sensitivity(outcome: "StudyOutcome") -> Section:
+    names = [session.name for session in outcome.study.sessions]
+    cells = {(rise, offset, name): value for rise, offset, name, value in outcome.sensitivity}
+    keys = list(dict.fromkeys((rise, offset) for rise, offset, *_ in outcome.sensitivity))
+    rows = tuple(
+        (
+            f"{rise:g}" if rise < float("inf") else _rise(outcome),
+            offset,
+            *(number(cells[rise, offset, name]) for name in names),
+        )
+        for rise, offset in keys
+    )
+    text = (f"{_name(outcome.tasks[0])}: 95 % of devices stay below (deg), by what the study assumes of the trial.",)
+    return Section(title="Sensitivity", columns=("K above the room", "offset subtracted", *names), rows=rows, text=text)
+
+
+def _made_of(outcome: "StudyOutcome") -> Section:
+    from undrift.study.judge import breakdown_session
+
+    rows = tuple(
+        (_name(task), breakdown_session(task), *(f"{100.0 * share:.0f} %" for _, share in task.breakdown))
+        for task in outcome.tasks
+        if task.breakdown
+    )
+    names = tuple(name for name, _ in outcome.tasks[0].breakdown)
+    text = (
+        "Share of the mean square that is gone if one kind of error is switched off. Kinds act together, so shares need not add up "
+        "to 100 %.",
+    )
+    return Section(
+        title="What the error is made of",
+        columns=("task", "session", *names),
+        rows=rows,
+        text=text if rows else (),
+        folded=True,
+    )
+
+
+def _chosen(outcome: "StudyOutcome") -> "list[CalibrationSession]":
+    answers = (*outcome.for_all, *(answer for task in outcome.tasks for answer in task.answers))
+    names = dict.fromkeys(answer.session for answer in answers if answer.session)
+    by_name = {session.name: session for session in outcome.study.sessions}
+    return [by_name[name] for name in names]
+
+
+def _stem(session: "CalibrationSession") -> str:
+    return "session-" + "-".join(session.name.replace(",", "").split())
+
+
+def _commands(outcome: "StudyOutcome", folder: Path) -> Section:
+    lines = list[str]()
+    for session in _chosen(outcome):
+        lines += [f"{session.name}:", *session.commands(str(folder / _stem(session)))]
+    return Section(title="Commands", text=tuple(lines))
+
+
+def _write_protocols(outcome: "StudyOutcome", folder: Path) -> None:
+    from undrift.programme import write_protocol
+
+    for session in _chosen(outcome):
+        if session.protocol is not None:
+            write_protocol(
+                replace(session.protocol, name=_stem(session), faces_at="room"), folder / f"{_stem(session)}.toml"
+            )
+
+
+def _write_runs(outcome: "StudyOutcome", path: Path) -> None:
+    import io
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    buffer = io.BytesIO()
+    pq.write_table(pa.Table.from_pylist([asdict(run) for run in outcome.runs]), buffer)
+    write_whole(path, buffer.getvalue())
 
 
 # ---- summary.json
 
 
-HEAD_KEYS = (
-    "name", "device", "subjects", "seed", "objective", "timing", "offset", "level", "margin_deg", "target_deg",
-    "confidence",
-)  # fmt: skip
-FIGURE3_KEYS = ("none_max_deg", "static_max_deg", "full_max_deg", "rest_max_deg", "full_and_rest_max_deg")
-
-
-def study_json(outcome: "StudyOutcome") -> dict[str, object]:
+def study_json(outcome: "StudyOutcome", figure: "Figure3 | None") -> dict[str, Any]:
     """Return the JSON of a study."""
     from undrift.base.codec import tree_of
 
-    held, figure = outcome.study, outcome.figure3
+    planned = outcome.study
+    keys = ("name", "device", "group", "excursion_k", "seed", "offset", "timing", "fit", "margin_deg", "target_deg")
     return {
-        **{key: getattr(held, key) for key in HEAD_KEYS},
-        "bench": tree_of(held.bench) | {"chain_percent": 100.0 * held.chain_sd},
-        "runs": outcome.runs,
+        **{key: getattr(planned, key) for key in keys},
+        "subjects": outcome.subjects,
+        "bench": tree_of(planned.bench),
+        "for_all": [asdict(answer) | {"confirmed": answer.confirmed} for answer in outcome.for_all],
         "tasks": [_task_json(task) for task in outcome.tasks],
-        "cohorts": [
-            {"group": one.group, "category": one.category, "subjects": one.count, "age_years": one.age_years}
-            | {"height_m": one.height, "note_age_years": one.printed.age_years, "note_height_m": one.printed.height}
-            for one in outcome.cohorts
-        ],
-        "figure3": figure and _figure3_json(figure),
-        "figure3_missing": outcome.figure3_missing and outcome.figure3_missing.detail,
-        "figure3_drawn": [asdict(row) for row in outcome.figure3_drawn] or None,
-        "rivals": [asdict(row) | {"said": row.notes} for row in outcome.rivals] or None,  # binding key
-        "rival_triads": [asdict(row) for row in outcome.rival_triads] or None,
-        "rivals_missing": outcome.rivals_missing and outcome.rivals_missing.detail,
-    }
-
-
-def _figure3_json(figure: "Figure3") -> dict[str, object]:
-    from undrift.study.figure3 import COMPARED
-
-    return {
-        **dict(zip(FIGURE3_KEYS, figure.actual_max_deg, strict=True)),
-        "decrease_deg": figure.decrease_deg,
-        "simulated_actual_max_deg": figure.simulated_actual_max_deg[2],
-        "compared": COMPARED,
-        "actual_max_deg": figure.actual_max_deg,
-        "simulated_max_deg": figure.simulated_max_deg,
-        "simulated_actual_by_level_deg": figure.simulated_actual_max_deg,
-        "correlation": figure.correlation,
-    }
-
-
-def _task_json(task: "TaskOutcome") -> dict[str, object]:
-    from undrift.io.store import findings_json
-    from undrift.study.plan import ERRORS
-
-    surface, found, front = task.surface, task.optimum, task.front
-    errors = ("error_rms_deg", "error_max_deg", "honest_error_deg", "honest_interval_deg", "p_value")
-    return {
-        "task": surface.task,
-        "optimum": _protocol(surface, found.best),
-        **{key: getattr(found, key) for key in errors},
-        "errors": {name: float(getattr(surface, name)[:, found.best].mean()) for name in ERRORS},
-        "equivalent_protocols": int(found.equivalent.sum()),
-        "protocols": len(surface.cutoff_hz),
-        "worse_protocols": int(found.worse.sum()),
-        "undecided_protocols": int(found.undecided.sum()),
-        "flat": found.flat,
-        "deciding": found.deciding,
-        "failed_runs": found.failed,
-        "rig_minutes": float(surface.rig_minutes[found.best]),
-        "cheapest": {
-            "protocol": _protocol(surface, found.cheapest),
-            "error_rms_deg": float(surface.error("rms", found.timing)[:, found.cheapest].mean()),
-            "rig_minutes": float(surface.rig_minutes[found.cheapest]),
-        },
-        "target": task.target and asdict(task.target) | {"protocol": _protocol(surface, task.target.place)},
-        "tested": dict(zip(("optimum", "cheapest"), map(asdict, task.tested), strict=True)),
-        "pareto": [
-            _protocol(front.surface, place)
-            | {"rig_minutes": float(front.surface.rig_minutes[place]), "interval_deg": interval}
-            | {key: float(getattr(front.surface, key)[:, place].mean()) for key in ERRORS}
-            for interval, place in zip(front.interval_deg.tolist(), front.places.tolist(), strict=True)
-        ],
-        "left_out": surface.left_out,
-        "untried": [
+        "sensitivity": [
             {
-                "parameter": f"{row.parameter}_dps",
-                "value": round(row.value / RADIAN_PER_DEGREE, 9),
-                "reason": row.reason,
+                "excursion_k": None if rise == float("inf") else rise,
+                "offset": offset,
+                "session": name,
+                "quantile_deg": value,
             }
-            for row in task.untried
+            for rise, offset, name, value in outcome.sensitivity
         ],
-        "made_of": [_split_json(split) for split in task.splits],
-        "effects": [_effect_json(effect) for effect in found.effects],
-        "note": _note_json(task),
-        "findings": findings_json(task.findings),
+        "methods": [asdict(row) for row in outcome.methods],
+        "figure3": figure
+        and {
+            "actual_max_deg": figure.actual_max_deg,
+            "simulated_max_deg": figure.simulated_max_deg,
+            "simulated_actual_max_deg": figure.simulated_actual_max_deg,
+            "decrease_deg": figure.decrease_deg,
+        },
     }
 
 
-def _split_json(split: "ErrorBreakdown") -> dict[str, object]:
-    terms = [
-        {key: getattr(term, key) for key in ("effect", "share", "share_interval", "rms_deg", "span_deg")}
-        | {"verdict": term.judged.verdict, "p_better": term.judged.p_better, "best": split.values[term.best]}
-        for term in split.terms
+def _task_json(task: "TaskOutcome") -> dict[str, Any]:
+    sessions = [
+        {"session": row.session.name, "minutes": row.session.length_min, "instruments": row.session.instruments}
+        | {key: getattr(row, key) for key in ("mean_deg", "interval_deg", "single_deg", "real_time_deg", "failed")}
+        | {"quantile_deg": row.quantile_deg if row.quantile_deg < float("inf") else None}
+        | {"against_best": row.against_best and asdict(row.against_best)}
+        for row in task.sessions
     ]
+    effects = [asdict(effect) | {"verdict": effect.verdict} for effect in task.effects]
+    answers = [asdict(answer) | {"confirmed": answer.confirmed} for answer in task.answers]
     return {
-        **{key: getattr(split, key) for key in ("parameter", "values", "rms_deg", "together")},
-        "verdict": split.judged.verdict,
-        "covering": [term.effect for term in split.covering],
-        "terms": terms,
-    }
-
-
-def _protocol(surface: "TaskSurface", place: int) -> dict[str, float]:
-    return {name: round(float(surface.column(name)[place]), 9) for name in surface.names}
-
-
-def _note_json(task: "TaskOutcome") -> dict[str, object] | None:
-    surface, note = task.surface, task.note
-    if note is None:
-        return None
-    values = [
-        {"parameter": each.name, "value": each.value, "verdict": each.verdict, "because": each.finding.text}
-        | {
-            name: found and asdict(found) | {"other": _protocol(surface, found.other)}
-            for name, found in (("lower", each.lower), ("upper", each.upper))
-        }
-        for each in note.values
-    ]
-    figures = {key: getattr(note, key) for key in ("error_deg", "difference_deg", "verdict")}
-    return {**asdict(note.row), **figures, "because": note.finding.text, "values": values}
-
-
-def _effect_json(effect: "ParameterEffect") -> dict[str, object]:
-    test, judged = effect.anova, effect.judged
-    return {
-        "parameter": effect.name,
-        **{key: getattr(effect, key) for key in ("values", "means_deg", "span_deg", "dropped")},
-        "untested": effect.untested and effect.untested.detail,
-        "f": test and test.f,
-        "p_value": test and test.p_value,
-        "p_holm": effect.p_holm,
-        "partial_eta_squared": test and test.partial_eta_squared,
-        "partial_eta_squared_interval": test and test.partial_eta_squared_interval,
-        "judged": judged
-        and {key: getattr(judged, key) for key in ("verdict", "p_better", "p_equivalent")}
-        | {"decisions": [asdict(each) | {"other": effect.values[each.other]} for each in judged.decisions]},
-        "greenhouse_geisser": test and test.sphericity.greenhouse_geisser,
-        "anova": test and asdict(test),
-        "pairs": [
-            asdict(pair) | {"first": effect.values[pair.first], "second": effect.values[pair.second]}
-            for pair in effect.pairs
-        ],
+        "task": task.task.key,
+        "sessions": sessions,
+        "answers": answers,
+        "effects": effects,
+        "made_of": dict(task.breakdown),
     }

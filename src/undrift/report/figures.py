@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from undrift.calibration.pieces import Piece
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
-    from undrift.study.outcome import StudyOutcome, TaskOutcome
-    from undrift.study.plan import Timing
+    from undrift.study.judge import StudyOutcome
     from undrift.twin.heldout import HeldOutTrial
     from undrift.validation.agreement import Validation
     from undrift.validation.levels import LevelSummary, LevelTable
@@ -588,110 +587,31 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
     return figure
 
 
-def draw_surface(
-    outcome: "StudyOutcome", task: "TaskOutcome", timing: "Timing", headings: Mapping[str, str]
-) -> "Figure":
-    """Draw the mean error over the protocols: a column for each step d, what is not shown at its best."""
-    surface = task.surface
-    mean = surface.error(outcome.study.objective, timing).mean(axis=0)
-    step_of, x_of = surface.turn_rate_step_dps, surface.turn_rate_max_dps
-    steps, (xs, x_at) = np.unique(step_of), np.unique(x_of, return_inverse=True)
-    figure, axes = new_figure(len(steps), columns=2, height=1.75, share_x=False)
-    low, high = float(np.nanmin(mean)), float(np.nanmax(mean))
-    if high < LEAST_CONTRAST * low:
-        middle, reach = np.sqrt(low * high), np.sqrt(LEAST_CONTRAST)
-        low, high = middle / reach, middle * reach
-    mesh: Any = None
-    marks = [(task.optimum.best, "*", DEVICE, DEVICE, 90)]
-    if task.note is not None and task.note.place is not None:
-        marks.append((task.note.place, "o", OPTICS, "none", 110))
-    for row, name in enumerate(("cutoff_hz", "turn_rate_min_dps")):
-        ys, y_at = np.unique(getattr(surface, name), return_inverse=True)
-        for column, step in enumerate(steps):
-            panel, shown = axes[2 * column + row], np.full((len(ys), len(xs)), np.nan)
-            own = np.flatnonzero(step_of == step)
-            np.fmin.at(shown, (y_at[own], x_at[own]), mean[own])
-            edges = np.arange(len(xs) + 1) - 0.5, np.arange(len(ys) + 1) - 0.5  # one row of cells has a height too
-            mesh = panel.pcolormesh(*edges, shown, cmap="YlOrBr", vmin=low, vmax=high)
-            panel.grid(False)
-            panel.set_xticks(np.arange(len(xs)), [f"{x:.3g}" for x in xs])
-            panel.set_yticks(np.arange(len(ys)), [f"{y:.3g}" for y in ys])
-            panel.set(ylabel=headings[name], title=f"d = {step:.3g} deg/s")
-            if column == len(steps) - 1:
-                panel.set_xlabel(headings["turn_rate_max_dps"])
-            for place, mark, colour, face, size in marks:
-                if step_of[place] == step:
-                    style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": colour}
-                    panel.scatter(x_at[place], y_at[place], linewidth=1.4, zorder=3, **style)
-    figure.colorbar(
-        mesh,
-        ax=axes,
-        location="bottom",
-        shrink=0.8,
-        aspect=40,
-        label=f"mean {outcome.study.objective} error, {timing} (deg)",
-    )
-    return figure
-
-
-def draw_effects(task: "TaskOutcome", headings: Mapping[str, str]) -> "Figure":
-    """Draw the mean error over each parameter, the others at the optimum, with 95 % intervals within subjects."""
-    every = task.optimum.effects
-    figure, axes = new_figure(-(-len(every) // 2), columns=min(2, len(every)), height=2.2, share_x=False)
-    ends = []
-    for panel in axes[len(every) :]:
-        panel.set_axis_off()
-    for panel, effect, reach in zip(axes, every, task.effect_reach_deg, strict=False):
-        bars = reach if reach > 0.0 else None
-        panel.errorbar(effect.values, effect.means_deg, yerr=bars, color=DEVICE, marker="o", ms=3.5)
-        panel.set_xlabel(headings[effect.name])
-        panel.set_title("not tested" if effect.judged is None else effect.judged.verdict, fontsize=9)
-        ends += [effect.means_deg.min() - reach, effect.means_deg.max() + reach]
-        panel.set_xticks(effect.values if len(effect.values) < 6 else effect.values[:: -(-len(effect.values) // 5)])
-        panel.xaxis.set_major_formatter("{x:.3g}")
-    low, high = min(ends), max(ends)
-    for k, panel in enumerate(axes):
-        panel.set_ylim(low - 0.08 * (high - low) - 1e-3, high + 0.08 * (high - low) + 1e-3)
-        if k % 2:
-            panel.tick_params(labelleft=False)
-        else:
-            panel.set_ylabel("mean error (deg)")
-    return figure
-
-
-def draw_pareto(outcome: "StudyOutcome", task: "TaskOutcome") -> "Figure":
-    """Draw error against minutes on the rig, one point a protocol."""
-    figure, (axes,) = new_figure(1, height=3.7)
-    found, minutes, front = task.optimum, task.surface.rig_minutes, task.front
-    mean = task.surface.error(outcome.study.objective, outcome.study.timing).mean(axis=0)
-    for chosen, colour, marker, label in (
-        (found.worse, LIMIT, "x", "worse than the optimum"),
-        (found.undecided, "#9a6a00", "^", "not decidable"),
-        (found.equivalent, DEVICE, "o", "equivalent to the optimum"),
-    ):
-        if chosen.any():
-            axes.scatter(minutes[chosen], mean[chosen], color=colour, marker=marker, s=10, label=label)
-    at = front.surface.rig_minutes[front.places]
-    reach = np.abs(front.interval_deg.T - front.mean_deg)
-    label = "not beaten in both, 95 %"
-    axes.errorbar(at, front.mean_deg, yerr=reach, color=ERROR, linewidth=1.2, elinewidth=0.7, capsize=2, label=label)
-    marks = [(found.best, "*", 130, ERROR, "optimum"), (found.cheapest, "D", 50, ERROR, "shortest equivalent")]
-    if found.best == found.cheapest:
-        marks = [(found.best, "*", 130, ERROR, "optimum, and shortest equivalent")]
-    if task.note is not None and task.note.place is not None:
-        marks.append((task.note.place, "o", 90, "none", "the note"))
-    if (target := task.target) is not None:
-        axes.axhline(
-            target.target_deg, color=OPTICS, linewidth=0.8, linestyle="--", label=f"target, {target.target_deg:g} deg"
+def draw_sessions(outcome: "StudyOutcome") -> "Figure":
+    """Draw the error of each session against its minutes: mean, and the error that 95 % of devices stay below; a panel per task."""
+    figure, panels = new_figure(len(outcome.tasks), height=2.4, share_x=True)
+    for panel, task in zip(panels, outcome.tasks, strict=True):
+        rows = [row for row in task.sessions if np.isfinite(row.mean_deg)]
+        minutes = np.array([max(row.session.length_min, 0.5) for row in rows])
+        panel.plot(minutes, [row.mean_deg for row in rows], "o", color=DEVICE, label="mean")
+        panel.plot(
+            minutes,
+            [row.quantile_deg for row in rows],
+            "_",
+            color=ERROR,
+            markersize=12.0,
+            label="95 % of devices below",
         )
-        marks.append((target.place, "P", 110, ERROR, f"cheapest: {target.verdict}"))
-    for place, mark, size, face, label in marks:
-        style: Any = {"marker": mark, "s": size, "facecolor": face, "edgecolor": OPTICS}
-        axes.scatter(minutes[place], mean[place], zorder=4, label=label, **style)
-    label = f"mean {outcome.study.objective} error, {outcome.study.timing} (deg)"
-    top = max(float(np.nanmax(mean)), float(front.interval_deg.max()), outcome.study.target_deg or 0.0)
-    axes.set(ylim=(0.0, 1.1 * top), xlabel="session (min)", ylabel=label)
-    legend_outside(figure, *axes.get_legend_handles_labels())
+        for row, at in zip(rows, minutes, strict=True):
+            panel.annotate(
+                row.session.name, (at, row.mean_deg), xytext=(4.0, 3.0), textcoords="offset points", fontsize=7
+            )
+        for target in outcome.study.target_deg:
+            panel.axhline(target, color=OPTICS, linewidth=0.7, linestyle="--")
+        panel.set(xscale="log", yscale="log", ylabel="error (deg)")
+        panel.set_title(task.task.key, loc="left", fontsize=9)
+    panels[-1].set_xlabel("session (min)")
+    legend_above(panels[0])
     return figure
 
 

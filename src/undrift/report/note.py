@@ -40,28 +40,28 @@ FIGURE_1 = (
     NoteStep("Task and category of subjects (Tinetti test)", ("study.plan.note_study", "sim.motion.tasks.cohort")),
     NoteStep(
         "Parameters to try: accelerations and angular velocities of the calibration (Δω, ω_m, ω_M), conditioning chain",
-        ("study.space.Space.points",),
+        ("study.plan.StudyTask.variations",),
     ),
     NoteStep(
         "Motion at L5 from the optics, input of the simulation",
-        ("sim.motion.tasks.draw_task", "study.plan.read_motion"),
+        ("sim.motion.tasks.draw_task", "study.recorded.read_motion"),
     ),
     NoteStep(
         "Calibration: six faces (eqs. 1 to 3), motor (eqs. 4 to 6)",
-        ("sim.table_sessions.lay_out", "study.case.fit_as_the_note"),
+        ("study.sessions.calibrate_by", "study.sessions.calibrate_by_means"),
     ),
     NoteStep(
         "Simulation with the model of the device: angle, and its error",
-        ("study.case.make_case", "study.case.trial_errors"),
+        ("study.case.make_case", "study.case.pitch_errors_deg"),
     ),
     NoteStep(
         "Analysis of variance over the subjects: is p below 0.05?",
-        ("study.judge.find_optimum", "study.judge.effects_at"),
+        ("study.judge.judge_parameters", "study.statistics.repeated_measures_anova"),
     ),
-    NoteStep("Optimised parameters (Table 1)", ("study.judge.compare_with_note",)),
+    NoteStep("Optimised parameters (Table 1)", ("study.plan.TABLE_1",)),
     NoteStep(
         "Test of the calibrated device on other subjects (Table 2), beside the optics (Figure 3)",
-        ("study.judge.run_testing", "study.figure3.figure3"),
+        ("study.run.run_chosen", "study.figure3.figure3"),
     ),
 )
 LOOP = (5, 1, "no: other values, more subjects")  # from one step of Figure 1 back to another

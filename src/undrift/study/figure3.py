@@ -33,7 +33,6 @@ from undrift.drift.fit import fit_drift
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record, Reference
-from undrift.sim.device.effects import Sampling
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.simulate import simulate_device
@@ -42,11 +41,10 @@ from undrift.sim.motion.motion import after_rest
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.sessions import simulate_session
-from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_session
-from undrift.study.case import WORN_S
-from undrift.study.plan import SAMPLE_RATE_HZ
-from undrift.study.run import Executor, InProcess
+from undrift.study.case import WORN_S, on_the_clock
+from undrift.study.recorded import SAMPLE_RATE_HZ
+from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import mean_interval
 from undrift.validation.levels import LEVEL_NAMES, LEVELS, NOTE_DIFFERENCE_DEG, judge_level
@@ -78,19 +76,11 @@ def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> Dev
     return on_the_clock(replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=lag_s)))
 
 
-def on_the_clock(device: DeviceModel) -> DeviceModel:
-    """Return a device that samples with the motion: sessions are marked by sample, and the lag is removed in any case."""
-    held = device.sampling
-    clock = Sampling(gyro_averaging=held.gyro_averaging, accel_averaging=held.accel_averaging)
-    return device if held.on_grid else replace(device, sampling=clock)
-
-
 # ---- the figure
 
 COMPARED = LEVEL_NAMES[1:6]
 FULL = COMPARED.index("all tables")
 ACQUISITION_S = 4.0
-SETTLED_S = 3600.0  # on for an hour before the bench, and before it is put on
 WARMING_S = 600.0
 BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in range(15, 91, 15)), dwell_s=1.5)
 RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
@@ -219,7 +209,7 @@ def drawn_cohort(
     units: int = DRAWN_UNITS,
     seed: int = 0,
     excursion_k: float = 12.5,
-    executor: Executor | None = None,
+    spread: Callable[..., Any] = map,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[DrawnRow, ...]:
     """Calibrate and wear drawn units as both devices of the figure, each on its person; ``advance`` gets units done and in all."""
@@ -227,9 +217,9 @@ def drawn_cohort(
         raise InputError(f"drawn units: wanted two or more, for quartiles, got {units}; 30 is the default")
     work = partial(drawn_errors, kind, seed, excursion_k)
     rows = np.empty((units, 4, len(COMPARED)))
-    for done, (place, errors) in enumerate((executor or InProcess()).run(work, range(units)), 1):
-        rows[place] = errors
-        advance(done, units)
+    for number, errors in enumerate(spread(work, range(units))):
+        rows[number] = errors
+        advance(number + 1, units)
     return tuple(_drawn_row(name, *rows[:, :, k].T) for k, name in enumerate(COMPARED))
 
 

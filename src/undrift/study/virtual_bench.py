@@ -34,8 +34,8 @@ from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
-from undrift.sim.table_sessions import ROOM_TEMP_C
 from undrift.study.figure3 import OPTICS, judge_compared, worn_record
+from undrift.study.sessions import ROOM_TEMP_C
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial
 

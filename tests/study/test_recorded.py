@@ -10,7 +10,7 @@ from testkit.data import data_path, show
 from undrift.errors import InputError
 from undrift.record import Reference
 from undrift.sim.motion.poses import PoseSpline, fit_pose_spline
-from undrift.study.plan import SKIN, OwnMotion, Posed, check_rest, measure_rest, read_motion, read_poses, sha256_of
+from undrift.study.recorded import SKIN, OwnMotion, Posed, check_rest, measure_rest, read_motion, read_poses, sha256_of
 from undrift.units import STANDARD_GRAVITY
 
 DEG = np.pi / 180.0

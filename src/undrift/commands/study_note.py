@@ -1,0 +1,140 @@
+"""Sections of a study's page that stand beside the note: its Figures 1 to 3, Table 1 and Table 2."""
+
+from typing import TYPE_CHECKING
+
+from undrift.base.summary import Section, figure_of, interval, number
+
+if TYPE_CHECKING:
+    from undrift.study.figure3 import Figure3
+    from undrift.study.judge import StudyOutcome, TaskOutcome
+
+NOTE = (
+    'The note, here and below: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
+    'rate-gyroscopes and accelerometers", EMBC 2007.'
+)
+SLOPE_OF_THE_NOTE = (
+    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
+    "confirms nothing, only what each compensation leaves of it."
+)
+
+
+def note_flows() -> tuple[Section, ...]:
+    """Return Figures 1 and 2."""
+    text = ("In black the steps of the note's text, in blue the functions that do them here.",)
+    titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
+    pictures = (figure_of(f"note:draw_figure{k}") for k in (1, 2))
+    return tuple(
+        Section(title=title, text=text, pictures=(one,), folded=True)
+        for title, one in zip(titles, pictures, strict=True)
+    )
+
+
+def table_1(task: "TaskOutcome", name: str) -> Section:
+    """Return the note's four numbers for a task, with the error at the values beside them."""
+    from undrift.study.plan import HEADINGS, TABLE_1
+
+    rows = list[tuple[str, ...]]()
+    for effect in task.effects:
+        means = ", ".join(
+            f"{value:g}{'*' * (value == effect.own)}: {mean:.3f}"
+            for value, mean in zip(effect.values, effect.means_deg, strict=True)
+        )
+        test = effect.anova
+        cells = ("–",) * 3 if test is None else (f"{test.f:.2f}", f"{test.p_value:.2g}", f"{effect.p_holm:.2g}")
+        span = max(effect.means_deg, default=0.0) - min(effect.means_deg, default=0.0)
+        rows.append((HEADINGS[effect.parameter], means, f"{span:.3f}", *cells, effect.verdict))
+    heads = ("parameter", "value: mean error (deg); * own", "span (deg)", "F", "p", "p (Holm)", "verdict")
+    note = next(
+        (row for key, row in TABLE_1.items() if key == task.task.name and task.task.around == row.numbers), None
+    )
+    text = [
+        "Each number is varied by itself, the others as they are. F of the repeated measures with Greenhouse and Geisser's "
+        "correction. "
+        "A verdict compares with the margin of the study; p alone falls with every device that is added."
+    ]
+    if note is not None:
+        text.append(f"The note's own p of this row is {note.p_value:g}." + f" {note.erratum}." * bool(note.erratum))
+    return Section(
+        title=f"{name}: the note's Table 1", columns=heads, rows=tuple(rows), text=tuple(text) if rows else ()
+    )
+
+
+def table_2(outcome: "StudyOutcome") -> Section:
+    """Return both groups of people beside the note's Table 2."""
+    import numpy as np
+
+    from undrift.sim.motion.tasks import TABLE_2, cohort
+    from undrift.study.case import stream
+
+    rows = list[tuple[str, ...]]()
+    for group, printed in TABLE_2.items():
+        people = cohort(group, rng=stream(outcome.study.seed, "cohort", group, 0))
+        ages, heights = np.array([one.age_years for one in people]), np.array([one.height for one in people])
+        noted = (printed.age_years, printed.height)
+        cells = []
+        for values, (low, mean, high), unit in zip((ages, heights), noted, (1.0, 100.0), strict=True):
+            cells += [f"{unit * low:.0f} to {unit * high:.0f}, {unit * mean:.0f}"]
+            cells += [f"{unit * values.min():.0f} to {unit * values.max():.0f}, {unit * values.mean():.0f}"]
+        rows.append((group, *cells))
+    heads = ("group", "age, the note (years)", "age, simulated", "height, the note (cm)", "height, simulated")
+    return Section(title="The note's Table 2: least to greatest, mean", columns=heads, rows=tuple(rows), folded=True)
+
+
+def figure3_section(figure: "Figure3") -> Section:
+    """Return the note's Figure 3."""
+    from undrift.study.figure3 import COMPARED
+
+    rows = tuple(
+        (
+            name,
+            f"{figure.simulated_max_deg[k]:.2f}",
+            f"{figure.actual_max_deg[k]:.2f}",
+            f"{figure.simulated_actual_max_deg[k]:.2f}",
+            f"{figure.correlation[k]:.2f}",
+        )
+        for k, name in enumerate(COMPARED)
+    )
+    text = (
+        f"Board {figure.excursion_k:g} K above the bench. Compensation removes {figure.decrease_deg:.2f} deg of the actual "
+        f"device's largest error (the note: more than 3.2). With all tables the two errors differ by at most "
+        f"{figure.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15).",
+        "The actual device is the simulated one with hysteresis, thermometer lag, non-linearity of the converter and "
+        "g-sensitivity.",
+        SLOPE_OF_THE_NOTE,
+    )
+    heads = ("level", "simulated: largest (deg)", "actual: largest (deg)", "largest difference (deg)", "correlation")
+    picture = figure_of("note:draw_figure3", figure, COMPARED)
+    return Section(
+        title="Figure 3: sit-to-stand, simulated and actual device",
+        columns=heads,
+        rows=rows,
+        text=text,
+        pictures=(picture,),
+    )
+
+
+def methods_section(outcome: "StudyOutcome") -> Section:
+    """Return the methods that undrift offers and the note's rivals."""
+    rows = tuple(
+        (
+            row.method,
+            f"{row.minutes:.0f}",
+            row.instruments,
+            row.triads,
+            *(
+                f"{number(mean)} ({interval(ends, '.2f')})"
+                for mean, ends in zip(row.error_deg, row.interval_deg, strict=True)
+            ),
+            number(row.tilt_deg),
+            str(row.failed),
+        )
+        for row in outcome.methods
+    )
+    tasks = (f"{task.task.key} (deg)" for task in outcome.tasks)
+    heads = ("method", "minutes", "instruments", "triads", *tasks, "tilt at rest (deg)", "devices that fail")
+    text = (
+        "The same devices by each method, in the same trials: mean error of the pitch with its 95 % interval. Tilt: by the "
+        "accelerometers only. Of a triad that a method does not calibrate, the data sheet and a rest are used. Each rival has one "
+        "stated error of its instrument.",
+    )
+    return Section(title="Methods and rivals", columns=heads, rows=rows, text=text if rows else (), folded=True)

@@ -1,0 +1,238 @@
+"""The methods that undrift offers and the note's rivals, on the same devices and trials.
+
+The rivals have short motions, one stated instrument error each, and the product's own fits::
+
+    data sheet        nothing is recorded: nominal sensitivities and zero-rate outputs
+    inclined plane    stills at stated angles about each axis; accelerometers by least squares on the stated force
+    trolley, piston   a sinusoid of stated frequency and stroke along each axis; accelerometers likewise
+    optics            a minute of turns by hand in front of optics; fit to the references
+    robot arm         the same by an arm whose poses are known
+
+A rival calibrates what it can. For the other triad the data sheet stands in, with the offset of a rest. The error of the tilt shows
+the accelerometers alone: the note says that a static calibration is as good as a dynamic one.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.calibrate import calibrate_to_references
+from undrift.calibration.reference import ReferenceSettings
+from undrift.errors import UndriftError
+from undrift.fit.least_squares import fit_forward, triad_from_forward
+from undrift.model import Calibration, TriadModel
+from undrift.record import Record, Reference
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import preset_grade
+from undrift.sim.device.simulate import draw_streams, simulate_device
+from undrift.sim.device.truth import nominal_calibration, true_calibration
+from undrift.sim.motion.poses import OpticsSettings, disturbed
+from undrift.sim.motion.tasks import draw_task
+from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
+from undrift.study.plan import NOTE_BENCH, Study
+from undrift.study.run import perform
+from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, calibrate_by
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.agreement import mean_interval
+
+Rival = Literal["data sheet", "inclined plane", "trolley", "piston", "optics", "robot arm"]
+RIVALS: tuple[Rival, ...] = get_args(Rival)
+OWN = ("hand", "free poses", "motion", "three rates", "note rates")  # sessions of undrift at room temperature
+INSTRUMENTS: dict[Rival, str] = {
+    "data sheet": "none", "inclined plane": "plane with inclinometer", "trolley": "rail with crank drive",
+    "piston": "servohydraulic piston", "optics": "optical motion capture", "robot arm": "robot arm",
+}  # fmt: skip
+MINUTES: dict[Rival, float] = {
+    "data sheet": 0.0, "inclined plane": 6.0, "trolley": 3.0, "piston": 3.0, "optics": 2.0, "robot arm": 2.0,
+}  # fmt: skip
+# One stated error of each instrument, all assumed: a digital inclinometer; a crank set by a ruler, 1 mm of 150; a transducer of
+# class 0.5; a cluster of markers that gives way; an arm that repeats within 0.05 mm and bends with its pose.
+PLANE_ANGLE, TROLLEY_STROKE, PISTON_STROKE = 0.05 * RADIAN_PER_DEGREE, 0.01, 0.005
+POSES = {
+    "optics": OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE),
+    "robot arm": OpticsSettings(angle_sd=5e-5, position_sd=5e-5, slow_sd=0.01 * RADIAN_PER_DEGREE),
+}
+RATE_HZ = 100.0
+STILL_S = 2.0
+SINUSOID_S = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MethodRow:
+    """One method over all devices."""
+
+    method: str
+    minutes: float
+    instruments: str
+    triads: str  # triads that it calibrates
+    error_deg: tuple[float, ...]  # mean rms error of the pitch in each task
+    interval_deg: tuple[tuple[float, float], ...]  # 95 %
+    tilt_deg: float  # rms error of the tilt at rest by the accelerometers alone, over 26 directions
+    failed: int  # devices that it could not calibrate
+
+
+# ---- motions of the rivals: the true and the stated specific force in the frame of the case
+
+
+def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return true and stated specific force (N, 3), m/s2, of a device that is mounted once per axis."""
+    true, stated = list[FloatArray](), list[FloatArray]()
+    for axis in range(3):
+        mount = rng.normal(0.0, NOTE_BENCH.mount_tilt, 3)
+        up, along = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
+        if rival == "inclined plane":
+            for angle in np.radians(np.arange(-90.0, 91.0, 15.0)):
+                lain = angle + rng.normal(0.0, PLANE_ANGLE)
+                shape = np.ones((round(STILL_S * RATE_HZ), 1))
+                stated.append(shape * STANDARD_GRAVITY * (np.cos(angle) * up + np.sin(angle) * along))
+                actual = STANDARD_GRAVITY * (np.cos(lain) * up + np.sin(lain) * along)
+                true.append(shape * (actual + np.cross(mount, actual)))
+            continue
+        frequency_hz, stroke, error = (0.8, 0.15, TROLLEY_STROKE) if rival == "trolley" else (4.0, 0.02, PISTON_STROKE)
+        time = np.arange(round(SINUSOID_S * RATE_HZ)) / RATE_HZ
+        swing = -stroke * (2.0 * np.pi * frequency_hz) ** 2 * np.sin(2.0 * np.pi * frequency_hz * time)[:, None]
+        way = along if rival == "trolley" else up
+        stated.append(STANDARD_GRAVITY * up + swing * way)
+        actual = STANDARD_GRAVITY * up + (1.0 + rng.normal(0.0, error)) * swing * way
+        true.append(actual + np.cross(mount, actual))
+    return np.concatenate(true), np.concatenate(stated)
+
+
+def _by_known_forces(
+    rival: Rival, device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
+) -> Calibration:
+    """Fit the accelerometers to the stated force by least squares; the gyroscopes have their data sheet and a rest."""
+    from undrift.sim.motion.motion import Motion
+
+    true, stated = _known_forces(rival, streams(rival))
+    still = np.zeros_like(true)
+    time = np.arange(len(true)) / RATE_HZ
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(true), 1))
+    motion = Motion(
+        time=time, gravity_m_s2=STANDARD_GRAVITY, q_nb=level, rate_b=still, mean_rate_b=still, force_b=true,
+        moving=np.zeros(len(true)),
+    )  # fmt: skip
+    settled = replace(device, accel=replace(device.accel, low_pass=None))  # fits only what has settled
+    record = simulate_device(
+        settled, motion, rng=streams(f"{rival} noise"), temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S
+    ).record
+    forward = fit_forward(stated, np.asarray(record.accel), None)
+    reach = float(np.abs(stated).max())
+    accel = triad_from_forward(
+        forward, method=f"known-force/{rival}", valid_range=(-reach, reach), unit_in=record.accel_unit, unit_out="m/s2"
+    ).model
+    return replace(_data_sheet(device, kind, record), accel=accel)
+
+
+def _data_sheet(device: DeviceModel, kind: str, rest: Record | None = None) -> Calibration:
+    """Return the data sheet as a calibration, with the mean rate of a rest as offset if there is one."""
+    nominal = nominal_calibration(preset_grade(kind))
+    gyro = nominal.gyro
+    if rest is not None and rest.gyro is not None and gyro is not None:
+        gyro = replace(gyro, offset=np.nanmean(rest.gyro, axis=0))
+    return replace(nominal, device=device.serial, gyro=gyro, reference_temp_c=ROOM_TEMP_C)
+
+
+def _by_poses(
+    rival: Literal["optics", "robot arm"], device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
+) -> Calibration:
+    """Turn the device for a minute in front of the reference, twice, and fit it to the poses."""
+    records, references = list[Record](), list[Reference]()
+    for turn in ("first", "second"):
+        rng = streams(f"{rival} {turn}")
+        performed = draw_task("free", rng=rng)
+        time = np.arange(round(performed.duration_s * RATE_HZ)) / RATE_HZ
+        motion = performed.at(time, STANDARD_GRAVITY)
+        records.append(simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S).record)
+        q_nb, position = disturbed(
+            motion.q_nb, performed.position(time), streams=draw_streams(rng), settings=POSES[rival]
+        )
+        references.append(Reference(time=time, q_nb=q_nb, position=position, moving=motion.moving))
+    fitted = calibrate_to_references(records, references, settings=ReferenceSettings(mounting="one"))
+    sheet = _data_sheet(device, kind)
+    return replace(
+        fitted, gyro=fitted.gyro or sheet.gyro, accel=fitted.accel or sheet.accel, reference_temp_c=ROOM_TEMP_C
+    )
+
+
+# ---- the table
+
+
+def calibrate_rival(
+    rival: Rival, device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
+) -> Calibration:
+    """Calibrate a device by one of the note's rivals."""
+    if rival == "data sheet":
+        return _data_sheet(device, kind)
+    if rival in ("optics", "robot arm"):
+        return _by_poses(rival, device, kind, streams)
+    return _by_known_forces(rival, device, kind, streams)
+
+
+def _one_device(study: Study, number: int) -> list[tuple[str, list[float], float]]:
+    """Return each method with its errors in the tasks and of the tilt, deg; NaN if it could not calibrate the device."""
+    device = with_cutoff(study.unit(number), None)
+    streams = partial(stream, study.seed, study.group, "method", number)
+    truth = true_calibration(device, temp_c=ROOM_TEMP_C)
+    rise = 0.5 * sum(study.excursion_k)
+    cases = [
+        make_case(device, perform(study, task, number)[0], temp_c=ROOM_TEMP_C + rise, rng=streams(f"trial {task.key}"))
+        for task in study.tasks
+    ]
+    rows = []
+    for method in (*OWN, *RIVALS):
+        try:
+            if method in SESSIONS:
+                calibration = calibrate_by(SESSIONS[method], device, errors=study.bench, streams=streams)
+            else:
+                calibration = calibrate_rival(method, device, study.device, streams)  # type: ignore[arg-type]
+            errors = [pitch_errors_deg(case, calibration, study.offset)[0] for case in cases]
+        except UndriftError:
+            rows.append((method, [float("nan")] * len(cases), float("nan")))
+            continue
+        rows.append((method, errors, _tilt_deg(calibration.accel, truth.accel)))
+    return rows
+
+
+DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+
+
+def _tilt_deg(model: TriadModel | None, truth: TriadModel | None) -> float:
+    """Return the rms angle between true and measured gravity over its directions, deg."""
+    if model is None or truth is None:
+        return float("nan")
+    up = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+    readings = STANDARD_GRAVITY * up @ np.linalg.inv(truth.matrix).T + truth.offset
+    measured = (readings - model.offset) @ model.matrix.T
+    angle = np.arctan2(np.linalg.norm(np.cross(measured, up), axis=1), (measured * up).sum(axis=1))
+    return float(np.sqrt(np.mean(angle**2))) / RADIAN_PER_DEGREE
+
+
+def compare_methods(study: Study, spread: Callable[..., Iterator[Any]] = map, units: int = 12) -> tuple[MethodRow, ...]:
+    """Calibrate the same devices by every method, and compare them in the same trials."""
+    devices = list(spread(partial(_one_device, study), range(units)))
+    rows = []
+    for place, method in enumerate((*OWN, *RIVALS)):
+        errors = np.array([device[place][1] for device in devices])
+        tilts = np.array([device[place][2] for device in devices])
+        valid = np.isfinite(errors).all(axis=1)
+        means = [mean_interval(column[valid]) for column in errors.T]
+        session = SESSIONS.get(method)
+        rows.append(
+            MethodRow(
+                method=method,
+                minutes=session.length_min if session else MINUTES[method],  # type: ignore[index]
+                instruments=session.instruments if session else INSTRUMENTS[method],  # type: ignore[index]
+                triads="none" if method == "data sheet" else "both" if session or method in POSES else "accelerometers",
+                error_deg=tuple(mean for mean, _ in means),
+                interval_deg=tuple(interval for _, interval in means),
+                tilt_deg=float(np.nanmean(tilts)) if np.isfinite(tilts).any() else float("nan"),
+                failed=int((~valid).sum()),
+            )
+        )
+    return tuple(rows)

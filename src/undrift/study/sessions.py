@@ -1,0 +1,254 @@
+"""Named calibration sessions: how a device is recorded on a bench that errs, and fitted by the functions of the product.
+
+    session        what is done                                                          fitted by
+    hand           six faces, three turns of 360 deg by hand                             calibrate
+    free poses     24 poses by hand, with the moves between them                         calibrate
+    motion         two minutes of motion by hand                                         calibrate_from_motion
+    table          six faces, steady rates both ways about three axes                    calibrate
+    chamber        table, then a rest and rates at each set-point                        calibrate, fit_drift
+
+A session is simulated sample by sample and fitted as ``undrift calibrate`` and ``undrift drift`` fit a recorded one. Only readings,
+and what an operator would write down, pass from the simulated device to the fit. The many sessions in which the note's numbers are
+varied are simulated as means of dwells.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion
+from undrift.calibration.dwells import DwellMeans
+from undrift.calibration.rate_table import fit_rate_table
+from undrift.calibration.six_face import FaceMeans, fit_six_face
+from undrift.drift.fit import DriftSettings, fit_drift
+from undrift.drift.offset import StaticSettings
+from undrift.model import Calibration
+from undrift.programme import Protocol, programme_of, rate_grid
+from undrift.record import FACES, Record
+from undrift.sim.bench_errors import BenchErrors, draw_bench
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
+from undrift.sim.motion.motion import unit_vector
+from undrift.sim.motion.tasks import draw_task
+from undrift.sim.sessions import simulate_session
+from undrift.sim.table_sessions import (
+    FACE,
+    RATE,
+    REST,
+    impose,
+    impose_faces,
+    lay_out,
+    mean_readings,
+    numbers_of_dwell,
+    turned,
+    turned_about,
+)
+from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+ROOM_TEMP_C = 25.0
+WARM_C = 12.5  # worn temperature above the room, K: between the note's 10 and 15
+SETTLED_S = 3600.0  # the device has been on for an hour
+SAMPLE_RATE_HZ = 50.0  # of a session: the fits take means over seconds
+HAND_AXIS = 2.0 * RADIAN_PER_DEGREE  # [assumed] axis of a turn by hand, each direction across it
+HAND_FACE = 0.5 * RADIAN_PER_DEGREE  # [assumed] face of a case on a table
+MOTION_RECORDINGS = 4  # of half a minute each
+KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
+
+Kind = Literal["hand", "poses", "motion", "table"]
+Fit = Literal["product", "paper"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSession:
+    """A calibration session by its name."""
+
+    name: str
+    kind: Kind
+    warm: bool = False  # at the temperature at which the device is worn, in place of the room's
+    protocol: Protocol | None = None  # of a rate table
+    by_means: bool = False  # simulated as means of dwells, which is faster
+
+    @property
+    def length_min(self) -> float:
+        """Length of the session with its mountings and soaks, min."""
+        if self.protocol is not None:
+            warming = WARMING_MIN if self.warm else 0.0
+            return programme_of(replace(self.protocol, faces_at="room")).duration_s / 60.0 + warming
+        if self.kind == "motion":
+            return 0.5 * MOTION_RECORDINGS
+        kinds: dict[str, BenchKind] = {"hand": "ferraris", "poses": "multi_position"}
+        motion = bench_motion(kinds[self.kind], rng=np.random.default_rng(0))
+        return float(motion.time[-1]) / 60.0 + (WARMING_MIN if self.warm else 0.0)
+
+    @property
+    def instruments(self) -> str:
+        """Instruments that the session needs."""
+        needs = [] if self.protocol is None else ["rate table"]
+        if self.protocol is not None and self.protocol.temperatures_c:
+            needs.append("chamber")
+        elif self.warm:
+            needs.append("rate table at the worn temperature" if self.protocol else "the wearer's warmth")
+        return ", ".join(needs[-1:] if self.warm else needs) or "none"
+
+    def commands(self, stem: str) -> tuple[str, ...]:
+        """Return the commands that record and fit the session; ``stem`` names its files."""
+        if self.protocol is not None:
+            chamber = bool(self.protocol.temperatures_c)
+            run = (
+                f"undrift rig run {stem}.toml --rig ADDRESS --device ADDRESS{' --chamber ADDRESS' * chamber} -o {stem}"
+            )
+            fits = [f"undrift calibrate {stem} -o {stem}.json"]
+            fits += [f"undrift drift {stem} --calibration {stem}.json -o {stem}.json"] * chamber
+            return run, *fits
+        if self.kind == "motion":
+            return (f"undrift calibrate {stem}-1.csv {stem}-2.csv --calibrate-from motion -o {stem}.json",)
+        return (f"undrift calibrate {stem}.csv -o {stem}.json",)
+
+
+WARMING_MIN = 30.0  # to warm the device on a person, min
+
+
+def table_protocol(
+    name: str,
+    step_dps: float,
+    min_dps: float,
+    max_dps: float,
+    *,
+    set_points_c: tuple[float, ...] = (),
+    dwell_s: float = 2.0,
+) -> Protocol:
+    """Return a rate-table protocol by the note's numbers, deg/s; its grid leaves omega_m out, as the note's count does."""
+    step, low, high = (value * RADIAN_PER_DEGREE for value in (step_dps, min_dps, max_dps))
+    return Protocol(
+        name=name, grid="paper", turn_rate_step=step, turn_rate_min=low, turn_rate_max=high, dwell_s=dwell_s, bracket_s=6.0,
+        temperatures_c=set_points_c,
+    )  # fmt: skip
+
+
+NOTE_SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
+_THREE = table_protocol("three rates", 37.5, 15.0, 90.0)
+_THREE = replace(_THREE, grid="inclusive")
+_NOTE = table_protocol("note rates", 5.0, 5.0, 90.0)
+SESSIONS: dict[str, CalibrationSession] = {
+    session.name: session
+    for session in (
+        CalibrationSession(name="hand", kind="hand"),
+        CalibrationSession(name="hand, warm", kind="hand", warm=True),
+        CalibrationSession(name="free poses", kind="poses"),
+        CalibrationSession(name="motion", kind="motion"),
+        CalibrationSession(name="three rates", kind="table", protocol=_THREE),
+        CalibrationSession(name="three rates, warm", kind="table", protocol=_THREE, warm=True),
+        CalibrationSession(name="note rates", kind="table", protocol=_NOTE),
+        CalibrationSession(
+            name="two set-points",
+            kind="table",
+            protocol=replace(_THREE, name="two set-points", temperatures_c=(25.0, 40.0)),
+        ),
+        CalibrationSession(
+            name="note", kind="table", protocol=replace(_NOTE, name="note", temperatures_c=NOTE_SET_POINTS_C)
+        ),
+    )
+}
+
+Streams = Callable[[str], np.random.Generator]
+
+
+def calibrate_by(
+    session: CalibrationSession, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
+) -> Calibration:
+    """Record a session with a simulated device and fit it.
+
+    ``streams`` returns the generator of a name. Raises CalibrationError if the session cannot calibrate the device.
+    """
+    temp_c = ROOM_TEMP_C + WARM_C * session.warm
+    if session.kind == "motion":
+        return calibrate_from_motion(
+            [_motion_by_hand(device, streams(f"motion {k}"), temp_c) for k in range(MOTION_RECORDINGS)]
+        )
+    mode: Literal["paper"] | None = "paper" if fit == "paper" and session.kind == "table" else None
+    settings = _bench(session, errors)
+    kinds: dict[Kind, BenchKind] = {"hand": "ferraris", "poses": "multi_position", "table": "bench", "motion": "bench"}
+    recorded = simulate_session(
+        kinds[session.kind], device, rng=streams("bench"), settings=settings, temp_c=temp_c, power_on_s=SETTLED_S
+    )
+    calibration = calibrate(recorded, mode=mode)
+    protocol = session.protocol
+    if protocol is None or not protocol.temperatures_c:
+        return calibration
+    thermal = ThermalSettings(bench=settings, set_points_c=protocol.temperatures_c)
+    soaks = simulate_thermal_session("soak", device, rng=streams("chamber"), settings=thermal)
+    choices = DriftSettings()
+    if fit == "paper":
+        choices = replace(choices, static=StaticSettings(not_a_knot=True), tables="scale + dynamic")
+    return fit_drift((soaks,), calibration, settings=choices).calibration
+
+
+def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
+    protocol = session.protocol
+    if protocol is None:
+        by_hand = replace(errors, face_tilt=HAND_FACE, hand_axis=HAND_AXIS)
+        return BenchSettings(sample_rate_hz=SAMPLE_RATE_HZ, errors=by_hand)
+    rates = rate_grid(protocol.turn_rate_min, protocol.turn_rate_max, protocol.turn_rate_step, rule=protocol.grid)
+    return BenchSettings(
+        sample_rate_hz=SAMPLE_RATE_HZ,
+        errors=errors,
+        turn_rates=tuple(rates[rates > 0.0].tolist()),
+        dwell_s=protocol.dwell_s or 2.0,
+        still_s=protocol.face_s,
+    )
+
+
+# ---- a rate table by means of its dwells: many sessions at once
+
+
+def calibrate_by_means(
+    protocol: Protocol, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
+) -> Calibration:
+    """Fit a session at room temperature whose dwells are simulated as means (sim/table_sessions.py); a dwell errs alike in all."""
+    laid = lay_out(protocol).settling(protocol.cutoff_hz)
+    faces, turns = laid.chosen(FACE), laid.chosen(REST, RATE)
+    at_room = replace(errors, soak_k=0.0, board_lag_s=0.0)
+    size = np.round(np.abs(turns.rate) / KEY_STEP)
+    keys = np.unique(size[size > 0.0])
+    second = turns.rate < 0.0
+    second[1:] |= (turns.kind[1:] == REST) & (turns.kind[:-1] == RATE)  # the rest after the rates
+    block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
+    row = 6 * block + 2 * turns.axis + second
+    every, width = (0, *keys.astype(int).tolist()), numbers_of_dwell(device.gyro)
+    draws = draw_bench(streams("bench"), [streams(f"turn {key}") for key in every], soaks=1)
+    normals = np.concatenate([streams(f"noise {key}").standard_normal((6, 3, width)) for key in every])
+    about = turned_about(turns, at_room, draws, row)
+    dwells = impose(turns, at_room, draws, about, soak_c_per_min=protocol.soak_c_per_min)
+    reading = mean_readings(device, "gyro", dwells, normals, row)
+    turning = turns.kind == RATE
+    offset = reading[~turning].mean(axis=0)
+    means = DwellMeans(
+        reading=reading[turning] - offset,
+        turn_rate=about[2][turning],
+        axis=tuple("xyz"[axis] for axis in turns.axis[turning]),  # type: ignore[misc]
+        unit=device.gyro.unit,
+    )
+    gyro = fit_rate_table(means, mode="paper" if fit == "paper" else "affine").model
+    up = turned(np.array([unit_vector(FACES[face]) for face in faces.face]), errors.face_tilt * draws.face[faces.face])
+    face_normals = streams("faces").standard_normal((6, 3, numbers_of_dwell(device.accel)))
+    at_rest = mean_readings(device, "accel", impose_faces(faces, up), face_normals, faces.face)
+    face_means = FaceMeans(reading=at_rest, faces=tuple(FACES[face] for face in faces.face), unit=device.accel.unit)
+    return Calibration(
+        device=device.serial,
+        reference_temp_c=ROOM_TEMP_C,
+        gravity_m_s2=STANDARD_GRAVITY,
+        gyro=replace(gyro, offset=gyro.offset + offset),
+        accel=fit_six_face(face_means, gravity=STANDARD_GRAVITY, mode="affine").model,
+    )
+
+
+def _motion_by_hand(device: DeviceModel, rng: np.random.Generator, temp_c: float) -> Record:
+    performed = draw_task("free", rng=rng)
+    time = np.arange(round(performed.duration_s * 100.0)) / 100.0
+    return simulate_device(
+        device, performed.at(time, STANDARD_GRAVITY), rng=rng, temp_c=temp_c, power_on_s=SETTLED_S
+    ).record

@@ -1,0 +1,119 @@
+"""Answers of a study from planted errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from undrift.study.judge import errors_of, judge, judge_parameters, with_test
+from undrift.study.plan import NoteNumbers, Study, StudyTask
+from undrift.study.run import Run
+from undrift.study.sessions import SESSIONS
+
+NUMBERS = NoteNumbers(cutoff_hz=11.1, turn_rate_step_dps=5.0, turn_rate_min_dps=5.0, turn_rate_max_dps=90.0)
+TASKS = (StudyTask(name="sit_to_stand"), StudyTask(name="step"))
+CHOSEN = ("hand", "three rates", "note")
+STUDY = Study(tasks=TASKS, sessions=tuple(SESSIONS[name] for name in CHOSEN), target_deg=(0.1, 0.5, 1.0))
+
+
+def run(task, subject, session, rms, role="session", **more):
+    about = {"cutoff_hz": float("nan"), "excursion_k": 12.5, "offset": "rest"} | more
+    return Run(
+        task=task,
+        subject=subject,
+        session=session,
+        role=role,
+        rms_deg=rms,
+        real_time_deg=2.0 * rms,
+        largest_deg=3.0 * rms,
+        **about,
+    )
+
+
+def planted(means, count=40, role="session"):
+    rng = np.random.default_rng(4)
+    return [
+        run(task, k, session, mean * (1.0 + 0.1 * rng.normal()), role)
+        for (task, session), mean in means.items()
+        for k in range(count)
+    ]
+
+
+MEANS = {
+    ("sit_to_stand", "hand"): 0.6, ("sit_to_stand", "three rates"): 0.3, ("sit_to_stand", "note"): 0.29,
+    ("step", "hand"): 0.2, ("step", "three rates"): 0.8, ("step", "note"): 0.1,
+}  # fmt: skip
+
+
+def test_the_cheapest_session_below_the_target_is_the_answer():
+    outcome = judge(STUDY, planted(MEANS))
+    by_task = {task.task.key: [answer.session for answer in task.answers] for task in outcome.tasks}
+    assert by_task == {"sit_to_stand": ["", "three rates", "hand"], "step": ["", "hand", "hand"]}
+    assert [answer.session for answer in outcome.for_all] == ["", "note", "hand"]
+
+
+def test_the_quantile_decides_and_not_the_mean():
+    """Mean 0.45 deg, but a tenth of the devices is at 0.9 deg."""
+    runs = [run("step", k, "hand", 0.9 if k % 10 == 0 else 0.4) for k in range(40)]
+    study = replace(STUDY, tasks=TASKS[1:], sessions=(SESSIONS["hand"],))
+    (row,) = judge(study, runs).tasks[0].sessions
+    assert row.mean_deg == pytest.approx(0.45)
+    assert row.quantile_deg > 0.5
+    assert [answer.session for answer in judge(study, runs).tasks[0].answers] == ["", "", "hand"]
+
+
+def test_a_session_that_fails_on_a_device_is_never_good_enough():
+    runs = [run("step", k, "hand", float("nan") if k == 0 else 0.01) for k in range(40)]
+    study = replace(STUDY, tasks=TASKS[1:], sessions=(SESSIONS["hand"],))
+    outcome = judge(study, runs)
+    assert outcome.tasks[0].sessions[0].failed == 1
+    assert not any(answer.session for answer in outcome.tasks[0].answers)
+
+
+def test_equivalent_and_worse_sessions_are_told_from_the_best():
+    rows = {row.session.name: row.against_best for row in judge(STUDY, planted(MEANS)).tasks[0].sessions}
+    assert rows["note"] is None
+    assert rows["three rates"].verdict == "equivalent"
+    assert rows["hand"].verdict == "worse"
+
+
+def test_an_answer_is_tested_on_the_other_group():
+    outcome = judge(STUDY, planted(MEANS))
+    good = with_test(outcome, planted(MEANS, role="testing"), [])
+    assert all(answer.confirmed for task in good.tasks for answer in task.answers if answer.session)
+    twice = {key: 2.0 * mean for key, mean in MEANS.items()}
+    bad = with_test(outcome, planted(twice, role="testing"), [])
+    assert not bad.tasks[0].answers[1].confirmed
+    assert bad.tasks[0].answers[1].tested == 40
+
+
+def test_real_time_is_judged_if_it_is_asked_for():
+    runs = planted(MEANS)
+    aligned, now = (errors_of(runs, "step", "hand", timing) for timing in ("aligned", "real time"))
+    np.testing.assert_allclose(now, 2.0 * aligned)
+    assert judge(replace(STUDY, timing="real time"), runs).tasks[1].sessions[0].mean_deg == pytest.approx(now.mean())
+
+
+def test_a_number_that_does_not_matter_is_indifferent_however_small_p_is():
+    """A step changes all errors by 0.01 deg: p is tiny, the difference far below the margin."""
+    values = (("turn_rate_step_dps", (17.0,)), ("turn_rate_max_dps", (50.0,)))
+    task = StudyTask(name="step", around=NUMBERS, values=values)
+    rng, runs = np.random.default_rng(7), []
+    for parameter, value, numbers in task.variations():
+        effect = {("turn_rate_step_dps", 17.0): 0.01, ("turn_rate_max_dps", 50.0): -0.3}.get((parameter, value), 0.0)
+        runs += [
+            run(
+                "step",
+                k,
+                numbers.session().name,
+                0.5 + effect + 0.001 * rng.normal(),
+                "try",
+                cutoff_hz=numbers.cutoff_hz,
+            )
+            for k in range(20)
+        ]
+    step, highest = judge_parameters(STUDY, runs, task)
+    assert step.anova.p_value < 1e-6
+    assert step.verdict == "indifferent"
+    assert highest.verdict == "another value is better"
+    assert step.p_holm >= step.anova.p_value
