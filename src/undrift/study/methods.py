@@ -115,7 +115,7 @@ def _by_known_forces(
     level = np.tile([1.0, 0.0, 0.0, 0.0], (len(true), 1))
     motion = Motion(
         time=time, gravity_m_s2=STANDARD_GRAVITY, q_nb=level, rate_b=still, mean_rate_b=still, force_b=true,
-        moving=np.zeros(len(true)),
+        angular_acceleration_b=still, moving=np.zeros(len(true)),
     )  # fmt: skip
     settled = replace(device, accel=replace(device.accel, low_pass=None))  # fits only what has settled
     record = simulate_device(
