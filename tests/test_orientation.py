@@ -13,7 +13,7 @@ from testkit.hand_turns import Device, make_recording
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.model import TriadModel
-from undrift.orientation import OrientSettings, OrientStream, heading_of, inclination_of, orient, sagittal_pitch
+from undrift.orientation import OrientSettings, heading_of, inclination_of, orient, sagittal_pitch
 from undrift.record import Record, Still
 
 G = 9.81
@@ -274,72 +274,6 @@ def test_the_drift_to_expect_is_that_of_the_end_farther_from_the_rest(turned):
         still = Still(start=800, stop=1000)
     (drift,) = orient(record, still).findings
     assert drift.values["duration_s"] == pytest.approx(9.99 if turned else 8.0)
-
-
-def two_rests():
-    """A record that rests, turns, rests leaning, turns back faster; noise and an offset in it."""
-    record, _ = moved(900, rest=300, noise=1e-4, offset=0.02)
-    back = record.part(300, 900)
-    leaning = np.repeat(record.accel[-1:], 300, axis=0) + 1e-4 * np.random.default_rng(5).normal(size=(300, 3))
-    calm = 0.02 + 1e-4 * np.random.default_rng(6).normal(size=(300, 3))
-    gyro = np.vstack((record.gyro, calm, 0.04 - back.gyro[::-1]))
-    accel = np.vstack((record.accel, leaning, back.accel[::-1]))
-    return Record(time=np.arange(len(gyro)) * 0.01, gyro=gyro, accel=accel)
-
-
-def streamed(record, length):
-    """Return the orientations of a stream in chunks, and when each rest of it ended."""
-    stream, found, rests = OrientStream(), [], []
-    for first in range(0, len(record), length):
-        found.append(stream.push(record.part(first, min(first + length, len(record)))))
-        rests += [stream.rested] if stream.rested not in (None, *rests) else []
-    return np.vstack(found), rests
-
-
-def test_a_stream_gives_the_orientations_of_the_batch_from_each_rest_to_the_next():
-    record = two_rests()
-    found, ends = streamed(record, 5)
-    rested = np.searchsorted(record.time, np.array(ends))
-    assert np.isnan(found[: rested[0]]).all()
-    assert np.isfinite(found[rested[0] :]).all()
-    longest = rested[np.argmax(np.diff(rested))], rested[-1]  # the last look of each rest: motion follows
-    for at, to in ((longest[0], rested[np.argmax(np.diff(rested)) + 1]), (longest[1], len(record))):
-        still = Still(start=at - 150, stop=at + 1)
-        heading = float(heading_of(found[at]))
-        whole = orient(record, still, OrientSettings(offset="rest", heading=heading))
-        assert to - at > 500
-        np.testing.assert_allclose(off(found[at:to], whole.q_nb[at:to]), 0.0, atol=1e-12)  # some hundred roundings
-        np.testing.assert_allclose(sagittal_pitch(found[at:to]), whole.pitch[at:to], atol=1e-12)
-
-
-def test_a_stream_does_not_depend_on_the_length_of_its_chunks():
-    record = two_rests()
-    whole, _ = streamed(record, len(record))
-    for length in (2, 9, 100):
-        np.testing.assert_allclose(
-            streamed(record, length)[0], whole, rtol=0, atol=1e-12
-        )  # roundings of a renewed start
-
-
-def test_a_stream_knows_no_orientation_after_a_hole_until_the_next_rest():
-    record = two_rests()
-    gyro = np.array(record.gyro)
-    gyro[400:405] = gyro[500:520] = np.nan
-    found, _ = streamed(Record(time=record.time, gyro=gyro, accel=record.accel), 10)
-    assert np.isnan(found[400:405]).all()
-    assert np.isfinite(found[405:500]).all()  # 0.06 s are bridged
-    assert np.isnan(found[500:1000]).all()  # 0.2 s are not
-    assert np.isfinite(found[1100:]).all()
-
-
-def test_a_slow_steady_turn_is_no_rest_and_both_triads_are_wanted():
-    time, rng = np.arange(500) * 0.01, np.random.default_rng(3)
-    accel = np.array([0.0, 0.0, G]) + 1e-3 * rng.normal(size=(500, 3))
-    for rate, known in ((0.02, True), (0.2, False)):
-        gyro = np.array([0.0, 0.0, rate]) + 1e-3 * rng.normal(size=(500, 3))
-        assert np.isfinite(OrientStream().push(Record(time=time, gyro=gyro, accel=accel))[-1]).all() == known
-    with pytest.raises(InputError, match=r"wanted gyroscope and accelerometer readings, got one of them; map both"):
-        OrientStream().push(Record(time=time, accel=accel))
 
 
 # ---- axes of the pitch

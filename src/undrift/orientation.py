@@ -49,7 +49,7 @@ from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import StillSettings, find_still, sphere_of, unpadded
+from undrift.segments import sphere_of, unpadded
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -689,81 +689,3 @@ def scale_by_gravity(record: Record, gyro: FloatArray, rests: Sequence[Still]) -
     dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
     shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
     return dot / squares * record.sample_rate_hz / size if shown else 0.0, force
-
-
-# ---- A stream
-
-REST_S, LOOK_S = 1.5, 0.5  # a rest is a window so long that is still throughout; how often one is looked for, device s
-_LARGEST_REST_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s: a slow, steady turn is no rest; more is left of no offset
-_REST = StillSettings(window_s=0.5, min_duration_s=1.0)
-
-
-class OrientStream:
-    """Orient a stream chunk by chunk: strapdown from the last rest, as ``orient`` with that rest and the offset "rest" has it.
-
-    Chunks of any length give the same, but for rounding. Before the first rest, and after a hole, the orientation is unknown (NaN).
-    """
-
-    def __init__(self, heading: float = 0.0) -> None:
-        self.rested: float | None = None  # when the last rest ended, s; None where the orientation is unknown
-        self._q: FloatArray = np.array([1.0, 0.0, 0.0, 0.0])
-        self._heading, self._offset = heading, np.zeros(3)
-        self._time: FloatArray = np.empty(0)  # the last REST_S
-        self._gyro: FloatArray = np.empty((0, 3))
-        self._accel: FloatArray = np.empty((0, 3))
-        self._next_look = -np.inf
-
-    def push(self, chunk: Record) -> FloatArray:
-        """Take the next readings and return q_nb, (N, 4)."""
-        chunk = chunk.in_si()
-        if chunk.gyro is None or chunk.accel is None:
-            raise InputError("orient: wanted gyroscope and accelerometer readings, got one of them; map both")
-        q = np.full((len(chunk), 4), np.nan)
-        there = np.flatnonzero(np.isfinite(chunk.gyro).all(axis=1) & np.isfinite(chunk.accel).all(axis=1))
-        while len(there):
-            time = chunk.time[there]
-            steps = np.diff(time, prepend=self._time[-1:] if len(self._time) else time[:1])
-            holes = np.flatnonzero(steps > LONGEST_HOLE_S)
-            if len(holes) and holes[0] == 0:
-                self._forget()
-            until = int(np.searchsorted(time, self._next_look)) + 1  # with the sample at which a rest is looked for
-            now, there = np.split(there, [min([until, *holes[holes > 0]])])
-            q[now] = self._carried(chunk.time[now], chunk.gyro[now], chunk.accel[now])
-            if self._time[-1] >= self._next_look and self._rest():
-                q[now[-1]] = self._q
-        return q
-
-    def _forget(self) -> None:
-        self.rested, self._next_look = None, -np.inf
-        self._time, self._gyro, self._accel = self._time[:0], self._gyro[:0], self._accel[:0]
-
-    def _carried(self, time: FloatArray, gyro: FloatArray, accel: FloatArray) -> FloatArray | float:
-        """Take readings without a rest in them; return their orientations, or NaN."""
-        found: FloatArray | float = np.nan
-        if self.rested is not None:
-            rate = np.vstack((np.zeros(3), gyro - self._offset))
-            carried = integrate_strapdown(rate, np.concatenate((self._time[-1:], time)), self._q)
-            found, self._q = carried[1:], np.array(carried[-1])
-        self._time = np.concatenate((self._time, time))
-        first = int(np.searchsorted(self._time, self._time[-1] - REST_S))
-        self._time = self._time[first:]
-        self._gyro = np.concatenate((self._gyro, gyro))[first:]
-        self._accel = np.concatenate((self._accel, accel))[first:]
-        return found
-
-    def _rest(self) -> bool:
-        """Begin anew from the tilt and the mean rate of the window, where all of it is still."""
-        self._next_look = self._time[-1] + LOOK_S
-        if self._time[-1] - self._time[0] < 0.9 * REST_S or len(self._time) < FEWEST:
-            return False
-        window, offset = Record(time=self._time, gyro=self._gyro, accel=self._accel), self._gyro.mean(axis=0)
-        whole = Still(start=0, stop=len(window))
-        if np.linalg.norm(offset) > _LARGEST_REST_RATE or find_still(window, _REST).stills != (whole,):
-            return False
-        heading = self._heading if self.rested is None else float(heading_of(self._q))
-        try:
-            self._q = initial_tilt(window, whole, heading=heading).q_nb
-        except InputError:  # what does not feel gravity alone does not rest
-            return False
-        self._offset, self.rested = offset, float(self._time[-1])
-        return True

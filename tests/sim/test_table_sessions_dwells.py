@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.device.effects import BiasInstability, RandomWalk, ThermalHysteresis, Thermometer, difference_equation
+from undrift.sim.device.effects import BiasInstability, RandomWalk, ThermalHysteresis, difference_equation
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
-from undrift.sim.table_sessions import ImposedDwells, board_readings, code_means, mean_readings, numbers_of_dwell
+from undrift.sim.table_sessions import ImposedDwells, code_means, mean_readings, numbers_of_dwell
 
 G = 9.80665
 
@@ -163,14 +163,6 @@ def test_each_session_begins_anew_and_rows_of_one_number_have_the_same_draws() -
     both = mean_readings(made, "gyro", twice, normals, np.tile(np.arange(5), 2))
     np.testing.assert_array_equal(both[:5], alone)
     np.testing.assert_array_equal(both[5:], alone)
-
-
-def test_the_board_is_read_with_its_noise_and_its_steps() -> None:
-    thermometer = Thermometer(trim_error_c=0.5, noise_c=0.1, step_c=0.25, self_heating_c=0.6)
-    made = replace(device("enc03j_3031"), thermometer=thermometer)
-    read = board_readings(made, np.full(2000, 30.0), np.random.default_rng(2).standard_normal(2000))
-    np.testing.assert_array_equal(read % 0.25, 0.0)
-    assert read.mean() == pytest.approx(31.1, abs=0.01)
 
 
 def test_dwells_out_of_order_are_refused() -> None:

@@ -11,7 +11,6 @@ from undrift.twin.fit import (
     mean_with_error,
     polar_rotation,
     rest_noise,
-    spread_of,
 )
 
 # ---- parameters of a twin: rotations, spreads, means
@@ -26,12 +25,6 @@ def test_the_polar_rotation_is_the_mounting_and_its_slope_the_antisymmetric_part
     small = np.array([[0.0, -3e-4, 2e-4], [3e-4, 0.0, -1e-4], [-2e-4, 1e-4, 0.0]])
     assert slope @ small.ravel() == pytest.approx((1e-4, 2e-4, 3e-4), abs=1e-9)
     assert slope @ np.diag((1.0, 2.0, 3.0)).ravel() == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-def test_one_recording_has_the_spread_of_the_prior_and_many_their_own():
-    assert spread_of(np.ones((1, 3)), 0.01) == pytest.approx(np.full(3, 0.01))
-    many = np.random.default_rng(1).normal(0.0, 0.2, (500, 3))
-    assert spread_of(many, 0.01) == pytest.approx(np.full(3, 0.2), rel=0.1)
 
 
 def test_the_error_of_a_mean_is_the_larger_of_claim_and_scatter():

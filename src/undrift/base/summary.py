@@ -9,7 +9,6 @@ figures are drawn by their place when a renderer asks for them (``at``), so that
     commands/<verb>.py  ->  Summary  ->  cli/common.show | report/page.write_page | data as JSON | as_html, in a notebook
 """
 
-import calendar
 import importlib
 import math
 import os
@@ -180,13 +179,6 @@ def today() -> str:
     return made.isoformat(timespec="seconds")
 
 
-def months_after(when: datetime, months: int) -> datetime:
-    """Return the same day some months later, or the last of a shorter month."""
-    years, month = divmod(when.month - 1 + months, 12)
-    year = when.year + years
-    return when.replace(year=year, month=month + 1, day=min(when.day, calendar.monthrange(year, month + 1)[1]))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
     """What a page was made from and by."""
@@ -246,11 +238,6 @@ def number(value: float, form: str = ".2f") -> str:
 def interval(ends: Sequence[float], form: str = ".3f") -> str:
     """Return an interval."""
     return f"{ends[0]:{form}} to {ends[1]:{form}}"
-
-
-def with_interval(value: float, ends: Sequence[float], form: str = ".3f") -> str:
-    """Return a value with its interval."""
-    return f"{value:{form}} [{interval(ends, form)}]"
 
 
 def plain_words(name: str) -> str:

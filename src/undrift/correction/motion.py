@@ -42,7 +42,6 @@ _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sou
 _SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
 _KEPT = 0.7  # of the prior deviation, above which an axis keeps its prior
 _FIXED = 1e-9  # of an error of the rates while the sizes are sought: it is part of what is left
-_LEAST_MATRIX = 1e-5  # of an element of E
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
 

@@ -203,7 +203,6 @@ _ACCEL_SCALE_OFF = (0.01, 0.05)  # marginal, and bad; capacitive sensors keep 1 
 _ACCEL_OFFSET_OFF = (0.05, 0.25)  # of gravity
 _SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
 _MOST_EXTRAPOLATED = 0.25  # of the nodes
-_SUPPOSED_LAG_S = 10.0
 _SHORTLY_S = 600.0  # after a recording began, with which power-on may have come
 _LEAST_LAG_S = 1.0  # a smaller one is not reported
 NARROW_C = 5.0  # a table over less is one of one temperature

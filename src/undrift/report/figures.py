@@ -460,29 +460,6 @@ def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "F
     return figure
 
 
-def draw_measured(
-    time: FloatArray, courses: Mapping[str, FloatArray], events: Sequence[tuple[float, float, str]]
-) -> "Figure":
-    """Draw courses (N,) of a task over time by their labels; events, by onset and duration (s), shaded."""
-    figure, panels = new_figure(len(courses), height=1.6)
-    colours = {"sit-to-stand": DEVICE, "stand-to-sit": ERROR, "walking": DEVICE, "rise": DEVICE, "turn": LIMIT}
-    for axes, (label, values) in zip(panels, courses.items(), strict=True):
-        axes.plot(*envelope(time, values), color=DEVICE)
-        axes.set_ylabel(label)
-        for onset, duration, name in events:
-            if name in colours:
-                shade: Any = {"alpha": 0.08 if name == "walking" else 0.18, "linewidth": 0.0, "zorder": 0}
-                axes.axvspan(onset, onset + duration, color=colours[name], label=name, **shade)
-            elif duration == 0.0:
-                style = "--" if name == "end contact" else ":"
-                axes.axvline(onset, color=OPTICS, linewidth=0.8, linestyle=style, label=name)
-    panels[-1].set_xlabel("time (s)")
-    once = {label: handle for handle, label in zip(*panels[0].get_legend_handles_labels(), strict=True)}
-    if once:
-        legend_outside(figure, [*once.values()], [*once])
-    return figure
-
-
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
     """Draw a group of bars for each name, a bar for each row of values (n,)."""
     figure, (axes,) = new_figure(1, height=0.5 + 0.18 * len(names) * (len(values) + 1))
@@ -550,7 +527,6 @@ def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "
 
 # ---- pictures of a study
 
-LEAST_CONTRAST = 2.0  # of the ends of the colours: small differences are to look small
 COMPARED_COLOURS = (LIMIT, ERROR, DEVICE, "#9a6a00", "#3f8f4f")
 COMPARED_MARKERS = ("o", "s", "^", "D", "v")
 

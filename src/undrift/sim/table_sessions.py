@@ -252,12 +252,6 @@ def mean_readings(
     return _converted(chain, reading, dwells.duration_s, normals, row)
 
 
-def board_readings(device: DeviceModel, temp_c: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return readings of the settled board thermometer at temperatures of the board, with normals, (N,) each, degC."""
-    felt = temp_c + device.thermometer.self_heating_c + device.thermometer.noise_c * normals
-    return replace(device.thermometer, noise_c=0.0).shown(felt, np.random.default_rng(0))
-
-
 def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, reference_temp_c: float) -> FloatArray:
     """Return what every effect that is steady makes of dwells, nominal input units, (N, 3)."""
     off: dict[str, Any] = dict.fromkeys(

@@ -39,7 +39,7 @@ from undrift.twin.accel import (
     solve_accel,
     stretches,
 )
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import STANDARD_GRAVITY
 
 # ---- parameters of a twin
 
@@ -112,15 +112,6 @@ def g_sensitivity_parameters(values: FloatArray, errors: FloatArray) -> list[Twi
     found = zip((f"gyro_g_sensitivity_{name[-2:]}" for name in G_NAMES), values, errors, strict=True)
     every = [known(name, value, error, _PER_FORCE) for name, value, error in found]
     return [p if abs(float(p.value)) > SIGNIFICANT * p.standard_error else replace(p, finding=zero) for p in every]
-
-
-def spread_of(values: FloatArray, prior: float) -> FloatArray:
-    """Return the standard deviation (3,) between recordings (R, 3), with a prior where there are few.
-
-    s^2 = (sum (x - mean)^2 + 2 s0^2) / (n - 1 + 2): a single recording gives the prior s0.
-    """
-    square = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(np.sqrt((square + 2.0 * prior**2) / (len(values) + 1)))
 
 
 def mean_with_error(values: Sequence[float] | FloatArray, errors: Sequence[float] | FloatArray) -> tuple[float, float]:
@@ -220,9 +211,6 @@ class TwinSettings:
     gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity: the accelerometer's scale is in proportion to it
     gyro_cutoff_hz: float = 20.0  # Low-pass at which gyroscope residuals are stated, Hz
     accel_cutoff_hz: float = CUTOFF_HZ  # Low-pass of the accelerometer fit, Hz
-    # Standard deviation of the offset at rest between recordings, where a single recording cannot show it, rad/s
-    offset_spread: float = 0.01 * RADIAN_PER_DEGREE
-    motion_offset_spread: float = 0.01 * RADIAN_PER_DEGREE  # The same of the change from rest to motion, rad/s
 
 
 TWIN_SETTINGS = TwinSettings()

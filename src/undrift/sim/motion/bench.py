@@ -5,162 +5,22 @@
 ``bench``         the two after each other: what the note asks for
 ``ferraris``      six stills and three turns by hand through a known angle
 ``multi_position`` a long still, then free poses with turns between: no equipment
-
-Rivals: the calibration motions that the note weighs against its own and leaves.
-
-``trolley``         a cart on a rail swings to and fro, each axis along the rail in turn; the rail shakes it
-``inclined_plane``  stills on a plane tilted in steps through half a turn about each axis
-``piston``          a servohydraulic piston lifts and lowers it by a sinusoid, each axis upright in turn
-``robot_arm``       an arm turns and carries it at random about and along all axes, between two stills
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_product, rotate
-from undrift.record import FACES, Axis, Face, Still
+from undrift.frames import quaternion_product
+from undrift.record import FACES, Axis, Face
 from undrift.sim.bench_errors import IDEAL, BenchErrors, gain_of, level_of
 from undrift.sim.device.simulate import Streams, draw_streams
-from undrift.sim.motion.motion import Course, Motion, Script, facing, turn_quaternion, unit_vector, wave
-from undrift.sim.motion.tasks import Task, draw_lines
+from undrift.sim.motion.motion import Motion, Script, facing, turn_quaternion, unit_vector
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY
-
-# ---- Rivals: the calibration motions that the note weighs against its own and leaves.
-
-RivalKind = Literal["trolley", "inclined_plane", "piston", "robot_arm"]
-RAIL_SHAKE_HZ = (8.0, 25.0)  # [assumed] wheels on a rail
-ROBOT_TURN_HZ, ROBOT_MOVE_HZ = (0.02, 0.2), (0.05, 0.6)  # [assumed]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RivalSettings:
-    """How a rival procedure is performed. All defaults are choices: the note gives none."""
-
-    sample_rate_hz: float = 100.0  # Samples per second
-    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
-    still_s: float = 4.0  # Length of each still and of each move between mountings, s
-    move_s: float = 2.0
-    run_s: float = 10.0  # Length of each run at one frequency, and of the robot's motion over six, s
-    errors: BenchErrors = IDEAL  # What the rig and the mounting do wrong
-    trolley_hz: tuple[float, ...] = (0.5, 0.8)  # Frequencies of the trolley's runs, Hz
-    trolley_stroke: float = 0.15  # Amplitude of its sinusoid, m
-    shake: float = 2e-5  # Displacement rms by which an uneven rail shakes it upwards and sideways, m
-    piston_hz: tuple[float, ...] = (1.0, 2.0, 4.0)  # Frequencies of the piston's runs, Hz
-    piston_stroke: float = 0.02  # Amplitude of its sinusoid, m
-    # Inclinations, rad
-    plane_angles: tuple[float, ...] = tuple(angle * RADIAN_PER_DEGREE for angle in range(-90, 91, 15))
-    robot_turn: tuple[float, float, float] = (1.0, 0.6, 1.5)  # rms of roll, pitch and yaw, rad
-    robot_move: float = 0.12  # rms along each axis, m
-
-
-def rival_motion(kind: RivalKind, *, rng: np.random.Generator, settings: RivalSettings | None = None) -> Motion:
-    """Return the true motion of a rival procedure."""
-    if kind not in get_args(RivalKind):
-        raise InputError(f"rival: wanted one of {', '.join(get_args(RivalKind))}, got '{kind}'; name one of them")
-    chosen = settings or RivalSettings()
-    if kind == "robot_arm":
-        return motion_of_arm(robot_task(rng=rng, settings=chosen), chosen)
-    script = Script(chosen.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
-    streams = draw_streams(rng)
-    if kind == "inclined_plane":
-        _inclined_plane(script, chosen, streams)
-    else:
-        _driven(script, chosen, streams, kind)
-    return script.motion(chosen.gravity_m_s2, lever_arm_b=np.zeros(3), earth_rate_n=np.zeros(3))
-
-
-def _driven(script: Script, settings: RivalSettings, streams: Streams, kind: RivalKind) -> None:
-    """Swing each axis in turn along the rail of a trolley, or upright on a piston."""
-    errors, mounts, rail, drive = settings.errors, *(streams.of(name) for name in ("mount", "rail", "drive"))
-    level, gain, carried = level_of(errors, streams), gain_of(errors, streams), kind == "trolley"
-    way = rotate(level, np.array([1.0, 0.0, 0.0] if carried else [0.0, 0.0, 1.0]))
-    stroke = settings.trolley_stroke if carried else settings.piston_stroke
-    for axis in range(3):
-        along, across = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
-        up, forward = (across, along) if carried else (along, across)
-        _mount(script, settings, up, forward, mounts.normal(0.0, errors.mount_tilt, 3), level)
-        for frequency_hz in settings.trolley_hz if carried else settings.piston_hz:
-            size = stroke * (1.0 + drive.normal(0.0, errors.stroke))
-            second = stroke * drive.normal(0.0, errors.harmonic)
-            lines = ((size, gain * frequency_hz), (second, 2.0 * gain * frequency_hz))
-            path: list[Course] = [
-                tuple(wave(part * a, f, 0.0, 0.0, settings.run_s, 2.0) for a, f in lines if part * a != 0.0)
-                for part in way
-            ]
-            if carried:
-                path[1:] = [(*course, *_shake(settings, rail)) for course in path[1:]]
-            script.slide((path[0], path[1], path[2]), settings.run_s)
-            script.still(settings.still_s)
-
-
-def _shake(settings: RivalSettings, rail: np.random.Generator) -> Course:
-    if settings.shake == 0.0:
-        return ()
-    return (draw_lines(rail, lambda f: f**-4.0, band_hz=RAIL_SHAKE_HZ, rms=settings.shake, span=(0.0, settings.run_s)),)
-
-
-def _inclined_plane(script: Script, settings: RivalSettings, streams: Streams) -> None:
-    errors, mounts, bearing, scale = settings.errors, *(streams.of(name) for name in ("mount", "hinge", "angle"))
-    level = level_of(errors, streams)
-    for axis in range(3):  # the plane turns about this axis of the case
-        across, up = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        tilt = mounts.normal(0.0, errors.mount_tilt, 3)
-        for stated in settings.plane_angles:
-            angle = stated + float(scale.normal(0.0, errors.inclination))
-            lain = tilt + bearing.normal(0.0, errors.wobble, 3)
-            _mount(script, settings, math.cos(angle) * up + math.sin(angle) * across, np.eye(3)[axis], lain, level)
-
-
-def _mount(
-    script: Script,
-    settings: RivalSettings,
-    up_b: FloatArray,
-    forward_b: FloatArray,
-    tilt: FloatArray,
-    level: FloatArray,
-) -> None:
-    """Turn the case until one direction points up and another, across it, along x, but for errors; then wait."""
-    upright = facing(script.q, up_b + np.cross(tilt, up_b))
-    x, y, _ = rotate(upright, forward_b + np.cross(tilt, forward_b))
-    heading = turn_quaternion(np.array([0.0, 0.0, 1.0]), -np.arctan2(y, x))
-    script.lay(quaternion_product(level, quaternion_product(heading, upright)), settings.move_s)
-    script.still(settings.still_s)
-
-
-def rig_of(errors: BenchErrors, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
-    """Return the first mounting of a rig, a rotation vector, its level as a turn in n, (4,), and true over stated rate."""
-    streams = draw_streams(rng)
-    mount = streams.of("mount").normal(0.0, errors.mount_tilt, 3)
-    return mount, level_of(errors, streams), gain_of(errors, streams)
-
-
-def robot_task(*, rng: np.random.Generator, settings: RivalSettings) -> Task:
-    """Return what an arm or a hand does, at any instant."""
-    streams = draw_streams(rng)
-    stop = settings.still_s + 6.0 * settings.run_s
-    span = (settings.still_s, stop)
-    turn, move = streams.of("robot turn"), streams.of("robot move")
-    courses: dict[str, Any] = {
-        angle: (draw_lines(turn, np.ones_like, band_hz=ROBOT_TURN_HZ, rms=rms, span=span),)
-        for angle, rms in zip(("roll", "pitch", "yaw"), settings.robot_turn, strict=True)
-    }
-    for way in ("forward", "left", "up"):
-        courses[way] = (draw_lines(move, lambda f: f**-2.0, band_hz=ROBOT_MOVE_HZ, rms=settings.robot_move, span=span),)
-    return Task(name="robot_arm", duration_s=stop + settings.still_s, moving_s=span, **courses)
-
-
-def motion_of_arm(task: Task, settings: RivalSettings) -> Motion:
-    """Return the motion of that at the samples of a record, with its two stills."""
-    time = np.arange(round(task.duration_s * settings.sample_rate_hz)) / settings.sample_rate_hz
-    motion = task.at(time, settings.gravity_m_s2)
-    first, last = (round(moment * settings.sample_rate_hz) for moment in task.moving_s)
-    return replace(motion, stills=(Still(start=0, stop=first), Still(start=last + 1, stop=len(time))))
-
 
 # ---- bench
 

@@ -113,11 +113,6 @@ class Task:
             moving=((time >= self.moving_s[0]) & (time <= self.moving_s[1])).astype(float),
         )
 
-    @property
-    def contacts_s(self) -> tuple[float, ...]:
-        """When the seat is left, or a foot comes down, s: where the body begins to rise, or knocks."""
-        return tuple(sorted({part.start_s for part in self.up if isinstance(part, Step | Burst)}))
-
     def position(self, time: FloatArray) -> FloatArray:
         """Return where the device is: time (N,) s -> (N, 3) m."""
         base = np.stack([course_at(course, time)[0] for course in (self.forward, self.left, self.up)], axis=1)
