@@ -226,11 +226,12 @@ def _columns(held: Session, change: Callable[[np.ndarray], np.ndarray], *names: 
 
 
 def lost_readings(held: Session) -> Session:
-    """Return a session in which the gyroscope read -32768 for 0.1 s in the second turn."""
+    """Return a session in which the gyroscope read -32768 for 0.1 s in the middle of the second turn."""
     turn = held.turns[1]
+    middle = (turn.start + turn.stop) // 2
 
     def spoil(gyro: np.ndarray) -> np.ndarray:
-        gyro[turn.start + 80 : turn.start + 90] = -32768.0
+        gyro[middle : middle + 10] = -32768.0
         return gyro
 
     return _columns(held, spoil, "gyro")

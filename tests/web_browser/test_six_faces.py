@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from testkit.bench import BenchServer
 from testkit.guided import accel_as_six_faces_see_it, joint_factor
 from testkit.waiting import eventually
 from undrift.commands.bench.guides import ORDER, WAYS
+from undrift.errors import FileFormatError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
+from undrift.record import Still
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from web_browser.conftest import CAPTURE_MS, faults_of, quick_and_real_time, shoot, turn_until_captured
@@ -97,6 +100,14 @@ def test_six_faces_and_turns_by_keyboard_end_in_the_hidden_calibration(
         assert over.max() < joint_factor(12)
 
 
+def _stills_of(session: Path) -> tuple[Still, ...]:
+    """Return the stills of a session; none while its recording is replaced and session.toml is still the earlier one."""
+    try:
+        return read_session(session).stills
+    except FileFormatError:
+        return ()
+
+
 @quick_and_real_time
 def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     open_page: OpenPage, bench_server: BenchServer
@@ -112,7 +123,7 @@ def test_a_second_browser_watches_and_a_narrow_one_redoes_a_face(
     eventually((session / "session.toml").exists, "the first face is kept")
     first = read_session(session).stills
     other.get_by_role("button", name="Redo +z up").click()
-    eventually(lambda: read_session(session).stills not in ((), first), "the face is captured again")
+    eventually(lambda: _stills_of(session) not in ((), first), "the face is captured again")
     again = read_session(session).stills
     assert [still.face for still in again] == ["+z"]
     assert again[0].start > first[0].start

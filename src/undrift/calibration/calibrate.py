@@ -536,15 +536,17 @@ def calibrate_from_motion(
     Examples
     --------
     >>> import numpy as np, undrift
+    >>> from undrift import frames
     >>> rng = np.random.default_rng(7)
     >>> time = np.arange(3000) / 50.0
-    >>> angle = 1.5 * np.tanh(4.0 * np.sin(0.35 * time))  # about y, to and fro, with stops; about x and z the device never turns
-    >>> gyro = np.gradient(angle, time)[:, None] * [0.0, 1.01, 0.0] + 1e-3 * rng.standard_normal((3000, 3))
-    >>> accel = 9.8 * np.stack((-np.sin(angle), 0.0 * angle, np.cos(angle)), axis=1) + 0.05 * rng.standard_normal((3000, 3))
-    >>> record = undrift.Record(time=time, gyro=gyro, accel=accel)
-    >>> made = undrift.calibrate_from_motion([record], gravity_m_s2=9.8)
-    >>> [f"{scale:.2f}" for scale in made.gyro.scale_factor], made.verdict.findings[0].values["axes"]
-    (['1.00', '1.01', '1.00'], 'x, z')
+    >>> rate = 1.2 * np.sin(np.outer(time, [0.9, 0.7, 0.5]) + [0.0, 1.0, 2.0])  # rad/s, turned about all axes
+    >>> q_nb = frames.integrate_strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]))
+    >>> force = frames.rotate(frames.quaternion_conjugate(q_nb), np.array([0.0, 0.0, 9.8]))
+    >>> gyro = rate * [1.0, 1.01, 1.0] + 1e-3 * rng.standard_normal((3000, 3))
+    >>> record = undrift.Record(time=time, gyro=gyro, accel=force + 0.05 * rng.standard_normal((3000, 3)))
+    >>> calibration = undrift.calibrate_from_motion([record], gravity_m_s2=9.8)
+    >>> [f"{scale:.2f}" for scale in calibration.gyro.scale_factor]
+    ['1.00', '1.01', '1.00']
     """
     if gravity_m_s2 is None:
         gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"

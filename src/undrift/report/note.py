@@ -58,7 +58,7 @@ FIGURE_1 = (
         "Analysis of variance over the subjects: is p below 0.05?",
         ("study.judge.judge_parameters", "study.statistics.repeated_measures_anova"),
     ),
-    NoteStep("Optimised parameters (Table 1)", ("study.plan.TABLE_1",)),
+    NoteStep("Optimised parameters (Table 1)", ("study.judge.find_answers",)),
     NoteStep(
         "Test of the calibrated device on other subjects (Table 2), beside the optics (Figure 3)",
         ("study.run.run_chosen", "study.figure3.figure3"),
