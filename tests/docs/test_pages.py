@@ -27,7 +27,7 @@ WITHOUT_BLOCKS = {
 }
 
 
-SLOW = ("howto-developer.md",)  # two studies, a minute and more
+SLOW = ("howto-developer.md", "study.md")  # studies, a minute and more
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
     tally.check(devices)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_a_scale_that_creeps_with_temperature_is_as_uncertain_as_it_errs(devices: int) -> None:
     scale = next(row for row in rows_of("creep 1 degC", devices, 1) if row.group == "scale")
