@@ -494,9 +494,6 @@ def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quan
 
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
-# As a rate table has them: in a skew mounting it turns about +x, +y and +z of the case alike, (1, 1, 1)
-MountedFace = Literal[Face, "+xyz"]
-TurnAxis = Literal[Axis, "xyz"]
 Kind = Literal["calibration", "thermal", "static", "set-points"]
 Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
@@ -512,7 +509,7 @@ class Still:
     start, stop : int
         Samples [start, stop).
     face : str or None
-        Axis that points up, "+xyz" in a skew mounting; None for a free pose.
+        Axis that points up; None for a free pose.
     recording : int
         Which record of the session.
     temp_c : float or None
@@ -527,7 +524,7 @@ class Still:
 
     start: int
     stop: int
-    face: MountedFace | None = None
+    face: Face | None = None
     recording: int = 0
     temp_c: float | None = None
 
@@ -544,7 +541,7 @@ class Turn:
     start, stop : int
         Samples [start, stop).
     axis : str or None
-        Case axis of the turn, "xyz" for (1, 1, 1) of it; None for a free rotation.
+        Case axis of the turn; None for a free rotation.
     turn_rate : float or None
         Achieved steady rate about +axis, rad/s (rate table).
     angle : float or None
@@ -563,7 +560,7 @@ class Turn:
 
     start: int
     stop: int
-    axis: TurnAxis | None = None
+    axis: Axis | None = None
     turn_rate: float | None = None
     angle: float | None = None
     recording: int = 0

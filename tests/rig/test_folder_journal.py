@@ -91,16 +91,6 @@ def test_a_line_that_is_twice_missing_or_elsewhere_is_refused(tmp_path, order):
         Journal(path)
 
 
-def test_a_journal_of_format_1_is_read_and_goes_on_as_it_began(tmp_path):
-    path = tmp_path / "j"
-    path.write_bytes(b"".join(line_of(entry, None)[0] for entry in ENTRIES))
-    journal = Journal(path)
-    journal.append({"d": 4})
-    journal.close()
-    assert path.read_bytes().endswith(line_of({"d": 4}, None)[0])
-    assert read_journal(path)[0] == (*ENTRIES, {"d": 4})
-
-
 def test_half_a_line_on_a_full_disk_is_taken_back(tmp_path, monkeypatch):
     path = written(tmp_path / "j")
     journal = Journal(path)

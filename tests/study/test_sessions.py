@@ -76,3 +76,7 @@ def test_a_session_states_its_minutes_instruments_and_commands():
     assert rows["three rates"][0] < rows["note rates"][0] < rows["two set-points"][0] < rows["note"][0]
     commands = SESSIONS["note"].commands("mine")
     assert [words.split()[1] for words in commands] == ["rig", "calibrate", "drift"]
+    assert SESSIONS["hand"].commands("mine") == (
+        "undrift calibrate mine.csv --turn-deg 360 --gravity-m-s2 GRAVITY -o mine.json",
+    )
+    assert "--from motion" in SESSIONS["motion"].commands("mine")[0]

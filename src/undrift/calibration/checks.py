@@ -13,7 +13,7 @@ from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.model import AXES
-from undrift.record import FACES, Face, MountedFace
+from undrift.record import FACES, Face
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
@@ -195,7 +195,7 @@ _REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
 _FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run counts as saturation
 
 
-def face_vectors(faces: Sequence[MountedFace]) -> FloatArray:
+def face_vectors(faces: Sequence[Face]) -> FloatArray:
     """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
     sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
     return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
@@ -203,8 +203,7 @@ def face_vectors(faces: Sequence[MountedFace]) -> FloatArray:
 
 def axis_vectors(axes: Sequence[str]) -> FloatArray:
     """Return the unit vector of each axis, one a row, (R, 3)."""
-    vectors = np.array([[float(axis in name) for axis in "xyz"] for name in axes]).reshape(-1, 3)
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+    return np.eye(3)[[AXES.index(axis) for axis in axes]]
 
 
 def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
@@ -221,7 +220,7 @@ def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> 
         )
 
 
-def check_faces(means: FloatArray, faces: Sequence[MountedFace]) -> None:
+def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     """Raise when the labels of a six-face session contradict its mean readings (P, 3)."""
     up = face_vectors(faces)
     radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
@@ -351,12 +350,12 @@ def check_saturation(values: FloatArray, what: str) -> None:
         raise found.refusal(f"{what} {AXES[found.axis]}: wanted")
 
 
-def missing_faces(faces: Sequence[MountedFace]) -> tuple[Face, ...]:
+def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
     """Return the faces that a session lacks."""
     return tuple(face for face in FACES if face not in faces)
 
 
-def check_repeats(means: FloatArray, faces: Sequence[MountedFace]) -> None:
+def check_repeats(means: FloatArray, faces: Sequence[Face]) -> None:
     """Raise when a face is stated twice with readings of two."""
     radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
     for a, b in itertools.combinations(range(len(faces)), 2):

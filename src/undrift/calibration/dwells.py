@@ -21,7 +21,7 @@ from undrift.fit.gls import Prior, solve
 from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.fit.priors import ACCEL_FLICKER, SETTLE_S, TABLE_ARM, TABLE_MOUNTING
 from undrift.model import AXES, TriadModel
-from undrift.record import Axis, MountedFace, RateTable, Record, Still, Turn, TurnAxis
+from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 SHOWS = 3.0  # standard errors by which one scatter must exceed another to count
@@ -120,19 +120,19 @@ def block_means(values: FloatArray, size: int) -> FloatArray:
     return np.asarray(values[: count * size].reshape(count, size, values.shape[1]).mean(axis=1))
 
 
-# ---- table axis: about which axis of the case a rate table really turned, by the gravity that the accelerometers feel
+# ---- axis of the table in the case, from gravity as the accelerometers measure it
 #
-# In one mounting, axis k of the case lies along the table's. Dwell i turns the device about k + d_i with d_i = d + e_i: d and e_i
-# are small and across k, and e_i is the wobble from dwell to dwell. The table's axis is off the vertical by l_i = l + e'_i, of the
-# same wobble, and the accelerometers are off the table's axis by an arm r. At the rate w_i and the azimuth psi, block means of the
-# specific force across k are
+# In one mounting, axis k of the case lies along the axis of the table. During dwell i the device turns about k + d_i, where d_i is
+# small and across k. d_i = d + e_i: d is common to the mounting, e_i is the wobble of the dwell. The axis of the table leaves the
+# vertical by l_i = l + e'_i, with the same size of wobble. The accelerometers are at a distance r from the axis. Block means of the
+# specific force across k, at the rate w_i and the azimuth psi, are
 #
 #     f / g = d_i + R_k(-psi) l_i - r w_i^2 / g
 #
-# The sizes of noise and wobble are excess variances (fit/gls.py). With them, each d_i and the covariance of all of them follow from
-# the same rows. psi is the integral of the gyroscope of the axis within a recording. All mountings share the errors of the
-# accelerometers: df = dM s - M do. Without accelerometers d is zero with the stated uncertainty of the mounting, and e_i with the
-# stated wobble.
+# The sizes of noise and wobble are excess variances (fit/gls.py). With these sizes, the same rows determine each d_i and the joint
+# covariance of all d_i. psi is the integral of the gyroscope of axis k within a recording. The errors of the accelerometers are
+# common to all mountings: df = dM s - M do. Without accelerometers d is zero, with the stated uncertainty of the mounting, and e_i
+# is zero, with the stated wobble.
 
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
 
@@ -155,8 +155,8 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
     Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
     """
     runs: list[list[int]] = [[]]
-    axis: TurnAxis | None = None
-    face: MountedFace | None = None
+    axis: Axis | None = None
+    face: Face | None = None
     for n in sorted(range(len(pieces)), key=lambda n: (pieces[n].recording, pieces[n].start)):
         piece = pieces[n]
         if isinstance(piece, Turn):
@@ -319,7 +319,7 @@ class DwellMeans:
 
     reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
     turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
-    axis: tuple[TurnAxis, ...]  # Axis of each dwell
+    axis: tuple[Axis, ...]  # Axis of each dwell
     noise: FloatArray | None = None  # (N, 3), standard deviation of each mean; None when it is not known
     # (N,), 1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default
     up: FloatArray = field(default_factory=lambda: np.ones(1))
@@ -358,7 +358,7 @@ def dwell_means(
         w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
         for record, w in zip(parts, windows, strict=True)
     ]
-    about = [-1 if t.axis == "xyz" else AXES.index(t.axis or "x") for t in used]
+    about = [AXES.index(t.axis or "x") for t in used]
     noise = _noise(windows, [blocks[t.recording] for t in used], about)
     step = code_steps([records[k] for k in blocks], rate=True)
     codes = code_variance(step, np.median([w.var(axis=0) for w in windows], axis=0)) if used else np.zeros(3)
@@ -380,7 +380,7 @@ def _noise(windows: list[FloatArray], sizes: list[int], own: list[int]) -> Float
     """Return the noise of each mean; a sensor whose own dwells scatter more, since the rate ripples, by its other dwells."""
     noise = noise_of_means(windows, sizes)
     for k in range(3):
-        rows = [n for n, axis in enumerate(own) if axis not in (k, -1)]
+        rows = [n for n, axis in enumerate(own) if axis != k]
         others = noise_of_means([windows[n] for n in rows], [sizes[n] for n in rows])
         if noise is None or others is None:
             continue

@@ -53,7 +53,7 @@ from undrift.fit.gls import GlsFit, Prior, solve_inverse
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
-from undrift.record import Axis, Record, Still, Turn, TurnAxis
+from undrift.record import Axis, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- do the fitted gyroscopes turn gravity as the accelerometer measures it?
@@ -112,7 +112,7 @@ class RotationData:
     rest: FaceMeans  # Gyroscope means on the faces, ``unit``
     rest_samples: FloatArray  # (P,), samples behind each mean
     angle: FloatArray  # (R,), angle of each turn about +axis, rad
-    axis: tuple[TurnAxis, ...]  # Axis of each turn
+    axis: tuple[Axis, ...]  # Axis of each turn
     reading: FloatArray  # (R, 3), integral of the gyroscope readings over each turn, unit * s
     force: FloatArray | None  # (R, 3), integral of the calibrated specific force over each turn, m/s
     duration: FloatArray  # (R,), s
@@ -621,7 +621,7 @@ _NEAR_S = 5.0  # between a rest and the turn that it stands beside
 
 def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
     """Return the axes of turns without a rest close before and one close after them, whatever face is up in it."""
-    lacking = set[TurnAxis | None]()
+    lacking = set[Axis | None]()
     for turn in turns:
         time, own = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
         before = (time[turn.start] - time[s.stop - 1] for s in own if s.start < turn.start)

@@ -16,7 +16,7 @@ from undrift.arrays import FloatArray, runs
 from undrift.calibration.adc import code_steps, code_variance
 from undrift.calibration.checks import check_gravity, rate_unit_words, stuck_at_rate, stuck_in_motion
 from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
@@ -356,16 +356,15 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     half as many pieces as the largest. Faces that it lacks come from the group with most faces, nearest to it: creep.py states
     what their temperature adds.
     """
-    session, skew = _without_skew(session)
     temps = piece_temperatures(session, (*session.stills, *session.turns))
     if len(temps) < 2 or np.isnan(temps).any() or np.ptp(temps) <= APART_C:
-        return session, skew
+        return session, ()
     order = np.argsort(temps)
     group = np.empty(len(temps), dtype=np.int64)
     group[order] = np.concatenate(([0], np.cumsum(np.diff(temps[order]) > APART_C)))  # a new number after each gap
     counts = np.bincount(group)
     if len(counts) == 1:
-        return session, skew
+        return session, ()
     means = np.bincount(group, temps) / counts
     able = np.flatnonzero(2 * counts >= counts.max())
     chosen = int(able[np.argmin(np.abs(means[able] - ROOM_C))])
@@ -386,21 +385,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
         pieces=int(used.sum()),
         temp_c=temps[used].mean(),
     )
-    return replace(session, stills=stills, turns=turns), (*skew, visited)
-
-
-def _without_skew(session: Session) -> tuple[Session, tuple[Finding, ...]]:
-    """Return a session without what was read in a skew mounting: it shows sums of the matrix, and no face."""
-    stills = tuple(still for still in session.stills if still.face != "+xyz")
-    turns = tuple(turn for turn in session.turns if turn.axis != "xyz")
-    if not (skew := len(session.stills) + len(session.turns) - len(stills) - len(turns)):
-        return session, ()
-    if not (stills or turns):
-        raise NotObservable(
-            f"calibrate: wanted turns about x, y and z or rests on faces, got {skew} turns and rests in a skew mounting alone; "
-            "calibrate another session, then take this one to `drift`"
-        )
-    return replace(session, stills=stills, turns=turns), (finding("session.skew", "info", pieces=skew),)
+    return replace(session, stills=stills, turns=turns), (visited,)
 
 
 def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> FloatArray:

@@ -77,7 +77,7 @@ def pieces_of(
         for k, turn in enumerate(session.turns)
     ]
     parts = [
-        replace(piece, why="skew mounting" if "xyz" in piece.label else "another temperature")
+        replace(piece, why="another temperature")
         if (session.stills or piece.kind == "turn") and (piece.recording, piece.start, piece.stop) not in spans
         else piece
         for piece in parts

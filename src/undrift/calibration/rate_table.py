@@ -73,7 +73,7 @@ MIN_NOISE = 1e-9  # of the largest reading: a mean is not known better than the 
 MOUNTED = 2.0  # times the stated size, from which a mounting is a finding
 SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
 
-# ---- fit of the dwells, and of rests if there are any
+# ---- fit of dwells and rests
 
 RateTableMode = Literal["paper", "affine"]
 
@@ -268,7 +268,7 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
 
 
 def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
-    """Return the shapes of errors whose sizes the residuals show: (3 E, 3 E), or its diagonal (3 E,)."""
+    """Return the covariance of each error of unknown size, for size 1: (3 E, 3 E), or its diagonal (3 E,)."""
     count = len(rows.rate)
     if rows.noise is None:
         return {"noise": np.ones(3 * count)}
@@ -286,7 +286,7 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
 
 
 def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the rate of each dwell in the rows across its axis, and in the row along it, (E, 3); 0 at rest."""
+    """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each; 0 at rest."""
     along, across = np.zeros((count, 3)), np.zeros((count, 3))
     own = np.abs(axis_vectors(dwells.axis)) > 0.5
     along[: len(own)] = np.where(own, dwells.turn_rate[:, None], 0.0)
@@ -393,7 +393,7 @@ def _chance(degrees_of_freedom: int) -> float:
 
 
 def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
-    """Return marginal where a scale factor (K,) is further from the unit's own than any datasheet allows, bad at twice that."""
+    """Return marginal if a scale factor (K,) differs from the stated unit by more than data sheets allow, bad at twice that."""
     if not is_physical(unit):
         return Verdict()
     ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
@@ -522,7 +522,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
 
 
 def _nominal_findings(fit: RateTableFit, dwells: DwellMeans, cross_axis_prior: float) -> Iterator[Finding]:
-    """Yield what turns about one or two axes determine, and what keeps its prior."""
+    """Yield the findings of a table that turned about one or two axes: results, and elements that keep their prior."""
     turned = tuple(line.axis for line in fit.linearity)
     missing = tuple(axis for axis in AXES if axis not in turned)
     physical = is_physical(dwells.unit)
@@ -552,7 +552,7 @@ def _nominal_findings(fit: RateTableFit, dwells: DwellMeans, cross_axis_prior: f
 
 
 def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadFit | None) -> tuple[DwellMeans, Creep]:
-    """Return dwells with the axes about which the table turned the case, and the temperature of each."""
+    """Return the dwells with the axis of each in the case, and the temperature of each."""
     session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
     stretches = Dwells(

@@ -47,7 +47,7 @@ from undrift.fit.gls import GlsFit, solve_inverse
 from undrift.fit.least_squares import TriadFit, block_size, fit_paper, noise_of_means, offset_verdict, scaled_condition
 from undrift.fit.priors import ACCEL_FLICKER
 from undrift.model import Budget, TriadModel, Verdict
-from undrift.record import MountedFace, Record, Still
+from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 # ---- fit of the face means
@@ -63,7 +63,7 @@ class FaceMeans:
     """Mean readings of a device on its faces."""
 
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
-    faces: tuple[MountedFace, ...]  # axis that points up in each
+    faces: tuple[Face, ...]  # axis that points up in each
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None if it is not known
     rounding: FloatArray | None = (
         None  # (3,), standard deviation that the codes leave in each mean, in ``noise`` too, ``unit``

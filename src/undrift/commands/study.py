@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # shares of the time at which each stage ends
 EFFECT_DEVICES = 10  # whose error is split
+FEWEST = 20  # devices, of which one lies above the 95 % quantile
+FEW = "{} devices do not determine the error that 95 % of devices stay below: study {} or more for a result"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -47,6 +49,7 @@ class Studied(Result):
             data=study_json(outcome, self.figure3),
             pictures=(figure_of("figures:draw_sessions", outcome),),
             sections=(*shown, *note_flows(), Section(title="The note", text=(NOTE,), folded=True)),
+            notes=(FEW.format(outcome.subjects, FEWEST),) if outcome.subjects < FEWEST else (),
             written=tuple(self.output / name for name in ("report.html", "summary.json", "runs.parquet")),
         )
 
@@ -168,11 +171,12 @@ def _sentence(answer: "Answer", outcome: "StudyOutcome") -> str:
     session = next(one for one in outcome.study.sessions if one.name == answer.session)
     needs = "no instrument" if session.instruments == "none" else session.instruments
     tested = f", {answer.below} of {answer.tested} devices of the other group below" if answer.tested else ""
+    tested += ", not confirmed" if answer.tested and not answer.confirmed else ""
     return f"for {answer.target_deg:g} deg '{answer.session}', {session.length_min:.0f} min, {needs}{tested}"
 
 
 def _answer(outcome: "StudyOutcome") -> str:
-    """Return the cheapest session that does for all tasks."""
+    """Return the sentence that names the cheapest session for all tasks at each target."""
     several = "all tasks" if len(outcome.tasks) > 1 else _name(outcome.tasks[0])
     return f"Cheapest session that is good enough in {several}: {'; '.join(_sentence(one, outcome) for one in outcome.for_all)}."
 

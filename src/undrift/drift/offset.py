@@ -52,9 +52,8 @@ GROUPS = 20  # groups of neighbouring cells that are left out in turn, at most
 LEAST_LEFT_OUT, CHANCE = 5, 1e-3  # groups that are judged by; chance of a false finding
 SHARED_C = 1.0  # sessions with cells nearer than this share a temperature
 # ---- hysteresis
-START_C = TURN_C = (
-    1.0  # the temperature must move by this before it has a direction, and back by this before that changes
-)
+# K; the temperature must change by START_C before it has a direction, and by TURN_C the other way before it has another
+START_C = TURN_C = 1.0
 CROSSED_C = 4.0  # after a turn the loop is crossed over this much of temperature
 OVERLAP_C = 3.0  # range that both directions must have seen
 # ---- warm-up
@@ -108,7 +107,7 @@ class Cells:
     variance: FloatArray  # (n, 3), by noise, steps and rests
     regressors: FloatArray  # (n, p)
     flicker: (
-        FloatArray  # (3, n, n), covariance by flicker noise, whose size the blocks within cells show, raw unit squared
+        FloatArray  # (3, n, n), covariance from flicker noise (size from the blocks within cells), raw unit squared
     )
     correlation: FloatArray  # (n, n), of what visits add beyond it, mean diagonal 1
     groups: IntArray  # (n,), neighbours in temperature
@@ -398,13 +397,13 @@ def _accel(
 
 
 def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArray:
-    """Return True for nodes (n,) with data (k,) near them: within a gap between two, and at the ends within half a degree."""
+    """Return a mask of nodes (n,) with data (k,) nearby: within ``gap_c`` inside the range of the data, 0.5 K outside."""
     nearest = np.abs(nodes[:, None] - temp_c[None, :]).min(axis=1)
     return np.asarray(nearest <= np.where((nodes < temp_c.min()) | (nodes > temp_c.max()), EDGE_C, gap_c))
 
 
 def far_from_data(sensor: str, triad: TriadDrift) -> list[Finding]:
-    """Return the finding on nodes that no data were near."""
+    """Return the finding on nodes without data nearby."""
     count, nodes, (low, high) = int(triad.extrapolated.sum()), len(triad.extrapolated), triad.span_c
     if not count:
         return []

@@ -126,7 +126,7 @@ class Curve:
         )
 
     def left_out(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Leave groups of rows (n,) out in turn, without a second fit: errors P_II^-1 (P y)_I of covariance P_II^-1.
+        """Predict each group of rows (n,) from the others, without a second fit: errors P_II^-1 (P y)_I, covariance P_II^-1.
 
         Returns the rms error of groups between others, and the rms of all groups' mean errors over their stated deviations, both
         (k,); NaN if no group can be left out.
@@ -259,7 +259,7 @@ def bending(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, nodes: FloatArray) -> NodeValues:
-    """Return the cubic spline through every point, (n,) and (n, k), with not-a-knot ends, at nodes (m,)."""
+    """Interpolate values (n, k) at temperatures (n,) by a cubic spline with not-a-knot ends; return it at nodes (m,)."""
     from scipy.interpolate import CubicSpline
 
     if len(temp_c) < 2:

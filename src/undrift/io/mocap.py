@@ -208,7 +208,7 @@ def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
 
 
 def parse_c3d(path: Path, **_: Any) -> Parsed:
-    """Return the points of a C3D file in its own unit and axes."""
+    """Read the points of a C3D file, in the length unit and the axes of the file."""
     held = _load(path)
     point = held["parameters"]["POINT"]
     xyz = np.moveaxis(np.asarray(held["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)

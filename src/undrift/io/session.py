@@ -61,10 +61,11 @@ from undrift.io.formats import read_record, settled
 from undrift.io.parquet import write_parquet
 from undrift.io.phone import phone_pair, read_phone_pair
 from undrift.record import (
+    Axis,
+    Face,
     FileMap,
     GravitySource,
     Kind,
-    MountedFace,
     Mounting,
     RateTable,
     Record,
@@ -72,7 +73,6 @@ from undrift.record import (
     Still,
     TemperatureSensitivity,
     Turn,
-    TurnAxis,
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
@@ -286,8 +286,8 @@ class StillEntry:
     start_s: float  # On the recording's own clock
     stop_s: float  # Likewise, left out itself
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    # Sensor axis that points up: "+x" ... "-z"; "+xyz" in a skew mounting, +x, +y and +z alike; none for a free pose
-    face: MountedFace | None = None
+    # Sensor axis that points up: "+x" ... "-z"; none for a free pose
+    face: Face | None = None
 
 
 @codec.stored()
@@ -299,7 +299,7 @@ class TurnEntry:
     start_s: float  # On the recording's own clock
     stop_s: float  # Likewise, left out itself
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    axis: TurnAxis | None = None  # "x", "y", "z", or "xyz" for (1, 1, 1) of the case; none for a free rotation
+    axis: Axis | None = None  # "x", "y" or "z" of the case; none for a free rotation
     # Achieved steady rate about +axis
     turn_rate: Annotated[float | None, codec.Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
     angle: Annotated[float | None, codec.Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis

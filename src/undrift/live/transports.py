@@ -128,7 +128,7 @@ class SocketPort:
 
 
 def tcp_port(host: str, port: int, longest_s: float, clock: Clock = HOST) -> Port:
-    """Connect over TCP, or to a server on the same virtual clock."""
+    """Connect over TCP. With a virtual clock, connect to the simulated server on that clock."""
     if (way := clock.connection(host, port)) is not None:
         return way
     connection = socket.create_connection((host, port), timeout=longest_s)

@@ -33,7 +33,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import call_writer, errno_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
-from undrift.programme import DAMPING, Protocol, Purpose, write_protocol
+from undrift.programme import Protocol, Purpose, write_protocol
 from undrift.record import Axis, Face, Kind, Record
 from undrift.rig.lock import uninterrupted
 
@@ -106,24 +106,22 @@ def locked(path: Path) -> BinaryIO:
     return file
 
 
-def line_of(entry: Entry, before: int | None) -> tuple[bytes, int | None]:
-    """Return an entry as a line, and its checksum, from which the next goes on; None where each stands alone (format 1)."""
+def line_of(entry: Entry, before: int) -> tuple[bytes, int]:
+    """Return an entry as a line, and its checksum, with which the checksum of the next line begins."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-    crc = zlib.crc32(text, 0 if before is None else before)
-    return b'{"length":%d,"crc32":"%08x","entry":%s}\n' % (len(text), crc, text), None if before is None else crc
+    crc = zlib.crc32(text, before)
+    return b'{"length":%d,"crc32":"%08x","entry":%s}\n' % (len(text), crc, text), crc
 
 
-def read_journal(path: Path) -> tuple[tuple[Entry, ...], int, int | None]:
-    """Return the entries of a journal, where the last whole line ends, and the checksum from which the next goes on."""
+def read_journal(path: Path) -> tuple[tuple[Entry, ...], int, int]:
+    """Return the entries of a journal, where the last whole line ends, and the checksum with which the next line begins."""
     data = path.read_bytes() if path.exists() else b""
     entries: list[Entry] = []
     place = 0
-    before: int | None = _FIRST
+    before = _FIRST
     for number, line in enumerate(data.splitlines(keepends=True), start=1):
         entry = _entry(line)
-        if number == 1 and entry is not None and line == line_of(entry, None)[0]:
-            before = None  # of format 1
-        whole, following = (b"", None) if entry is None else line_of(entry, before)
+        whole, following = (b"", before) if entry is None else line_of(entry, before)
         if entry is None or line != whole:
             parts = _LINE.fullmatch(line)  # as long as it says: a power cut leaves less of it, or zeros in it
             complete = parts is not None and int(parts[1]) == len(parts[2])
@@ -197,9 +195,7 @@ def room(path: Path) -> Iterator[None]:
 
 # ---- folder
 
-FORMAT = 2  # 1: checksums that do not go on from the line before, and a session.toml without any
-# Of Protocol: what runs of before did
-LATER = {"damping": DAMPING, "faces_at": "every", "board_lag_s": 600.0}
+FORMAT = 1
 JOURNAL, PIECES, ASIDE, PROTOCOL, SESSION = "journal.jsonl", "pieces", "aside", "protocol.toml", "session.toml"
 
 
@@ -352,11 +348,10 @@ class RunFolder(AbstractContextManager["RunFolder"]):
 
 
 def protocol_digest(protocol: Protocol) -> str:
-    """Return what tells a protocol from another; what came later counts only where it is stated, as in folders from before."""
-    left_out = () if protocol.turn_axes else ("turn_angle", "turn_axes", "turn_rest_s")
-    later = {name: value for name, value in LATER.items() if getattr(protocol, name) == value}
-    held = {name: value for name, value in asdict(protocol).items() if name not in left_out and name not in later}
-    fields = {name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in held.items()}
+    """Return a hash of a protocol, so that a run is not continued with another one; numbers count to nine digits."""
+    fields = {
+        name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in asdict(protocol).items()
+    }
     return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
@@ -366,7 +361,7 @@ def read_entries(path: Path, entries: tuple[dict[str, object], ...]) -> tuple[He
         return None, ()
     try:
         first = dict(entries[0])
-        if first.pop("entry") != "head" or first.pop("format") not in (1, FORMAT):
+        if first.pop("entry") != "head" or first.pop("format") != FORMAT:
             raise ValueError("another format")
         pieces: list[RecordedDwell] = []
         for entry in entries[1:]:

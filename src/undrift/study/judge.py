@@ -1,4 +1,4 @@
-"""What the runs of a study show: the error of each session, the cheapest one that is good enough, and what the error depends on.
+"""Results of a study: the error of each session, the cheapest session that is good enough, and the causes of the error.
 
 A session is good enough for a target if 95 % of the devices that it calibrates stay below the target, each on a person of its own.
 The quantile counts, not the mean: whoever buys one device gets one error. The cheapest such session, by its minutes, is the answer.
@@ -55,7 +55,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterEffect:
-    """One of the note's four numbers, the others as they are."""
+    """Effect of one of the note's four numbers; the other three keep their values."""
 
     parameter: Parameter
     values: tuple[float, ...]
@@ -89,13 +89,13 @@ class TaskOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOutcome:
-    """What a study found."""
+    """Results of a study."""
 
     study: Study
     subjects: int
     tasks: tuple[TaskOutcome, ...]
-    for_all: tuple[Answer, ...]  # the cheapest session that does for every task
-    # first task: temperature rise (NaN: the study's own), offset rule, session and 95 % quantile, deg
+    for_all: tuple[Answer, ...]  # the cheapest session that is good enough in every task
+    # first task: temperature rise (infinite: that of the study), offset rule, session, 95 % quantile in deg (NaN if a device fails)
     sensitivity: tuple[tuple[float, str, str, float], ...]
     runs: tuple[Run, ...]
     methods: tuple[MethodRow, ...] = ()  # methods and rivals, for the note's preset
@@ -151,7 +151,7 @@ def find_answers(study: Study, rows: Sequence[Sequence[SessionErrors]]) -> tuple
 
 
 def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[ParameterEffect, ...]:
-    """Return what each of the note's four numbers does to the error, the others as they are."""
+    """Return the effect of each of the note's four numbers on the error; the other three keep their values."""
     if task.around is None:
         return ()
     tried = {
@@ -200,7 +200,7 @@ def chosen_sessions(outcome: StudyOutcome) -> tuple[tuple[str, str], ...]:
 
 
 def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
-    """Return what the runs show, before the answers are tested on the other group."""
+    """Evaluate the runs. The answers are not yet tested on the other group."""
     tasks = []
     for task in study.tasks:
         rows = judge_sessions(study, runs, task)
@@ -212,7 +212,7 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
             rise = run.excursion_k if run.excursion_k in _STATED_RISES else float("inf")
             by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
     sensitivity = tuple(
-        (rise, offset, name, float(np.nanquantile(errors, QUANTILE)) if np.isfinite(errors).any() else float("nan"))
+        (rise, offset, name, float(np.quantile(errors, QUANTILE)))
         for (rise, offset, name), errors in sorted(by_rise.items())
     )
     return StudyOutcome(
@@ -229,7 +229,7 @@ _STATED_RISES = (0.0, 5.0, 20.0)
 
 
 def with_test(outcome: StudyOutcome, tested: Sequence[Run], effects: Sequence[Run]) -> StudyOutcome:
-    """Return the outcome with its answers tested on the other group, and with what the errors are made of."""
+    """Return the outcome with the test of its answers on the other group and the shares of each kind of error."""
     study = outcome.study
 
     def checked(answer: Answer, keys: Sequence[str]) -> Answer:

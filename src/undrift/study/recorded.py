@@ -63,26 +63,28 @@ class OwnMotion(Posed):
         return (person, *person.again)
 
 
-# ---- recorded motion as a task
+# ---- recorded motions
 
 SAMPLE_RATE_HZ = 100.0
 WINDOW_S = 0.25
-LEAST_REST_S = 0.5  # the tilt at the start is a mean over the rest
-LONGEST_REST_S = 6.0  # the note's; more of a recording is left to the motion
-# People who stand quietly keep to 1.4 deg/s, 0.03 m/s2 and 0.6 deg over 5 s at the pelvis; who has begun to rise is at 10 deg/s.
+LEAST_REST_S = 0.5  # the initial tilt is a mean over the rest
+LONGEST_REST_S = 6.0  # as in the note; the remaining recording counts as motion
+# At the pelvis, quiet stance stays below 1.4 deg/s, 0.03 m/s2 and 0.6 deg over 5 s. A person who starts to rise reaches 10 deg/s.
 MOST_TURN_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s
 MOST_ACCELERATION = 0.3  # m/s2
 MOST_TILT_ERROR = 1.0 * RADIAN_PER_DEGREE  # rad
-SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)  # markers on skin: what is above is not the bone
+SKIN = PoseSettings(
+    cutoff_hz=10.0, position_cutoff_hz=6.0
+)  # markers on skin do not follow the bone above these frequencies
 
 
 class RestQuality(NamedTuple):
-    """How still a body is for a time from the first pose on, and how long it is."""
+    """Motion of a body during its first poses."""
 
-    turn_rate: float  # Largest, rad/s
-    acceleration: float  # Largest, m/s2
-    tilt_error: float  # Of a device without errors, at the end of the time, rad
-    still_s: float  # How long the body truly is still, s
+    turn_rate: float  # largest rate, rad/s
+    acceleration: float  # largest acceleration, m/s2
+    tilt_error: float  # tilt error that a perfect device would make at the end, rad
+    still_s: float  # duration for which the body is at rest, s
 
 
 def measure_rest(spline: PoseSpline, rest_s: float) -> RestQuality:
@@ -133,9 +135,9 @@ def _windowed(values: FloatArray) -> FloatArray:
 class RecordedTask:
     """A recorded motion as a task."""
 
-    spline: PoseSpline  # The poses
-    moving_s: tuple[float, float]  # First and last instant of motion, s from the beginning
-    held_s: float = 0.0  # How long the first pose is held before the recording begins, s
+    spline: PoseSpline  # poses
+    moving_s: tuple[float, float]  # first and last instant of motion, s from the start
+    held_s: float = 0.0  # duration of a rest in the first pose that is put before the recording, s
 
     @property
     def duration_s(self) -> float:
@@ -144,7 +146,7 @@ class RecordedTask:
         return self.held_s + stop - start
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants: time (N,)."""
+        """Return the motion at times (N,), s."""
         start = self.spline.span_s[0]
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
         if self.held_s == 0.0:
@@ -215,12 +217,12 @@ def sha256_of(path: Path) -> str:
 class MotionEntry(Posed):
     """[task.motion]."""
 
-    file: str = ""  # Poses or markers, from the folder of study.toml
-    folder: str = ""  # Or of several people: every file in it, one a person
-    # Or a CSV table with columns file (from the table's folder) and person, which may have several files, and label
+    file: str = ""  # file of poses or markers, relative to study.toml
+    folder: str = ""  # alternative: folder with one file per person
+    # alternative: CSV table with columns file (relative to the table), person (one or more files each) and label
     table: str = ""
-    label: str = ""  # Only the rows of the table with this label
-    rest_s: Positive | None = None  # Rest at the beginning, s; found where not given, at most 6 s
+    label: str = ""  # use only the rows of the table with this label
+    rest_s: Positive | None = None  # rest at the start, s; if not given, it is detected, at most 6 s
     hold: bool = False  # Hold the first pose for ``rest_s`` before a recording that has no rest
 
 

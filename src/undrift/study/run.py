@@ -114,7 +114,7 @@ class _Device:
         self._calibrations: dict[str, Calibration | None] = {}
 
     def calibration(self, session: CalibrationSession) -> Calibration | None:
-        """Return the calibration by a session; None if it cannot calibrate this device."""
+        """Calibrate the device with a session; return None if the session cannot calibrate it."""
         if session.name not in self._calibrations:
             study = self.study
             streams = partial(stream, study.seed, study.group, "bench", self.number)
@@ -140,7 +140,7 @@ class _Device:
         excursion_k: float | None = None,
         offsets: Sequence[OffsetRule] = (),
     ) -> Iterator[Run]:
-        """Yield the errors in a task with each calibration: the same trials for all."""
+        """Yield the errors of a task for each session; all sessions are judged on the same trials."""
         study = self.study
         rise = float(stream(study.seed, study.group, "temperature", self.number).uniform(*study.excursion_k))
         rise = rise if excursion_k is None else excursion_k
@@ -170,7 +170,7 @@ class _Device:
 
 
 def run_device(study: Study, number: int) -> list[Run]:
-    """Run one device: named sessions in all tasks, the values tried, and the sensitivity of the first task."""
+    """Run one device: all sessions in all tasks, the variations of the note's numbers, and the sensitivity in the first task."""
     device, runs = _Device(study, number), list[Run]()
     for task in study.tasks:
         runs += device.runs(task, study.sessions, "session")
@@ -188,7 +188,7 @@ def run_device(study: Study, number: int) -> list[Run]:
 
 
 def run_effects(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
-    """Run one device again without each kind of error: chosen pairs of a task and a session."""
+    """Run one device again with one kind of error switched off at a time, for chosen pairs of task and session."""
     runs = list[Run]()
     by_name = {session.name: session for session in study.sessions}
     for effect in EFFECTS:

@@ -7,8 +7,8 @@
     table          six faces, steady rates both ways about three axes                    calibrate
     chamber        table, then a rest and rates at each set-point                        calibrate, fit_drift
 
-A session is simulated sample by sample and fitted as ``undrift calibrate`` and ``undrift drift`` fit a recorded one. Only readings,
-and what an operator would write down, pass from the simulated device to the fit. The many sessions in which the note's numbers are
+A session is simulated sample by sample, and fitted in the same way as ``undrift calibrate`` and ``undrift drift`` fit a recorded
+session. The fit receives readings and the notes of an operator, nothing else. The many sessions in which the note's numbers are
 varied are simulated as means of dwells.
 """
 
@@ -104,9 +104,10 @@ class CalibrationSession:
             fits = [f"undrift calibrate {stem} -o {stem}.json"]
             fits += [f"undrift drift {stem} --calibration {stem}.json -o {stem}.json"] * chamber
             return run, *fits
-        if self.kind == "motion":
-            return (f"undrift calibrate {stem}-1.csv {stem}-2.csv --calibrate-from motion -o {stem}.json",)
-        return (f"undrift calibrate {stem}.csv -o {stem}.json",)
+        files, how = {"motion": ("-*.csv", " --from motion"), "hand": (".csv", " --turn-deg 360")}.get(
+            self.kind, (".csv", "")
+        )
+        return (f"undrift calibrate {stem}{files}{how} --gravity-m-s2 GRAVITY -o {stem}.json",)
 
 
 WARMING_MIN = 30.0  # to warm the device on a person, min

@@ -35,7 +35,7 @@ from undrift.commands.bench.capture import (
     way_of,
 )
 from undrift.errors import InputError
-from undrift.record import FACES, Face, Record, Still, TurnAxis
+from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -287,7 +287,7 @@ class Turns(Guide):
         self._captured(way)
         return f"Captured: {named(way)}{'' if abs(whole) == 1 else f', {abs(whole)} turns'}."
 
-    def _whole(self, axis: TurnAxis, along: float, unit: str) -> tuple[int, str]:
+    def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
         """Return how many turns a reading is, 0 with the reason where it is none."""
         if is_physical(unit):
             turns = along * si_factor(unit, "rate") / FULL_TURN
