@@ -125,7 +125,7 @@ def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", ch
     return Summary(
         title="undrift demo: the note's method on a simulated bench",
         answer=f"Largest pitch error over the {trials[0].figures.motion_s:.1f} s of a sit-to-stand: {none} with a constant "
-        f"calibration, {rest} re-zeroed at a rest before the motion, {full} with tuning tables, {both} with both.",
+        f"calibration, {rest} with the offset of a rest before the motion, {full} with tables over temperature, {both} with both.",
         data={
             "calibration": calibration_json(fit.drift.calibration),
             "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
@@ -160,7 +160,7 @@ def _more() -> Section:
         title="Tables over temperature, and the study",
         text=(
             "The page tables.html has the tables over temperature, with their residuals and the verdict.",
-            "undrift study `preset` note computes which calibration protocol is enough for a task.",
+            "undrift study --preset note finds the cheapest calibration session that is good enough for a task.",
         ),
     )
 
@@ -174,7 +174,7 @@ def _checks(checks: tuple["Check", ...]) -> Section:
         ("at most", lambda check: f"{check.limit:.2g}"),
         ("passed", lambda check: "yes" if check.passed else "NO"),
     )
-    text = f"The device is drawn by a seed. Fits and corrections do not know it; these checks alone do. {passed}"
+    text = f"The device is drawn at random from a seed. Only these checks know its true parameters; the fits do not. {passed}"
     return table_section("Compared with the hidden truth", checks, cells, text=(text,))
 
 
@@ -190,12 +190,14 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
     return Section(
         title="A sit-to-stand with the device warmed by its wearer",
         text=(
-            f"A wearable device is calibrated on a simulated rate table and in a simulated chamber, and worn. {NOTE}",
-            f"Simulated with the same device after half an hour on a person, {EXCURSION_K:g} K above the bench. While the person "
-            f"moves, the tables remove {largest[0] - largest[2]:.2f} deg of the largest pitch error against simulated optics (the "
-            f"note, Figure 3: more than 3.2). The offset re-zeroed at the rest before leaves {largest[3]:.2f} deg: scale and "
-            "dynamic drift. Integration begins half a second before the motion. In the stance after it, which is in none of these "
-            f"figures, the error with a constant calibration grows to {after:.1f} deg.",
+            f"A wearable device is calibrated on a simulated rate table and in a simulated chamber. Then a simulated "
+            f"person wears it. {NOTE}",
+            f"The person has worn the device for half an hour, and it is {EXCURSION_K:g} K warmer than on the bench. During the "
+            f"motion, the tables remove {largest[0] - largest[2]:.2f} deg of the largest pitch error against simulated optics (the "
+            f"note, Figure 3: more than 3.2). Without tables, but with the offset of the rest before the motion, {largest[3]:.2f} "
+            "deg are left, from scale and dynamic drift. Integration begins half a second before the motion. After the motion the "
+            "person stands; these figures do not include that time. With a constant calibration the error then grows to "
+            f"{after:.1f} deg.",
             SLOPE_OF_THE_NOTE,
         ),
     )

@@ -1,4 +1,4 @@
-"""Sections of a study's page that stand beside the note: its Figures 1 to 3, Table 1 and Table 2."""
+"""Sections of the page of a study that compare it with the note: Figures 1 to 3, Table 1 and Table 2."""
 
 from typing import TYPE_CHECKING
 
@@ -13,14 +13,14 @@ NOTE = (
     'rate-gyroscopes and accelerometers", EMBC 2007.'
 )
 SLOPE_OF_THE_NOTE = (
-    "The preset's slope over temperature was inferred from the note's own Figure 3: the size of the error without compensation "
-    "confirms nothing, only what each compensation leaves of it."
+    "The slope of the offset over temperature in the preset was chosen to match Figure 3 of the note. The error without "
+    "compensation therefore confirms nothing; only the error that each compensation leaves can be compared with the note."
 )
 
 
 def note_flows() -> tuple[Section, ...]:
     """Return Figures 1 and 2."""
-    text = ("In black the steps of the note's text, in blue the functions that do them here.",)
+    text = ("Black: the steps in the text of the note. Blue: the functions of undrift that carry them out.",)
     titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
     pictures = (figure_of(f"note:draw_figure{k}") for k in (1, 2))
     return tuple(
@@ -30,7 +30,7 @@ def note_flows() -> tuple[Section, ...]:
 
 
 def table_1(task: "TaskOutcome", name: str) -> Section:
-    """Return the note's four numbers for a task, with the error at the values beside them."""
+    """Return the errors of a task for other values of the note's four numbers."""
     from undrift.study.plan import HEADINGS, TABLE_1
 
     rows = list[tuple[str, ...]]()
@@ -48,9 +48,8 @@ def table_1(task: "TaskOutcome", name: str) -> Section:
         (row for key, row in TABLE_1.items() if key == task.task.name and task.task.around == row.numbers), None
     )
     text = [
-        "Each number is varied by itself, the others as they are. F of the repeated measures with Greenhouse and Geisser's "
-        "correction. "
-        "A verdict compares with the margin of the study; p alone falls with every device that is added."
+        "Each number is varied by itself; the other three keep their values. F is that of repeated measures with the correction of "
+        "Greenhouse and Geisser. The verdict uses the margin of the study, because p falls with every device that is added."
     ]
     if note is not None:
         text.append(f"The note's own p of this row is {note.p_value:g}." + f" {note.erratum}." * bool(note.erratum))
@@ -133,8 +132,8 @@ def methods_section(outcome: "StudyOutcome") -> Section:
     tasks = (f"{task.task.key} (deg)" for task in outcome.tasks)
     heads = ("method", "minutes", "instruments", "triads", *tasks, "tilt at rest (deg)", "devices that fail")
     text = (
-        "The same devices by each method, in the same trials: mean error of the pitch with its 95 % interval. Tilt: by the "
-        "accelerometers only. Of a triad that a method does not calibrate, the data sheet and a rest are used. Each rival has one "
-        "stated error of its instrument.",
+        "Mean error of the pitch with its 95 % interval. All methods calibrate the same devices, which perform the same trials. "
+        "Tilt is measured by the accelerometers only. A triad that a method does not calibrate keeps its data sheet, with the "
+        "offset of a rest. Each rival has one stated error of its instrument.",
     )
     return Section(title="Methods and rivals", columns=heads, rows=rows, text=text if rows else (), folded=True)
