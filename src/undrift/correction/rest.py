@@ -254,7 +254,7 @@ AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
 CLOCK_S = (1e9, 4e9)  # of seconds since 1970: a recording whose time lies beyond states no date
-UNKNOWN_YEARS = 1.0  # since a calibration that states no date [assumed]
+UNKNOWN_YEARS = 1.0  # from calibration to recording, if either states no date [assumed]
 _SWAY_S = 1.0  # means over it: shorter accelerations of a body are no tilt
 _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
 
@@ -293,8 +293,8 @@ def by_temperature(error: ForceUncertainty, temp_c: float) -> tuple[float, float
 def ageing(calibrated: str, recorded_s: float) -> float:
     """Return the standard uncertainty of an accelerometer's offset, m/s2, from its calibration (ISO 8601) to the recording.
 
-    A recording has a date if its clock counts seconds since 1970. A recording without one is taken as made on the day of its
-    calibration. If the calibration states no date, its age is taken as one year.
+    A recording has a date if its clock counts seconds since 1970. If recording or calibration states no date, the age of the
+    calibration is taken as one year.
     """
     return math.hypot(TURN_ON, AGEING * math.sqrt(_years_between(calibrated, recorded_s)))
 
@@ -312,6 +312,6 @@ def _years_between(date: str, recorded_s: float) -> float:
     except ValueError:
         return UNKNOWN_YEARS
     if not CLOCK_S[0] < recorded_s < CLOCK_S[1]:
-        return 0.0
+        return UNKNOWN_YEARS
     since_1970 = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
     return max(0.0, (recorded_s - since_1970) / (365.25 * 86400.0))
