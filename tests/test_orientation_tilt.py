@@ -237,9 +237,8 @@ def test_temperature_and_age_since_the_calibration_count_and_a_table_takes_the_t
     assert year == pytest.approx(np.hypot(TURN_ON, AGEING) * np.sqrt(2.0), rel=1e-6)
     assert parts(dated, provenance=Provenance())["ageing"] == pytest.approx(year)  # a year where no date is stated
     assert parts(dated, provenance=made_on(-30.0))["ageing"] == fresh
-    # a recording without a date is taken as made on the day of its calibration
-    assert parts(provenance=made_on(365.25))["ageing"] == fresh
-    assert parts(provenance=made_on(20.0 * 365.25))["ageing"] == fresh
+    # a year if the recording states no date, too
+    assert parts(provenance=made_on(30.0))["ageing"] == pytest.approx(year)
 
 
 def test_coarse_codes_count_until_noise_averages_them_out():
@@ -277,8 +276,8 @@ def test_the_expanded_figure_is_that_of_two_components_or_of_one():
         tilt = initial_tilt(made, Still(start=0, stop=200))
         parts = dict(tilt.parts)
         assert tilt.inclination_uncertainty == pytest.approx(np.sqrt(np.sum(np.square([*parts.values()]))))
-        # the repeatability of the switch-on, of both axes alike, is a fourteenth of the whole
-        assert tilt.expanded_uncertainty / tilt.inclination_uncertainty == pytest.approx(factor, rel=0.01)
+        # ageing and the repeatability of the switch-on, of both axes alike, are a third of the whole
+        assert tilt.expanded_uncertainty / tilt.inclination_uncertainty == pytest.approx(factor, rel=0.03)
 
 
 def test_without_a_calibration_the_basis_says_what_is_missing():
