@@ -243,10 +243,10 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
     floor = (MIN_NOISE * np.abs(rows.reading).max(axis=0)) ** 2 + 1e-300
     noise = np.zeros_like(rows.reading) if rows.noise is None else rows.noise**2
     codes = np.minimum(np.broadcast_to(dwells.codes, noise.shape), noise)
-    place = rows.reading / np.where(dwells.codes > 0.0, dwells.step, 1.0)
-    apart = (place[:, None] - place) % 1.0
-    # means at one place between two codes err alike: apart by a share d of a step, rounding errors correlate by 1 - 6 d + 6 d^2
-    rounding = np.sqrt(codes[:, None] * codes) * (1.0 - 6.0 * apart * (1.0 - apart))
+    # Equal inputs have equal rounding errors. Inputs a step or more apart have independent ones, since nothing states where between
+    # two codes each of them lies; in between the correlation falls linearly.
+    place = rows.rate @ np.linalg.inv(matrix).T / np.where(dwells.codes > 0.0, dwells.step, 1.0)
+    rounding = np.sqrt(codes[:, None] * codes) * np.maximum(1.0 - np.abs(place[:, None] - place), 0.0)
     sources = {
         "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
         "adc": in_case(matrix, rounding),
