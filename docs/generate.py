@@ -399,7 +399,7 @@ def presets() -> str:
 
 STAGES = {
     "record": "Records and sessions", "io.formats": "Reading and writing", "io.session": "", "segments": "Rests and turns",
-    "calibration.calibrate": "Calibration", "calibration.observe": "", "model": "", "findings": "", "io.store": "",
+    "calibration.calibrate": "Calibration", "calibration.session": "", "model": "", "findings": "", "io.store": "",
     "calibration.noise": "Noise", "drift.fit": "Drift over temperature", "correction.correct": "Correction",
     "orientation": "Orientation", "frames": "", "validation.trial": "Validation", "validation.agreement": "",
     "twin.fit": "Twin", "sim.device.presets": "Simulation", "sim.device.simulate": "", "sim.sessions": "", "sim.thermal": "",

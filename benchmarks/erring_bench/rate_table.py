@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.erring_bench import Row, Tally, chain_that_errs
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.session import CalibrateSettings
 from undrift.record import Session, Still, Turn
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import PowerOnTransient, RandomWalk

@@ -6,7 +6,7 @@ import pytest
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.session import CalibrateSettings, observe
 from undrift.errors import InputError
 from undrift.record import Record, Session
 from undrift.segments import still_means

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.checks import face_vectors
 from undrift.calibration.known_rotation import fit_known_rotation, rotation_data
+from undrift.calibration.plausibility import face_vectors
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.errors import Implausible
 from undrift.record import Record, Still, Turn

@@ -17,7 +17,7 @@ from undrift.calibration.calibrate import (
     find_fit,
     limits_of,
 )
-from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.session import CalibrateSettings, observe
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import TriadFit

@@ -18,7 +18,7 @@ from undrift.calibration.creep import (
     offset_drift,
     walk_about_mean,
 )
-from undrift.calibration.observe import CalibrateSettings, Observed, observe
+from undrift.calibration.session import CalibrateSettings, Observed, observe
 from undrift.errors import InputError
 from undrift.record import Record, Session, Still, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

@@ -10,7 +10,7 @@ from testkit.cramer_rao import white_device
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.dwells import Dwells, block_means, mountings, table_axes
-from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.session import CalibrateSettings
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
 from undrift.sim.bench_errors import BenchErrors

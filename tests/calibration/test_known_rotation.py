@@ -8,7 +8,6 @@ import pytest
 from testkit.cohorts import share_limits
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.checks import axis_vectors, face_vectors
 from undrift.calibration.known_rotation import (
     RotationData,
     RotationParameters,
@@ -18,7 +17,8 @@ from undrift.calibration.known_rotation import (
     fit_known_rotation,
     rotation_data,
 )
-from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.plausibility import axis_vectors, face_vectors
+from undrift.calibration.session import CalibrateSettings, observe
 from undrift.calibration.six_face import FaceMeans, calibrate_faces
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.model import TriadModel

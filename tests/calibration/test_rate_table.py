@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
-from undrift.calibration.checks import axis_vectors, check_scale_factor, nearest_signed_permutation
 from undrift.calibration.dwells import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
+from undrift.calibration.plausibility import axis_vectors, check_scale_factor, nearest_signed_permutation
 from undrift.calibration.rate_table import (
     RestMeans,
     check_dwells,

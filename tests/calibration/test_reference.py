@@ -12,7 +12,7 @@ from testkit.findings import only
 from testkit.hand_turns import Device, hidden, later, make_recording
 from undrift.calibration import reference as reference_module
 from undrift.calibration import reference_windows
-from undrift.calibration.adc import restored_gyro
+from undrift.calibration.codes import restored_gyro
 from undrift.calibration.reference import (
     CODE_PRIOR,
     ReferenceSettings,

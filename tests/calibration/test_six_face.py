@@ -8,8 +8,8 @@ import pytest
 from testkit.cohorts import LARGER_COHORTS, first_and_long
 from testkit.data import show
 from testkit.findings import codes, only
-from undrift.calibration.checks import check_scale_factor, face_vectors
-from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.plausibility import check_scale_factor, face_vectors
+from undrift.calibration.session import CalibrateSettings, observe
 from undrift.calibration.six_face import (
     FaceMeans,
     _by_mounting,

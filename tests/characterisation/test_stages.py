@@ -15,8 +15,8 @@ from benchmarks.broad_files import read_broad
 
 from testkit.data import DATA, data_path
 from testkit.demo_session import demo_session
-from undrift.calibration.adc import identify_record_adc
 from undrift.calibration.calibrate import calibrate, calibrate_to_references
+from undrift.calibration.codes import identify_record_adc
 from undrift.calibration.noise import fit_noise
 from undrift.correction.correct import correct
 from undrift.drift.fit import DriftFit, fit_drift

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.calibration.adc import identify_adc
+from undrift.calibration.codes import identify_adc
 from undrift.sim.device.effects import Rounding, converted
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device

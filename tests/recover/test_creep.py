@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import white_device
-from undrift.calibration.observe import CalibrateSettings, observe
+from undrift.calibration.session import CalibrateSettings, observe
 from undrift.calibration.six_face import calibrate_faces
 from undrift.record import Session
 from undrift.sim.bench_errors import BenchErrors

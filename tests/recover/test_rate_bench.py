@@ -15,7 +15,7 @@ from testkit.cramer_rao import white_device
 from testkit.data import show
 from testkit.findings import codes
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.session import CalibrateSettings
 from undrift.model import Calibration
 from undrift.record import Session
 from undrift.sim.bench_errors import BenchErrors

@@ -23,8 +23,8 @@ from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.dwells import DwellMeans, dwell_means
-from undrift.calibration.observe import middles
 from undrift.calibration.rate_table import RateTableFit, RestMeans, fit_rate_table
+from undrift.calibration.session import middles
 from undrift.sim.device.effects import RandomWalk
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device

@@ -3,14 +3,14 @@
 In: a ``Session``, raw recordings (N, 3) in the unit of the device, with stills and turns as stated in it, else found; or records
 with an orientation reference each. Out: a ``Calibration``: a TriadModel for each triad, the ADC's rounding, verdict, provenance.
 
-    observe                      stills, faces, turns and temperature of a session; what every fit returns
+    session                      stills, faces, turns and temperature of a session; what every fit returns
     calibrate                    the fits that a session allows, in turn; FITS lists them
     six_face, multi_position     accelerometers against gravity: on faces, in free poses (norm: |M (u - o)| = g)
     rate_table, known_rotation   gyroscopes against rates (dwells: what the table did) and angles; multi_position: moves
     reference, reference_accel   both against the poses of a reference
-    creep, adc                   what moves within a session; what rounding to codes does
+    creep, codes                 what moves within a session; what rounding to codes does
     noise                        of a device at rest, by Allan variance
-    checks, pieces               answers that cannot be; what recordings hold and what was used of it
+    plausibility, pieces         answers that cannot be; what recordings hold and what was used of it
     settings                     options of the command
 
 The method is alike in all: means over rests and turns, the errors of these means by source, least squares that weighs by them, and

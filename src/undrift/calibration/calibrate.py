@@ -22,19 +22,19 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from undrift.base.summary import at
-from undrift.calibration.adc import identify_record_adc, restored
-from undrift.calibration.checks import missing_faces, range_in_doubt, scale_as_stated
+from undrift.calibration.codes import identify_record_adc, restored
 from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
-from undrift.calibration.observe import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.pieces import check_accel
+from undrift.calibration.plausibility import missing_faces, range_in_doubt, scale_as_stated
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
+from undrift.calibration.session import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.settings import FITS, FitMethod
 from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice

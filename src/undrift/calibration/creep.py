@@ -24,7 +24,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.observe import Observed, mean_reading, middles, piece_temperatures, whole_readings
+from undrift.calibration.session import Observed, mean_reading, middles, piece_temperatures, whole_readings
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import block_size, excess_variance, noise_of_means

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.adc import code_steps, code_variance
-from undrift.calibration.checks import axis_vectors, check_saturation
-from undrift.calibration.observe import middles, spans_of
+from undrift.calibration.codes import code_steps, code_variance
+from undrift.calibration.plausibility import axis_vectors, check_saturation
+from undrift.calibration.session import middles, spans_of
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import Prior, solve
 from undrift.fit.least_squares import block_size, noise_of_means

@@ -30,8 +30,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration import multi_position
-from undrift.calibration.adc import limited_by_codes, mean_rounding
-from undrift.calibration.checks import (
+from undrift.calibration.codes import limited_by_codes, mean_rounding
+from undrift.calibration.creep import Creep, OffsetPrior, creep_of, flicker_about_mean, in_case, walk_about_mean
+from undrift.calibration.pieces import unused_stills
+from undrift.calibration.plausibility import (
     axis_vectors,
     cause_by_gravity,
     check_axis_order,
@@ -42,9 +44,7 @@ from undrift.calibration.checks import (
     nearest_signed_permutation,
     order_text,
 )
-from undrift.calibration.creep import Creep, OffsetPrior, creep_of, flicker_about_mean, in_case, walk_about_mean
-from undrift.calibration.observe import Observed, Outcome, spans_of
-from undrift.calibration.pieces import unused_stills
+from undrift.calibration.session import Observed, Outcome, spans_of
 from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
-from undrift.calibration.adc import code_steps, code_variance, limited_by_codes
-from undrift.calibration.checks import check_axis_order, check_own_scale, check_range, stuck_windows
+from undrift.calibration.codes import code_steps, code_variance, limited_by_codes
 from undrift.calibration.creep import Creep, Kind, OffsetPrior, creep_of, offset_prior
 from undrift.calibration.norm import QUADRATIC_SD, TOLERANCE, WEAKEST, NormFit, check_count, fit_norm, judged
-from undrift.calibration.observe import Observed, Outcome
+from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
+from undrift.calibration.session import Observed, Outcome
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.equations import Rows, covariance_of, descend

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.checks import check_gravity, check_own_scale
 from undrift.calibration.creep import Creep
+from undrift.calibration.plausibility import check_gravity, check_own_scale
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import student_factor

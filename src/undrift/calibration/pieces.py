@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import mean_rounding
-from undrift.calibration.checks import stuck_windows
-from undrift.calibration.observe import (
+from undrift.calibration.codes import mean_rounding
+from undrift.calibration.plausibility import stuck_windows
+from undrift.calibration.session import (
     APART_C,
     CalibrateSettings,
     Observed,

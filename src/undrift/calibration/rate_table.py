@@ -28,8 +28,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import limited_by_codes
-from undrift.calibration.checks import axis_vectors, check_axis_order, check_own_scale
+from undrift.calibration.codes import limited_by_codes
 from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case, walk_about_mean
 from undrift.calibration.dwells import (
     DwellMeans,
@@ -41,7 +40,8 @@ from undrift.calibration.dwells import (
     mountings,
     table_axes,
 )
-from undrift.calibration.observe import Observed, Outcome, middles, spans_of, with_offset
+from undrift.calibration.plausibility import axis_vectors, check_axis_order, check_own_scale
+from undrift.calibration.session import Observed, Outcome, middles, spans_of, with_offset
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, Level, above, finding
 from undrift.fit.equations import offset_of

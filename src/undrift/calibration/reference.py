@@ -21,7 +21,7 @@ import numpy as np
 
 import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.adc import restored_gyro
+from undrift.calibration.codes import restored_gyro
 from undrift.calibration.reference_windows import (
     Recording,
     Solution,

@@ -25,8 +25,11 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import limited_by_codes, mean_rounding
-from undrift.calibration.checks import (
+from undrift.calibration.codes import limited_by_codes, mean_rounding
+from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case
+from undrift.calibration.dwells import mountings
+from undrift.calibration.norm import MG, QUADRATIC_SD
+from undrift.calibration.plausibility import (
     check_faces,
     check_gravity,
     check_handedness,
@@ -36,10 +39,7 @@ from undrift.calibration.checks import (
     face_vectors,
     missing_faces,
 )
-from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case
-from undrift.calibration.dwells import mountings
-from undrift.calibration.norm import MG, QUADRATIC_SD
-from undrift.calibration.observe import Observed, Outcome, spans_of, whole_readings, with_offset
+from undrift.calibration.session import Observed, Outcome, spans_of, whole_readings, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of

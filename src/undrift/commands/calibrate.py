@@ -29,8 +29,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_phys
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
-    from undrift.calibration.observe import CalibrateSettings, Observed
     from undrift.calibration.pieces import Piece
+    from undrift.calibration.session import CalibrateSettings, Observed
     from undrift.model import Calibration, TriadModel
     from undrift.record import Record, Session
 
@@ -179,7 +179,7 @@ def calibrate(
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.calibrate import from_motion
     from undrift.calibration.element_prior import PUBLISHED, ElementPrior
-    from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.session import CalibrateSettings
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior, rates))
     if rates_offset_s is not None and (rates is None or len(files) > 1):
@@ -456,7 +456,7 @@ def judge_pieces(
     """Return the corrected records of a session, and those of its pieces that the calibration used."""
     import numpy as np
 
-    from undrift.calibration.observe import settling
+    from undrift.calibration.session import settling
     from undrift.correction.correct import correct_whole
 
     # a triad that the calibration has no model of is left out: its unit may be counts

@@ -26,8 +26,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
-    from undrift.calibration.observe import Observed
     from undrift.calibration.pieces import Piece
+    from undrift.calibration.session import Observed
     from undrift.io.inspect import Description
     from undrift.model import Calibration, DriftTables
     from undrift.record import Record, Session, Still
@@ -216,7 +216,7 @@ def _write_session(
 ) -> Summary:
     """Write a session.toml with the rests, faces and turns of bare recordings."""
     from undrift.calibration.calibrate import find_pieces
-    from undrift.calibration.observe import CalibrateSettings
+    from undrift.calibration.session import CalibrateSettings
     from undrift.correction.consistency import check_triads
     from undrift.files import write_whole
     from undrift.io.proposal import session_text
@@ -324,7 +324,7 @@ def _effects(file: Path) -> dict[str, list[str]]:
 
 def _look(session: "Session | None", rests: Rests) -> "tuple[Observed | None, str]":
     """Return what is seen of still phases, and why there is none; too short a recording is no error."""
-    from undrift.calibration.observe import CalibrateSettings, look
+    from undrift.calibration.session import CalibrateSettings, look
 
     if session is None:
         return None, ""

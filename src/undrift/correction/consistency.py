@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.checks import cause_by_gravity, force_words, order_text
+from undrift.calibration.plausibility import cause_by_gravity, force_words, order_text
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import rotate

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
-from undrift.calibration.checks import check_axis_order, check_handedness
+from undrift.calibration.plausibility import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.offset import UNKNOWN_SCALE_PER_K, StaticFit, TriadDrift, cooling

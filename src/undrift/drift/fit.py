@@ -35,7 +35,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.base.summary import Shown
-from undrift.calibration.observe import ROOM_C, in_one_unit
+from undrift.calibration.session import ROOM_C, in_one_unit
 from undrift.drift import checks, observe, rate_steps
 from undrift.drift import temperature as thermometer
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel

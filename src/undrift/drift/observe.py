@@ -24,9 +24,9 @@ from typing import Any, Self
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.adc import code_variance, restored
-from undrift.calibration.checks import axis_vectors
+from undrift.calibration.codes import code_variance, restored
 from undrift.calibration.dwells import dwell_means
+from undrift.calibration.plausibility import axis_vectors
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import block_size

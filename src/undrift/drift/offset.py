@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.checks import check_gravity
+from undrift.calibration.plausibility import check_gravity
 from undrift.drift.observe import FAR, ROBUST, RestBlocks
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding

@@ -1,7 +1,7 @@
 """Twin: the device model fitted to a real device from recordings with an optical reference.
 
 Gyroscopes by rotation over windows (``calibration.reference``), accelerometers by specific force (``twin.accel``), noise and
-bandwidth by the spectrum at rest, the ADC by its codes (``calibration.adc``). Every parameter comes with a standard error, or
+bandwidth by the spectrum at rest, the ADC by its codes (``calibration.codes``). Every parameter comes with a standard error, or
 with a finding that names why these recordings do not identify it.
 
 White noise N through the device's own second-order Butterworth low-pass of bandwidth f_b leaves, at rest, the density::
@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.adc import AdcFinding, identify_adc
 from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import AdcFinding, identify_adc
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
 from undrift.errors import CalibrationError, InputError
 from undrift.findings import Finding, finding

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
-from undrift.calibration.adc import restored_gyro
+from undrift.calibration.codes import restored_gyro
 from undrift.errors import InputError
 from undrift.frames import (
     integrate_strapdown,

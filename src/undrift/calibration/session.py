@@ -13,8 +13,8 @@ import numpy as np
 
 from undrift import segments
 from undrift.arrays import FloatArray, runs
-from undrift.calibration.adc import code_steps, code_variance
-from undrift.calibration.checks import check_gravity, rate_unit_words, stuck_at_rate, stuck_in_motion
+from undrift.calibration.codes import code_steps, code_variance
+from undrift.calibration.plausibility import check_gravity, rate_unit_words, stuck_at_rate, stuck_in_motion
 from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding

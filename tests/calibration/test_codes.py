@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.adc import (
+from undrift.calibration.calibrate import calibrate
+from undrift.calibration.codes import (
     AdcFinding,
     _sweeping,
     adc_model,
@@ -16,8 +17,7 @@ from undrift.calibration.adc import (
     identify_record_adc,
     without_truncation,
 )
-from undrift.calibration.calibrate import calibrate
-from undrift.calibration.observe import CalibrateSettings
+from undrift.calibration.session import CalibrateSettings
 from undrift.record import Record
 from undrift.sim.device.effects import Adc
 from undrift.sim.device.presets import random_device

@@ -10,7 +10,7 @@ from testkit.data import data_path
 from testkit.findings import codes, only
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.observe import (
+from undrift.calibration.session import (
     CalibrateSettings,
     at_one_temperature,
     check_stills,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.checks import (
+from undrift.calibration.plausibility import (
     axis_vectors,
     cause_by_gravity,
     cause_by_turns,
