@@ -183,3 +183,15 @@ def test_odd_headers_leave_one_question(tmp_path, content, columns):
         for k in range(200)
     )
     assert describe(put(tmp_path, "a.csv", content.format(lines + "\n"))).example[0] == columns
+
+
+def test_a_banner_with_the_commas_of_the_rows_is_not_taken_for_names(tmp_path):
+    rows = "".join(f"{k % 7},{100 + k % 5},{-k % 3}\n" for k in range(60))
+    found = describe(put(tmp_path, "gyro.csv", f"=~=~= PuTTY log 2021.05.16 18:46:21 =~=~=,,\n{rows}"))
+    assert found.columns == ("0", "1", "2")
+    assert "skip_rows = 1" in found.example
+
+
+def test_one_axis_a_file_is_named(tmp_path):
+    found = describe(put(tmp_path, "x.csv", "".join(f"{16000 + k % 9}\n" for k in range(60))))
+    assert "three axes of a sensor in one file" in found.summary

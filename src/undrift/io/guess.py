@@ -75,7 +75,8 @@ def sniff(path: object) -> Text:
     body = lines[len(lines) // 2 :] or lines
     delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
-    skip = next((k for k, line in zip(at, lines, strict=True) if len(_cells(line, delimiter)) == width), 0)
+    # a line that a terminal program puts before the rows may have their commas, and nothing between them
+    skip = next((k for k, line in zip(at, lines, strict=True) if _filled(line, delimiter, width)), 0)
     first = _cells(raw[skip], delimiter, decimal)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
     if len(first) > 2 and all(cell.strip().isdecimal() for cell in first) and set(np.diff([*map(int, first)])) == {1}:
@@ -350,6 +351,12 @@ def _by_position(text: Text) -> list[dict[str, str]]:
 def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     stem = "gyr" if channel == "gyro" else "acc"
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
+
+
+def _filled(line: str, delimiter: str, width: int) -> bool:
+    """Tell whether a line has as many cells as the table is wide, and something in half of them."""
+    cells = _cells(line, delimiter)
+    return len(cells) == width and 2 * sum(bool(cell.strip()) for cell in cells) >= width
 
 
 def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:

@@ -403,6 +403,9 @@ def _needs(path: Path, name: str) -> Description | None:
     ):
         what = f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
         return _not_read(path, name, names, what)
+    if text is not None and len(names) < 3:
+        what = "a table of fewer than three columns; a recording needs the three axes of a sensor in one file"
+        return _not_read(path, name, names, what)
     example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
