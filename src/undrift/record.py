@@ -308,6 +308,17 @@ class Record(Shown):
         start, stop = np.searchsorted(self.time, (start_s, stop_s))
         return self.part(int(start), int(stop))
 
+    def computed(self, **fields: Any) -> "Record":
+        """Return the record with other fields, unchecked: readings that were computed from its own, sample by sample."""
+        record = object.__new__(Record)
+        for name in Record.__slots__:
+            value = fields.get(name, getattr(self, name))
+            if name in fields and isinstance(value, np.ndarray):
+                value = value.view()
+                value.flags.writeable = False
+            object.__setattr__(record, name, value)
+        return record
+
     def in_si(self) -> "Record":
         """Return the record in rad/s and m/s2.
 

@@ -170,7 +170,7 @@ def test_a_gap_in_temperature_is_counted_and_reported_whatever_the_policy(policy
     done = correct_checked(r, device(drift=tables()), policy=policy)
     np.testing.assert_array_equal(done.missing, np.isnan(done.record.gyro).any(axis=1))
     assert np.count_nonzero(done.missing) == 40
-    assert done.seconds_without_temperature == pytest.approx(0.4, abs=1e-8)
+    assert done.reach.seconds_without_temperature == pytest.approx(0.4, abs=1e-8)
     assert "0.4 s without a temperature: the drift table cannot be evaluated there" in done.warnings[0]
     assert "a gap (NaN) under every policy" in done.warnings[0]
     assert not correct_checked(r, device(drift=None), policy=policy).missing.any()  # nothing asks for a temperature
@@ -181,7 +181,7 @@ def test_time_outside_is_that_of_the_clock_and_not_a_count_of_median_steps():
     r = replace(record(low=80.0, high=90.0), time=np.cumsum(step))
     done = correct_checked(r, device(drift=tables()), policy="hold")
     assert done.outside.all()
-    assert done.seconds_outside == pytest.approx(step.sum(), abs=1e-8)
+    assert done.reach.seconds_outside == pytest.approx(step.sum(), abs=1e-8)
     with pytest.raises(DriftRangeError, match=f"{step.sum():.1f} s of them outside"):
         correct(r, device(drift=tables()))
 
@@ -203,7 +203,7 @@ def test_hold_keeps_the_end_of_the_table_and_masks_and_warns(static):
         held = correct(r, c, policy="hold")
     done = correct_checked(r, c, policy="hold")
     np.testing.assert_array_equal(done.outside, (r.temp_c < low) | (r.temp_c > high))
-    assert done.seconds_outside == pytest.approx(done.outside.sum() * 0.01)
+    assert done.reach.seconds_outside == pytest.approx(done.outside.sum() * 0.01)
     w, _ = twins.corrected(c, r.gyro, r.accel, r.temp_c)
     np.testing.assert_allclose(held.gyro, w, rtol=0, atol=CLOSE)
 

@@ -61,13 +61,12 @@ class CorrectedFile:
         """Return the recording as JSON has it."""
         from undrift.io.store import findings_json
 
-        outside = {f"samples_{kind}": getattr(self.state, f"samples_{kind}") for kind in NOT_COVERED}
-        outside |= {f"seconds_{kind}": getattr(self.state.reach, f"seconds_{kind}") for kind in NOT_COVERED}
+        keys = [f"{unit}_{kind}" for unit in ("samples", "seconds") for kind in NOT_COVERED]
         return {
             "recording": str(self.record),
             "output": str(self.output),
             "samples": self.state.samples,
-            **outside,
+            **{key: getattr(self.state.reach, key) for key in keys},
             "beyond_range": [
                 {key: getattr(one, key) for key in ("sensor", "samples", "share", "worst")}
                 | {"range": one.seen, "unit": "rad/s" if one.sensor == "gyro" else "m/s2"}

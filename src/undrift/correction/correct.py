@@ -13,13 +13,13 @@ For a reading u (3,) at temperature T, in this order::
     7  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 6 leave there (rest.py)
     8  h  = x - l w x x           magnetometer, x = A (m - b) and w that of step 6; without a model m is carried along
 
-A table takes the place of its constant, it is never added to one. T is the temperature of the sensors, with the thermometer's lag
-subtracted where the calibration knows it. Tables are held at their ends; a temperature beyond them is an error, is held, or becomes
-a gap, as ``policy`` states. Without a temperature the result is a gap under every policy.
+A table takes the place of its constant; the two are never added. T is the temperature of the sensors: the lag of the thermometer
+is subtracted if the calibration has one. Tables are held at their ends. ``policy`` decides whether a temperature beyond them is an
+error, is held, or becomes a gap. Without a temperature the result is a gap under every policy.
 
-``_evaluate_triad`` is where these lines are. Around it: plan.py turns the calibration into what the kernels take, coverage.py
-finds what it does not cover, and ``Corrector`` does the same chunk by chunk: no step looks at another sample but those that
-subtract a thermometer's lag and find turns, which look back only and hand their states on.
+``_evaluate_triad`` contains steps 1 to 5. plan.py turns the calibration into the constants of the kernels, and coverage.py finds
+what the calibration does not cover. ``Corrector`` corrects a stream chunk by chunk. Only the lag of the thermometer and the search
+for turns look at other samples; both look back only, and pass their state to the next chunk.
 """
 
 import warnings
@@ -61,25 +61,25 @@ if TYPE_CHECKING:
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
-OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # What a calibration leaves of the offset
+OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # offset that the calibration leaves in a recording
 Offset: TypeAlias = Literal["none", "rest", "motion"] | OffsetLeft
 
-REFERENCE_SPAN_C = 5.0  # how far from the reference temperature constant offsets are taken to hold
+REFERENCE_SPAN_C = 5.0  # constant offsets are assumed to hold so far from the reference temperature
 
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
-    """Evaluate the model for one triad: readings u to w; a is empty where step 4 has nothing to do."""
+    """Evaluate the model for one triad: readings u to w; a is empty without step 4."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
-    h = plan.half_step
+    offset, h = plan.constants.offset, plan.half_step
     if plan.warm_up is not None and at.since.size:  # step 1, and o of step 2
         without_line(u, at.since, w, h, *plan.warm_up)
         u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, plan.offset, h, g, plan.tables)
+        least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, offset, h, g, plan.tables)
         return float(least), float(greatest)
-    affine(u, w, plan.matrix, plan.offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
+    affine(u, w, plan.matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
     return coverage.NOWHERE
@@ -90,16 +90,16 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     from undrift.kernels.correct import affine_pair
 
     gyro, accel = plans
-    u, v = flat(record.gyro, rows.start, rows.stop), flat(record.accel, rows.start, rows.stop)
-    w, a = flat(outputs[0], rows.start, rows.stop), flat(outputs[1], rows.start, rows.stop)
+    u, v = flat(record.gyro, rows), flat(record.accel, rows)
+    w, a = flat(outputs[0], rows), flat(outputs[1], rows)
     at = Conditions(*(values[rows] for values in conditions))
     g = None if gyro is None else gyro.g_sensitivity
     plain = all(plan is not None and plan.tables is None for plan in plans) and not at.since.size
     if gyro is not None and accel is not None and g is not None and plain:
-        of_accel = (accel.matrix, accel.offset, accel.half_step)  # both triads in one pass over the memory
-        affine_pair(u, v, w, a, gyro.matrix, gyro.offset, gyro.half_step, *of_accel, g)
-        return coverage.NOWHERE
-    if accel is not None:  # first, since step 4 wants a
+        accel_constants = (accel.matrix, accel.constants.offset, accel.half_step)
+        affine_pair(u, v, w, a, gyro.matrix, gyro.constants.offset, gyro.half_step, *accel_constants, g)
+        return coverage.NOWHERE  # both triads in one pass over the memory
+    if accel is not None:  # first, since step 4 needs a
         _evaluate_triad(accel, v, at, NOTHING, a)
     return coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, at, NOTHING if g is None else a, w)
 
@@ -121,15 +121,15 @@ class Corrected:
     extrapolated : array, shape (N,)
         True where it lay inside, at nodes that no data were near.
     missing : array, shape (N,)
-        True where a tuning table found no temperature: what it corrects is NaN there, whatever the policy.
+        True without a temperature that a tuning table needs: the result is NaN there, whatever the policy.
     findings : tuple of Finding
-        Codes ``correct.*``: what went beyond the calibration (level warn), and what a reader may not expect (level info).
+        Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
     reach : Reach
-        How far temperature and rate went, where the calibration cares.
+        Samples and seconds of each mask, and the span of temperature and rate.
     carry : Carry
-        What the next chunk of a stream needs.
+        State for the next chunk of a stream.
     rest : RestOffset, MotionOffset or None
-        What was subtracted of the offset, left at a rest or shown by the motion, with its uncertainty.
+        The offset that was subtracted, with its uncertainty.
     """
 
     record: Record
@@ -143,28 +143,13 @@ class Corrected:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What went beyond the calibration: temperature, span of the constant offsets, rate."""
-        return tuple(found.text for found in self.findings if found.level == "warn")
+        """Texts of the findings of level warn."""
+        return tuple(item.text for item in self.findings if item.level == "warn")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader may not expect: a triad without a model, another device, hysteresis, a warm-up left in."""
-        return tuple(found.text for found in self.findings if found.level == "info")
-
-    @property
-    def seconds_outside(self) -> float:
-        """Time spent outside the tuning tables, s."""
-        return self.reach.seconds_outside
-
-    @property
-    def seconds_extrapolated(self) -> float:
-        """Time spent inside the tuning tables at nodes that no data were near, s."""
-        return self.reach.seconds_extrapolated
-
-    @property
-    def seconds_without_temperature(self) -> float:
-        """Time without the temperature that the tuning tables want, s."""
-        return self.reach.seconds_without_temperature
+        """Texts of the findings of level info."""
+        return tuple(item.text for item in self.findings if item.level == "info")
 
 
 def correct(
@@ -182,40 +167,37 @@ def correct(
     Parameters
     ----------
     record : Record
-        Raw readings, in the calibration's unit or another physical one; temperatures where the calibration has tables.
+        Raw readings, in the calibration's unit or another physical one; temperatures if the calibration has tables.
     calibration : Calibration
         The device's model.
     policy : str
-        What becomes of samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan". Samples
-        without a temperature are gaps under each: no value is made up for them.
+        For samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan". Samples without a
+        temperature are always gaps.
     out : tuple of two arrays, shape (N, 3), optional
-        Where to write rate and specific force; saves fresh arrays, and the record then lives on these.
+        Where to write rate and specific force; the record then refers to these arrays.
     power_on_s : float, optional
-        Time since power-on at the first sample, s; without it no warm-up is subtracted, and a note of ``correct_checked`` says
-        how large it is.
+        Time since power-on at the first sample, s. Without it no warm-up is subtracted.
     offset : str, RestOffset or MotionOffset
-        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn; "motion" also what
-        gravity shows while the device moves; an object subtracts one that was found before. A note of ``correct_checked``
-        states it with its uncertainty.
+        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn. "motion" also
+        subtracts what gravity shows while the device moves. An object subtracts an offset that is known.
     check : bool
-        Look whether gyroscope and accelerometer agree and rests fit the calibration, as ``correct_checked`` does: some tens of
-        milliseconds.
+        Check that gyroscope and accelerometer agree and that rests fit the calibration: some tens of milliseconds.
 
     Returns
     -------
     Record
-        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range, and where record
+        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range, and if record
         and calibration do not fit.
 
     Raises
     ------
     InputError
         Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
-        negative power_on_s; no rest where one is asked for.
+        negative power_on_s; no rest if one is asked for.
     DriftRangeError
         Temperatures outside a table under policy "raise".
     Implausible
-        Columns, units or a sample rate that clearly are others than stated.
+        Columns, units or a sample rate that are clearly wrong.
 
     Examples
     --------
@@ -228,11 +210,11 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
-    found = _suspicions(corrected, calibration, record) if check else ()
-    for text in (*(one.text for one in found), *corrected.warnings):
+    done = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
+    suspicions = plausibility_findings(done, calibration, record) if check else ()
+    for text in (*(item.text for item in suspicions), *done.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
-    return corrected.record
+    return done.record
 
 
 def correct_checked(
@@ -245,23 +227,17 @@ def correct_checked(
     power_on_s: float | None = None,
     offset: Offset = "none",
 ) -> Corrected:
-    """Correct a record and say where the calibration did not cover it, or where record and calibration do not fit.
+    """Correct a record and return with it where the calibration does not cover it, or does not fit it.
 
     Parameters
     ----------
-    record : Record
+    record, calibration, policy
         As for ``correct``.
-    calibration : Calibration
-        The device's model.
-    policy : str
-        "raise", "hold" or "nan".
     reference_span_c : float
-        Without a table, warn where the temperature departs from the reference by more than this, degC.
+        Without a table, warn if the temperature departs from the reference by more than this, degC.
     threads : int, optional
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
-    power_on_s : float, optional
-        As for ``correct``, s.
-    offset : str, RestOffset or MotionOffset
+    power_on_s, offset
         As for ``correct``.
 
     Returns
@@ -271,12 +247,8 @@ def correct_checked(
 
     Raises
     ------
-    InputError
+    InputError, DriftRangeError, Implausible
         As for ``correct``.
-    DriftRangeError
-        As for ``correct``.
-    Implausible
-        Columns, units or a sample rate that clearly are others than stated.
 
     Examples
     --------
@@ -289,13 +261,13 @@ def correct_checked(
     >>> len(done.findings), int(done.outside.sum())
     (0, 0)
     """
-    how = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
-    done = correct_whole(record, calibration, power_on_s, offset, **how)
-    return replace(done, findings=(*_suspicions(done, calibration, record), *done.findings))
+    options = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
+    done = correct_whole(record, calibration, power_on_s, offset, **options)
+    return replace(done, findings=(*plausibility_findings(done, calibration, record), *done.findings))
 
 
-def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
-    """Return what speaks against a record or its calibration; still phases that step 7 has found are not looked for again."""
+def plausibility_findings(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
+    """Return findings about a record and its calibration. Still phases that step 7 found are not searched again."""
     return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
 
 
@@ -304,46 +276,36 @@ def correct_whole(
     calibration: Calibration,
     power_on_s: float | None = None,
     offset: Offset = "none",
-    **how: Any,
+    **options: Any,
 ) -> Corrected:
-    """Correct a record from its start; `how` is for correct_planned."""
+    """Correct a record from its start, without checks of plausibility; ``options`` are those of ``correct_planned``."""
     carry = carry_at_start(float(record.time[0]), power_on_s)
-    done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **how)
-    return re_zeroed(done, offset, how.get("threads"), calibration.gyro)
-
-
-def re_zeroed(
-    done: Corrected, offset: Offset, threads: int | None = None, model: TriadModel | None = None
-) -> Corrected:
-    """Subtract what is left of the offset from a record that was just corrected, in its own buffer: step 7."""
-    if offset == "none":
-        return done
+    done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
     if isinstance(offset, str):
-        check_choice(offset, ("rest", "motion"), "correct", "offset")
+        check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
+        if offset == "none":
+            return done
         rest = find_rest_offset(done.record) if offset == "rest" else known_rest_offset(done.record)
-        offset = offset_left(done.record, offset, rest, model)
-    remainder: OffsetLeft = offset
-    rate, time = done.record.gyro, done.record.time
-    if rate is None:
+        offset = offset_left(done.record, offset, rest, calibration.gyro)
+    return _re_zeroed(done, offset, options.get("out"))
+
+
+def _re_zeroed(done: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
+    """Subtract an offset from a corrected record: step 7."""
+    if done.record.gyro is None:
         return done
-
-    def subtract(start: int, stop: int) -> None:
-        rate[start:stop] -= remainder.at(time[start:stop])
-
-    rate.flags.writeable = True
-    in_pieces(subtract, len(rate), threads)
-    rate.flags.writeable = False
-    object.__setattr__(done.record, "offset_uncertainty", remainder.uncertainty)
-    return replace(done, rest=remainder, findings=(*done.findings, *remainder.findings))
+    rate = np.subtract(done.record.gyro, offset.at(done.record.time), out=None if out is None else out[0])
+    record = done.record.computed(gyro=rate, offset_uncertainty=offset.uncertainty)
+    return replace(done, record=record, rest=offset, findings=(*done.findings, *offset.findings))
 
 
 def offset_left(
     record: Record, offset: Literal["rest", "motion"], rest: RestOffset | None, model: TriadModel | None
 ) -> OffsetLeft:
-    """Return what a calibration leaves of the offset of a corrected record: at the rest, or in motion, from a rest on if any."""
+    """Return the offset that a calibration leaves in a corrected record: at its rest, or from its motion."""
     if offset == "rest" and rest is not None:
         return replace(rest, moved=moved_by(model))
-    from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
+    from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel
 
     return find_motion_offset(record, rest, model)
 
@@ -359,43 +321,46 @@ def correct_planned(
     threads: int | None = None,
     carry: Carry = Carry(),
 ) -> Corrected:
-    """Correct a record with plans made beforehand, as a stream has them."""
+    """Correct a record with plans that were prepared; ``carry`` is the state of the stream before it."""
     check_choice(policy, Policy, "correct", "policy")
     conditions, coming = conditions_of(record, calibration, plans, carry)
-    temp_c = conditions.temp_c
-    # A least value is NaN where any is. Masks stay None where nothing is marked: most records need no second pass over them.
-    before, missing = carry.last_time, np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
+    temp_c, time, before = conditions.temp_c, record.time, carry.last_time
+    # A least value is NaN if any is. Masks stay None if nothing is marked: most records need no second pass over them.
+    missing = np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
     drift, allowed = calibration.drift or NO_TABLES, policy != "raise"
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
-
-    def evaluate(start: int, stop: int) -> coverage.Span:
-        return _evaluate(record, plans, conditions, outputs, slice(start, stop))
-
-    spans = in_pieces(evaluate, len(record), threads)
-    if plans[0] is not None and plans[0].at_rest is not None:  # step 6: the constants hold in motion
-        outputs[0][:] += plans[0].at_rest
-        turning, state = find_turning(outputs[0], record.time, carry.turning)
-        outputs[0][turning > 0.0] -= plans[0].at_rest
+    spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
+    if (
+        plans[0] is not None and (at_rest := plans[0].constants.at_rest) is not None
+    ):  # step 6: the constants hold in motion
+        outputs[0][:] += at_rest
+        turning, state = find_turning(outputs[0], time, carry.turning)
+        outputs[0][turning > 0.0] -= at_rest
         coming = replace(coming, turning=state)
-    extrapolated, stated = coverage.find_extrapolated(record, temp_c, plans, outputs, threads)
+    extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
     if policy == "nan" and outside is not None:
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables is not None:
                 values[outside] = np.nan
-    unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
+    masks = {"outside": outside, "extrapolated": extrapolated, "without_temperature": missing}
+    amounts: dict[str, Any] = {f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None}
+    amounts |= {f"seconds_{name}": coverage.seconds_of(mask, time, before) for name, mask in masks.items()}
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
-    reach = coverage.Reach(
-        temp_c=span_c,
-        departure_c=departure_c,
-        seconds_outside=coverage.seconds_of(outside, record.time, before),
-        turn_rate=(min(low for low, _ in spans), max(high for _, high in spans)),
-        seconds_extrapolated=coverage.seconds_of(extrapolated, record.time, before),
-        stated=stated,
-        seconds_without_temperature=coverage.seconds_of(missing, record.time, before),
-    )
+    rates = min(low for low, _ in spans), max(high for _, high in spans)
+    reach = coverage.Reach(samples=len(record), temp_c=span_c, departure_c=departure_c, turn_rate=rates, **amounts)
+    unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
     return Corrected(
-        record=_adopted(record, plans, outputs, _field(record, calibration, outputs[0]), calibration),
+        record=record.computed(
+            gyro=None if plans[0] is None else outputs[0],
+            accel=None if plans[1] is None else outputs[1],
+            mag_ut=_field(record, calibration, outputs[0]),
+            gyro_unit="rad/s",
+            accel_unit="m/s2",
+            frame="b",
+            state="corrected",
+            accel_uncertainty=force_uncertainty(calibration, record.accel_unit),
+        ),
         outside=unmarked if outside is None else outside,
         extrapolated=unmarked if extrapolated is None else extrapolated,
         missing=unmarked if missing is None else missing,
@@ -409,13 +374,13 @@ def correct_planned(
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
-    """The arrays to write to: fresh ones, or the caller's."""
+    """Return the arrays to write to: fresh ones, or the caller's."""
     if out is None:
         gyro, accel = (np.empty((0 if plan is None else n, 3)) for plan in plans)
         return gyro, accel
     for plan, buffer in zip(plans, out, strict=True):
-        wanted = buffer.shape == (n, 3) and buffer.dtype == np.float64 and buffer.flags.c_contiguous
-        if plan is not None and not (wanted and buffer.flags.writeable):
+        fits = buffer.shape == (n, 3) and buffer.dtype == np.float64 and buffer.flags.c_contiguous
+        if plan is not None and not (fits and buffer.flags.writeable):
             raise InputError(
                 f"correct: wanted writeable float64 buffers of shape ({n}, 3) in C order, got {buffer.dtype} {buffer.shape}; "
                 "make them with numpy.empty"
@@ -425,35 +390,11 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
 
 def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatArray | None:
     """Return the magnetic field in the axes of the gyroscopes, uT: step 8; without their rate its lag stays."""
-    made = calibration.magnetometer
-    if made is None or record.mag_ut is None:
+    magnetometer = calibration.magnetometer
+    if magnetometer is None or record.mag_ut is None:
         return record.mag_ut
-    x = (record.mag_ut - made.model.offset) @ made.model.matrix.T
-    field: FloatArray = x - made.lag_s * np.cross(rate, x) if len(rate) else x
-    field.flags.writeable = False
-    return field
-
-
-def _adopted(
-    record: Record, plans: Plans, buffers: Buffers, field: FloatArray | None, calibration: Calibration
-) -> Record:
-    """The record with corrected readings; the kernels wrote them in the right shape: neither copied nor checked again."""
-    done, values = object.__new__(Record), {name: getattr(record, name) for name in Record.__slots__}
-    for name, plan, buffer in zip(("gyro", "accel"), plans, buffers, strict=True):
-        values[name] = None if plan is None else buffer.view()
-        if plan is not None:
-            values[name].flags.writeable = False
-    values |= {
-        "gyro_unit": "rad/s",
-        "accel_unit": "m/s2",
-        "frame": "b",
-        "state": "corrected",
-        "accel_uncertainty": force_uncertainty(calibration, record.accel_unit),
-        "mag_ut": field,
-    }
-    for name, value in values.items():
-        object.__setattr__(done, name, value)
-    return done
+    x: FloatArray = (record.mag_ut - magnetometer.model.offset) @ magnetometer.model.matrix.T
+    return x - magnetometer.lag_s * np.cross(rate, x) if len(rate) else x
 
 
 # ---- A stream
@@ -461,16 +402,15 @@ def _adopted(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrectorState:
-    """How far a stream has come: enough to go on elsewhere."""
+    """How far a stream has come: enough to continue it elsewhere."""
 
-    samples: int = 0  # Corrected so far
-    samples_outside: int = 0  # Of those, outside the tuning tables
-    samples_extrapolated: int = 0  # Of those, inside them at nodes that no data were near
-    samples_without_temperature: int = 0  # Of those, without the temperature that the tables want
-    reach: coverage.Reach = field(
-        default_factory=coverage.Reach
-    )  # How far temperature and rate went so far, where the calibration cares
-    carry: Carry = field(default_factory=Carry)  # Time of power-on, state of the lag
+    reach: coverage.Reach = field(default_factory=coverage.Reach)  # of the chunks so far
+    carry: Carry = field(default_factory=Carry)  # time of power-on, state of the lag
+
+    @property
+    def samples(self) -> int:
+        """Number of samples corrected so far."""
+        return self.reach.samples
 
 
 class Corrector:
@@ -487,8 +427,7 @@ class Corrector:
     power_on_s : float, optional
         Time since power-on at the first sample of the stream, s, as for ``correct``.
     offset : RestOffset or MotionOffset, optional
-        What is left at a rest or in motion, to subtract from every chunk: ``find_rest_offset_in`` finds the former in the first
-        corrected chunks.
+        Subtracted from every chunk. ``find_rest_offset_in`` finds a RestOffset in the first corrected chunks.
 
     Examples
     --------
@@ -522,12 +461,12 @@ class Corrector:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Where the stream so far went beyond the calibration, as texts."""
-        return tuple(found.text for found in self.findings)
+        """Texts of the findings of the stream so far."""
+        return tuple(item.text for item in self.findings)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Where the stream so far went beyond the calibration: what the batch would report, each once."""
+        """Where the stream so far went beyond the calibration: the findings of the batch, each once."""
         return coverage.coverage_findings(self.state.reach, self._calibration, self._span)
 
     def push(self, chunk: Record) -> Record:
@@ -545,36 +484,16 @@ class Corrector:
 
         Raises
         ------
-        InputError
-            As for ``correct``, or a chunk that does not follow the last one in time; the state is as before.
-        DriftRangeError
-            As for ``correct``; the state is as before.
+        InputError, DriftRangeError
+            As for ``correct``, or for a chunk that does not follow the last one in time; the state is as before.
         """
-        corrected = self.push_checked(chunk)
-        for text in corrected.warnings:
+        done = self.push_checked(chunk)
+        for text in done.warnings:
             warnings.warn(text, DriftRangeWarning, stacklevel=2)
-        return corrected.record
+        return done.record
 
     def push_checked(self, chunk: Record) -> Corrected:
-        """Correct the next chunk and say where the calibration did not cover it.
-
-        Parameters
-        ----------
-        chunk : Record
-            Raw readings that follow the last chunk.
-
-        Returns
-        -------
-        Corrected
-            The same samples, corrected, with masks and findings of this chunk.
-
-        Raises
-        ------
-        InputError
-            As for ``push``.
-        DriftRangeError
-            As for ``push``.
-        """
+        """Correct the next chunk, as ``push``, and return it with masks and findings of this chunk."""
         last_time = self.state.carry.last_time
         if last_time is not None and chunk.time[0] <= last_time:
             raise InputError(
@@ -590,15 +509,8 @@ class Corrector:
         done = correct_planned(
             chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
         )
-        done = done if self._offset is None else re_zeroed(done, self._offset)
-        self.state = CorrectorState(
-            samples=self.state.samples + len(chunk),
-            samples_outside=self.state.samples_outside + int(done.outside.sum()),
-            samples_extrapolated=self.state.samples_extrapolated + int(done.extrapolated.sum()),
-            samples_without_temperature=self.state.samples_without_temperature + int(done.missing.sum()),
-            reach=self.state.reach.joined(done.reach),
-            carry=done.carry,
-        )
+        done = done if self._offset is None else _re_zeroed(done, self._offset)
+        self.state = CorrectorState(reach=self.state.reach.joined(done.reach), carry=done.carry)
         return done
 
 
@@ -606,7 +518,7 @@ def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
     """Read the next chunk in a second thread while the caller works on this one."""
     with ThreadPoolExecutor(1) as pool:
         take = partial(next, chunks, None)
-        coming = pool.submit(copy_context().run, take)  # who watches the reading is known there too
+        coming = pool.submit(copy_context().run, take)  # the reading thread sees the progress of the caller
         while (chunk := coming.result()) is not None:
             coming = pool.submit(copy_context().run, take)
             yield chunk

@@ -1,24 +1,23 @@
-"""Where a calibration does not cover a record, as masks, seconds and findings; nothing is changed by it.
+"""Where a calibration does not cover a record, as masks, seconds and findings; no reading is changed.
 
 ::
 
     missing        no temperature was recorded, and a table needs one
-    outside        the temperature lies beyond a table; under policy raise also 3 degC beyond what was seen
-    extrapolated   it lies inside, at nodes that no data were near
-    departure      constant offsets are used far from the temperature at which they were found
+    outside        the temperature lies beyond a table; under policy raise also 3 degC beyond the data of the table
+    extrapolated   it lies inside, but the correction draws on a node that no data were near
+    departure      constant offsets are used far from the temperature at which they were determined
     turn rate      beyond the dynamic table
-    beyond range   a corrected reading leaves ``valid_range``, the inputs that the fit of its triad has seen
+    beyond range   a corrected reading exceeds ``valid_range``, the inputs of the fit of its triad
 
 Temperatures are those of the sensors, the thermometer's lag subtracted (correction/plan.py).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import Carry, Kind, MarkedTable, Plans, flat, has_tables, in_pieces
+from undrift.correction.plan import Carry, LookupTable, Plans, has_tables
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel, seen_span
@@ -27,8 +26,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
-KINDS: tuple[Kind, ...] = ("rate", "accel", "scale")
-TICKS_PER_S = 2.0**30
+ON_NODE = 1e-9  # of a cell: a value so near to a node draws on that node only
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
 
 
@@ -36,37 +34,38 @@ MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device t
 class Reach:
     """How far readings went, as far as the calibration cares; of a record, or of all chunks of a stream so far."""
 
-    seconds_outside: float = 0.0  # beyond the tuning tables
-    temp_c: Span = NOWHERE  # degC; infinite the wrong way round where nothing depends on it
-    departure_c: float = 0.0  # from the temperature of the constant offsets, degC; 0 where no offset is constant
+    samples: int = 0
+    samples_outside: int = 0  # beyond the tuning tables
+    samples_extrapolated: int = 0  # inside them at nodes that no data were near
+    samples_without_temperature: int = 0  # that the tables need: the result is a gap, whatever the policy
+    seconds_outside: float = 0.0
+    seconds_extrapolated: float = 0.0
+    seconds_without_temperature: float = 0.0
+    temp_c: Span = NOWHERE  # degC; infinite the wrong way round if nothing depends on it
+    departure_c: float = 0.0  # from the temperature of the constant offsets, degC; 0 if no offset is constant
     turn_rate: Span = NOWHERE  # measured, that met the dynamic table, rad/s; infinite the wrong way round without one
-    seconds_extrapolated: float = 0.0  # inside the tables at nodes that no data were near
-    # Largest standard uncertainties that tables state at those nodes: rate, rad/s; accel, m/s2; scale, a share of either, 1
-    stated: Mapping[Kind, float] = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
-    seconds_without_temperature: float = 0.0  # that the tables need: the result is a gap there, whatever the policy
 
     def joined(self, later: "Reach") -> "Reach":
         """Return the reach of both."""
-        sums = ("seconds_outside", "seconds_extrapolated", "seconds_without_temperature")
+        counts = [name for name in Reach.__slots__ if name.startswith(("samples", "seconds"))]
         return Reach(
-            **{name: getattr(self, name) + getattr(later, name) for name in sums},
-            temp_c=(min(self.temp_c[0], later.temp_c[0]), max(self.temp_c[1], later.temp_c[1])),
+            **{name: getattr(self, name) + getattr(later, name) for name in counts},
+            temp_c=_both(self.temp_c, later.temp_c),
             departure_c=max(self.departure_c, later.departure_c),
-            turn_rate=(min(self.turn_rate[0], later.turn_rate[0]), max(self.turn_rate[1], later.turn_rate[1])),
-            stated={kind: max(self.stated[kind], later.stated[kind]) for kind in KINDS},
+            turn_rate=_both(self.turn_rate, later.turn_rate),
         )
 
 
-def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
-    """Return how long marked samples last, each t_k - t_(k-1) by their own clock; mask and time (N,), time s.
+def _both(first: Span, second: Span) -> Span:
+    return min(first[0], second[0]), max(first[1], second[1])
 
-    Times are put on a grid of 2^-30 s first. Sums of such steps are exact up to 97 days: chunks of a stream give the batch's bits.
-    """
+
+def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
+    """Return how long marked samples last, s, each t_k - t_(k-1); ``before`` is the time of the sample before the first."""
     if mask is None or not mask.any():
         return 0.0
     first = 2.0 * time[0] - time[1] if before is None else before
-    ticks = np.round(np.concatenate(([first], time)) * TICKS_PER_S)
-    return float(np.diff(ticks)[mask].sum() / TICKS_PER_S)
+    return float(np.diff(time, prepend=first)[mask].sum())
 
 
 # ---- masks, (N,)
@@ -75,19 +74,19 @@ def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -
 def find_outside(
     record: Record, temp_c: FloatArray, plans: Plans, drift: DriftTables, *, allowed: bool, before: float | None
 ) -> BoolArray | None:
-    """Find the samples whose temperature lies beyond a tuning table; where that is refused, also beyond what the table saw.
+    """Find the samples whose temperature lies beyond a tuning table, None if there is none.
 
-    None where there is no such sample.
+    Unless that is allowed, such a sample is an error, and so is a temperature far beyond the data of the table.
     """
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
     if not ranges:
         return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if drift.static is not None and not allowed:
-        seen = _seen(drift.static)
+        data = _data_span(drift.static)
         beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)  # subtracting a lag makes a thermometer noisier
-        low, high = max(low, seen[0] - beyond), min(high, seen[1] + beyond)
-    least, greatest = _extremes(temp_c)
+        low, high = max(low, data[0] - beyond), min(high, data[1] + beyond)
+    least, greatest = extremes(temp_c)
     if least >= low and greatest <= high:
         return None
     mask = (temp_c < low) | (temp_c > high)
@@ -112,71 +111,63 @@ def _other_unit(least: float, greatest: float, table: Span) -> str:
     return ""
 
 
-def _seen(static: StaticDrift) -> Span:
-    """Return the first and last node that data were near; without marks, all; offsets of gyroscopes where there are some."""
+def _data_span(static: StaticDrift) -> Span:
+    """Return the first and last node that data were near; of the gyroscopes if both triads have marks."""
     marks = static.gyro_extrapolated if static.gyro_extrapolated is not None else static.accel_extrapolated
     return seen_span(static.temp_c, marks)
 
 
-def find_extrapolated(
-    record: Record, temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray], threads: int | None
-) -> tuple[BoolArray | None, dict[Kind, float]]:
+def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray]) -> BoolArray | None:
     """Find the samples whose correction draws on nodes that no data were near, None without such; corrected (N, 3), SI."""
-    stated = dict.fromkeys(KINDS, 0.0)
-    tables = [
-        (plan, table, values) for plan, values in zip(plans, corrected, strict=True) if plan for table in plan.marked
-    ]
-    if not tables:
-        return None, stated
-    mask, (least, greatest) = np.zeros(len(record), dtype=bool), _extremes(temp_c)
-    for plan, table, values in tables:
-        low, high = max(plan.temp_range[0], least), min(plan.temp_range[1], greatest)
-        if not _may_meet(table, low, high):  # most records stay where data were near
-            continue
-
-        def mark(
-            start: int, stop: int, table: MarkedTable = table, values: FloatArray = values, ends: Span = (low, high)
-        ) -> float:
-            from undrift.kernels.correct import mark_line, mark_plane
-
-            temp, marks = temp_c[start:stop], mask[start:stop]
-            if table.rate is None:
-                return float(mark_line(temp, *ends, table.temp, table.stated, marks))
-            rates = flat(values, start, stop)
-            return float(mark_plane(temp, rates, *ends, table.temp, table.rate, table.stated, marks))
-
-        stated[table.kind] = max(stated[table.kind], *in_pieces(mark, len(record), threads))
-    return mask, stated
+    mask: BoolArray | None = None
+    for plan, rates in zip(plans, corrected, strict=True):
+        for table in plan.constants.tables if plan is not None else ():
+            if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
+                drawn = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
+                mask = drawn if mask is None else mask | drawn
+    return mask
 
 
-def _may_meet(table: MarkedTable, low: float, high: float) -> bool:
-    """Whether any half from the least to the greatest temperature is extrapolated."""
-    from undrift.kernels.correct import half
+def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray | None:
+    """Return the weight (N,) that a table's extrapolated nodes have in its values; None if no sample is near such a node."""
+    if table.extrapolated is None or not (marks := table.extrapolated[_near(table.temp.nodes, temp_c)]).any():
+        return None
+    if table.turn_rate is None:
+        return np.interp(temp_c, table.temp.nodes, table.extrapolated)
+    nodes = table.turn_rate.nodes
+    if not marks[:, _near(nodes, rates)].any():
+        return None
+    from scipy.interpolate import RegularGridInterpolator
 
-    if not low <= high:  # all outside, or gaps alone
-        return False
-    rows = table.stated.reshape(2 * table.temp.cells + 1, -1)
-    return bool((rows[int(half(table.temp, low)) : int(half(table.temp, high)) + 1] >= 0.0).any())
+    weight = RegularGridInterpolator((table.temp.nodes, nodes), table.extrapolated.astype(float), bounds_error=False)
+    held = np.clip(rates, nodes[0], nodes[-1])
+    return np.asarray(np.fmax.reduce([weight((temp_c, rate)) for rate in held.T]))
+
+
+def _near(nodes: FloatArray, values: FloatArray) -> slice:
+    """Return the nodes that a table draws on over the span of values."""
+    least, greatest = extremes(values)
+    return slice(max(int(nodes.searchsorted(least, "right")) - 1, 0), int(nodes.searchsorted(greatest)) + 1)
 
 
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> tuple[Span, float]:
     """Return the least and greatest temperature, and how far they depart from that of constant offsets, degC."""
     reference = calibration.reference_temp_c
     constant = np.isfinite(reference) and any(
-        plan is not None and triad.model is not None and (plan.tables is None or plan.tables.offset.size == 0)
+        plan is not None and triad.model is not None and plan.constants.offset_table is None
         for plan, triad in zip(plans, calibration.triads, strict=True)
     )
     if not len(temp_c) or not (has_tables(plans) or constant):
         return NOWHERE, 0.0
-    least, greatest = _extremes(temp_c)
+    least, greatest = extremes(temp_c)
     return (least, greatest), max(greatest - reference, reference - least) if constant else 0.0
 
 
-def _extremes(temp: FloatArray) -> Span:
-    """Least and greatest, gaps left out; the plain reductions are several times faster, and NaN where there is a gap."""
-    least, greatest = float(temp.min()), float(temp.max())
+def extremes(values: FloatArray) -> Span:
+    """Return the least and greatest value, gaps left out. The plain reductions are several times faster, and NaN with gaps."""
+    least, greatest = float(values.min()), float(values.max())
     if np.isnan(least):
-        return float(np.fmin.reduce(temp)), float(np.fmax.reduce(temp))
+        return float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
     return least, greatest
 
 
@@ -192,7 +183,7 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
         findings.append(finding("correct.outside", "warn", seconds=seconds, low_c=low, high_c=high, lag_s=lag_s))
     if reach.seconds_extrapolated > 0.0:
-        findings.append(_extrapolated(reach))
+        findings.append(finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated))
     if (away := reach.departure_c) > reference_span_c:
         at, span = calibration.reference_temp_c, reference_span_c
         findings.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
@@ -205,18 +196,8 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
     return tuple(findings)
 
 
-def _extrapolated(reach: Reach) -> Finding:
-    rate, accel, scale = (reach.stated[kind] for kind in KINDS)
-    values = np.array((np.degrees(rate), accel / si_factor("mg", "accel"), 100.0 * scale))
-    if np.isinf(values).any():
-        return finding("correct.extrapolated_unstated", "warn", seconds=reach.seconds_extrapolated)
-    units = ("deg/s", "mg", "% of the reading")
-    met = tuple(f"{value:.2g} {unit}" for value, unit in zip(values, units, strict=True) if value > 0.0)
-    return finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated, uncertainty=met)
-
-
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
-    """Return what a reader of the corrected record may not expect."""
+    """Return what the calibration leaves uncorrected, and names of device that differ."""
     findings = [
         finding("correct.no_model", "info", sensor=triad.sensor)
         for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True)
@@ -224,25 +205,19 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
     ]
     if record.device and calibration.device and record.device != calibration.device:
         findings.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
-    gyro, static = calibration.gyro, calibration.drift.static if calibration.drift else None
-    if record.gyro is None or gyro is None or static is None:
-        return tuple(findings)
-    if static.gyro_hysteresis is not None and static.gyro_offset is not None:
-        widest = _largest_dps(gyro, static.gyro_hysteresis)
-        findings.append(finding("correct.hysteresis", "info", half_width_dps=widest))
-    if static.warm_up is not None and carry.power_on_time is None:
-        largest, end = _largest_dps(gyro, static.warm_up.gyro_offset), static.warm_up.power_on_s[-1]
+    gyro, warm_up = calibration.gyro, calibration.triad("gyro").warm_up
+    if record.gyro is not None and gyro is not None and warm_up is not None and carry.power_on_time is None:
+        largest, end = _largest_dps(gyro, warm_up.gyro_offset), warm_up.power_on_s[-1]
         findings.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
     return tuple(findings)
 
 
 def _largest_dps(model: TriadModel, offset: FloatArray) -> float:
-    """The largest rate that offsets (..., 3) cause, deg/s."""
-    rate = np.nan_to_num(offset) @ model.matrix.T * si_factor(model.unit_out, "rate")
-    return float(np.degrees(np.abs(rate).max()))
+    """Return the largest rate that offsets (..., 3) cause, deg/s."""
+    return float(np.degrees(np.abs(offset @ model.matrix.T * si_factor(model.unit_out, "rate")).max()))
 
 
-# ---- corrected readings beyond the inputs that the fit of a triad has seen
+# ---- corrected readings beyond the inputs of the fit of a triad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,8 +227,8 @@ class Beyond:
     sensor: str  # gyro or accel
     seen: Span  # least and greatest value in the fit, SI
     samples: int = 0  # with a value on any axis that lies beyond by more than a tenth of the larger end
-    of: int = 0  # samples looked at
-    worst: float = 0.0  # the value that lies furthest beyond, SI; 0 where none does
+    of: int = 0  # samples in all
+    worst: float = 0.0  # the value that lies furthest beyond, SI; 0 if there is none
 
     @property
     def share(self) -> float:
@@ -266,25 +241,19 @@ class Beyond:
         return replace(self, samples=samples, of=of, worst=_furthest(*worst, self.seen))
 
     @property
-    def text(self) -> str:
-        """One sentence, empty where nothing lies beyond."""
-        return "".join(one.text for one in self.findings)
-
-    @property
     def findings(self) -> tuple[Finding, ...]:
-        """The finding, none where nothing lies beyond."""
+        """The finding, none if nothing lies beyond."""
         if not self.samples:
             return ()
         gyro = self.sensor == "gyro"
-        unit = RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY
-        low, high, worst = (value / unit for value in (*self.seen, self.worst))
-        sensor, shown = ("gyroscope", "deg/s") if gyro else ("accelerometer", "g")
+        low, high, worst = np.array((*self.seen, self.worst)) / (RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY)
+        sensor, unit = ("gyroscope", "deg/s") if gyro else ("accelerometer", "g")
         values = {"percent": 100.0 * self.share, "low": low, "high": high, "worst": worst}
-        return (finding("correct.beyond_range", "warn", sensor=sensor, unit=shown, **values),)
+        return (finding("correct.beyond_range", "warn", sensor=sensor, unit=unit, **values),)
 
 
 def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
-    """Find the corrected readings beyond what the fits have seen: extrapolation, which non-linearity does not follow."""
+    """Find the corrected readings beyond the inputs of the fits: the model is extrapolated there."""
     beyond = []
     for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True):
         model = triad.model
@@ -293,16 +262,15 @@ def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
         seen = (model.valid_range[0] * triad.si, model.valid_range[1] * triad.si)
         margin = MARGIN * max(abs(seen[0]), abs(seen[1]))
         low, high = seen[0] - margin, seen[1] + margin
-        least, greatest = _extremes(values.ravel())
+        least, greatest = extremes(values)
         samples, worst = 0, 0.0
         if least < low or greatest > high:  # most recordings end before this second pass
-            mask = (values < low) | (values > high)
-            samples = int(np.count_nonzero(mask[:, 0] | mask[:, 1] | mask[:, 2]))
+            samples = int(((values < low) | (values > high)).any(axis=1).sum())
             worst = _furthest(least, greatest, seen)
         beyond.append(Beyond(sensor=triad.sensor, seen=seen, samples=samples, of=len(values), worst=worst))
     return tuple(beyond)
 
 
-def _furthest(one: float, two: float, seen: Span) -> float:
-    """The value that lies further beyond."""
-    return max(one, two, key=lambda value: max(seen[0] - value, value - seen[1], 0.0))
+def _furthest(first: float, second: float, seen: Span) -> float:
+    """Return the value that lies further beyond."""
+    return max(first, second, key=lambda value: max(seen[0] - value, value - seen[1], 0.0))

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -20,7 +20,6 @@ FOUR, FIVE, SIX, EIGHT = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(8)
 TWELVE, EIGHTEEN = np.uint64(12), np.uint64(18)
 BLOCK = 192  # values, 64 samples: longer blocks measured slower
 LOOKED_UP = 256  # samples whose cells are found together: shorter and longer measured slower
-AT_NODE = 1e-9  # of a cell: nearer to a node than this is on it
 
 
 class Grid(NamedTuple):
@@ -265,48 +264,6 @@ def tabulated(
             w[q + ONE] -= on_plane(pe, TWELVE * (i + np.uint64(rate_at[q + ONE])) + FOUR, f[k], r[q + ONE])
             w[q + TWO] -= on_plane(pe, TWELVE * (i + np.uint64(rate_at[q + TWO])) + EIGHT, f[k], r[q + TWO])
     return least, greatest
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def half(grid: Grid, x: float) -> np.uint64:
-    # 2 i on node i, 2 i + 1 between nodes i and i + 1
-    i, f = cell(grid, x)
-    return TWO * i + (ZERO if f < AT_NODE else TWO if f > 1.0 - AT_NODE else ONE)
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def mark_line(temp: FloatArray, low: float, high: float, grid: Grid, stated: FloatArray, mask: BoolArray) -> float:
-    # stated (2 cells + 1,): uncertainty on and between nodes, -1 where data were near. Sets mask (N,) where temperatures from
-    # low to high meet another; returns the largest that they met, or -1.
-    largest = -1.0
-    for k in range(np.uint64(temp.size)):
-        t = temp[k]
-        if low <= t <= high:
-            u = stated[half(grid, t)]
-            if u >= 0.0:
-                mask[k] = True
-                largest = u if u > largest else largest
-    return largest
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def mark_plane(
-    temp: FloatArray, w: FloatArray, low: float, high: float, temp_grid: Grid, rate_grid: Grid, stated: FloatArray,
-    mask: BoolArray,
-) -> float:  # fmt: skip
-    # as mark_line, for temperatures and rates w flat (3 N,), rad/s; stated (2 temperature cells + 1, 2 rate cells + 1) flat
-    largest, row = -1.0, TWO * np.uint64(rate_grid.cells) + ONE
-    for k in range(np.uint64(temp.size)):
-        t = temp[k]
-        if low <= t <= high:
-            i = row * half(temp_grid, t)
-            for axis in range(THREE):
-                x = w[THREE * k + axis]
-                u = stated[i + half(rate_grid, x)] if x == x else -1.0
-                if u >= 0.0:
-                    mask[k] = True
-                    largest = u if u > largest else largest
-    return largest
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
