@@ -20,8 +20,6 @@ COUNTS = {
     "session.too_few_poses",
     "drift.lag_few_blocks",
     "study.too_few_for_agreement",
-    "twin.no_witness",
-    "twin.no_rest",
 }
 # "over 5 K"; spans that are no limits
 NO_VALUE = {"recording.temperature_jumps", "drift.accel_one_pose", "orient.pitch_axes"}

@@ -16,7 +16,7 @@ import pytest
 from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
 from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
-from undrift.twin.heldout import compare_held_out
+from undrift.twin.held_out import compare_held_out
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -31,7 +31,7 @@ def prepared(device: str) -> Prepared:
 
 @cache
 def fitted(device: str) -> Twin:
-    return fit_prepared(prepared(device), settings=SETTINGS)
+    return fit_prepared(prepared(device))
 
 
 @pytest.mark.slow
@@ -71,9 +71,6 @@ def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
     walk = np.degrees([found[f"gyro_angle_random_walk_{axis}"].value for axis in "xyz"])
     show(f"{device}: angle random walk, deg/s/sqrt(Hz)", np.round(walk, 4).tolist(), "0.005-0.008")
     assert 0.004 < walk.min() < walk.max() < 0.008  # 0.007-0.011 one-sided density over sqrt(2)
-    lost = [p.name for p in fitted(device).parameters if not p.identifiable]
-    show(f"{device}: not identifiable", ", ".join(lost))
-    assert {"gyro_bandwidth", "gyro_g_sensitivity_xx"} <= set(lost)
 
 
 @pytest.mark.slow
@@ -81,17 +78,14 @@ def test_held_out_windows_differ_by_what_the_poses_are_worth():
     medians, ends = [], []
     for device in DEVICES:
         for t in compare_held_out(prepared(device), rng=np.random.default_rng(0)):
-            three, tilt = (
-                " / ".join(f"{v:.2f}" for v in np.degrees(np.nanquantile(x, (0.5, 0.95, 1.0))))
-                for x in (t.errors.pitch, t.errors.tilt)
-            )
-            at_end = np.degrees(np.median(t.errors.end, axis=0))
+            three = " / ".join(f"{v:.2f}" for v in np.degrees(np.nanquantile(t.pitch, (0.5, 0.95, 1.0))))
+            at_end = np.degrees(np.median(t.end, axis=0))
             print(
-                f"  {t.recording}: {len(t.errors.pitch)} windows of {t.window_s:g} s: pitch {three}, tilt {tilt} (median / 95 % / "
+                f"  {t.recording}: {len(t.pitch)} windows of {t.window_s:g} s: pitch {three} (median / 95 % / "
                 f"max); at the end, median per axis {np.round(at_end, 3).tolist()} deg"
             )
             if t.window_s == 5.0:
-                medians.append(np.degrees(np.nanmedian(t.errors.pitch)))
+                medians.append(np.degrees(np.nanmedian(t.pitch)))
                 ends.append(at_end)
     show("5 s windows, largest pitch difference, median over trials, deg", f"{np.median(medians):.2f}", 0.45)
     show(

@@ -24,8 +24,6 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: p
     assert all(set(parameter) >= KEYS for parameter in said["parameters"])
     assert said["heldout"] == []  # one recording: nothing is held out
     assert {"gyro_rms_dps", "accel_rms_m_s2", "cutoff_hz"} <= set(said["residual"])
-    assert 0.0 <= said["split"]["optics_share_95"][0] < said["split"]["optics_share_95"][1] <= 1.0
-    assert said["split"]["band_hz"] == [0.4, 3.0]
     device = read_device(tmp_path / "device.json")
     assert device.source_tag == "fitted"
     assert device.gyro.adc is not None

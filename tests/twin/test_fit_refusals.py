@@ -10,7 +10,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.record import Reference
 from undrift.twin.accel import lever_matrix, match, prepare_accel, solve_accel
 from undrift.twin.fit import fit_twin, prepare_twin
-from undrift.twin.heldout import compare_held_out
+from undrift.twin.held_out import compare_held_out
 from undrift.units import STANDARD_GRAVITY
 
 
@@ -28,13 +28,13 @@ def fit_accel(recording):
 
 
 def test_records_and_references_must_match(pair):
-    with pytest.raises(InputError, match="wanted one reference for each record, got 1 records and 0 references"):
+    with pytest.raises(InputError, match="one reference"):
         fit_twin([pair[0]], [])
 
 
 def test_a_record_needs_a_gyroscope(pair):
     record, reference = pair
-    with pytest.raises(InputError, match="wanted a record with a gyroscope, got none"):
+    with pytest.raises(InputError, match="no gyroscope"):
         match(replace(record, gyro=None), reference)
 
 
@@ -47,12 +47,12 @@ def test_a_rest_of_gaps_alone_is_no_rest(pair):
 
 
 def test_one_recording_leaves_none_to_hold_out(pair):
-    with pytest.raises(InputError, match="wanted two recordings to hold one out, got one"):
+    with pytest.raises(InputError, match="two recordings"):
         compare_held_out(prepare_twin([pair[0]], [pair[1]]), rng=np.random.default_rng(0))
 
 
 def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
-    with pytest.raises(InputError, match="wanted accel readings and positions of the reference"):
+    with pytest.raises(InputError, match="positions of the reference"):
         fit_accel(match(*pair))
     twin = fit_twin([pair[0]], [pair[1]])
     lost = {p.name: p.reason for p in twin.parameters if not p.identifiable}
@@ -62,7 +62,7 @@ def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
 
 def test_short_motion_is_refused(pair):
     record, reference = make_recording(np.random.default_rng(2), turn_s=12.0)
-    with pytest.raises(NotObservable, match=r"wanted 20 s of motion with known poses or more, got 1[0-9] s"):
+    with pytest.raises(NotObservable, match="20 s of motion"):
         fit_accel(match(record, placed(reference)))
 
 
@@ -71,7 +71,7 @@ def test_readings_full_of_gaps_are_refused(pair):
     accel = np.array(record.accel)
     accel[::50] = np.nan
     broken = match(replace(record, accel=accel), placed(reference))
-    with pytest.raises(NotObservable, match="wanted a second of motion with known poses, got none"):
+    with pytest.raises(NotObservable, match="no second of motion"):
         prepare_accel([broken], gravity_m_s2=STANDARD_GRAVITY)
 
 
@@ -93,5 +93,5 @@ def match_pieces(reference: Reference):
 
 def test_a_lever_arm_needs_angular_acceleration(pair):
     motion = match(*pair).at(0.0, STANDARD_GRAVITY)
-    with pytest.raises(InputError, match="wanted a motion with angular acceleration, got none"):
+    with pytest.raises(InputError, match="no angular acceleration"):
         lever_matrix(replace(motion, angular_acceleration_b=None))

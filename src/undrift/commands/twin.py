@@ -13,7 +13,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.twin.fit import Twin
-    from undrift.twin.heldout import HeldOutTrial
+    from undrift.twin.held_out import HeldOutTrial
 
 HELD_OUT = (0.34, 1.0)  # share of the time, of three recordings of two minutes
 
@@ -35,7 +35,7 @@ class Twinned(Result):
         known = sum(p.identifiable for p in fitted.parameters)
         answer = f"{known} of {len(fitted.parameters)} parameters of the device are identifiable"
         if held_out:
-            differences = np.concatenate([one.errors.pitch for one in held_out]) / RADIAN_PER_DEGREE
+            differences = np.concatenate([trial.pitch for trial in held_out]) / RADIAN_PER_DEGREE
             median, most, _ = _spread(differences).values()
             answer += (
                 f"; held out, its pitch differs from the real device's by at most {most:.2f} deg in 95 % of windows of "
@@ -89,7 +89,7 @@ def twin(
 
     from undrift.sim.device.model import write_device
     from undrift.twin.fit import TwinSettings, fit_prepared, prepare_twin
-    from undrift.twin.heldout import compare_held_out, device_of
+    from undrift.twin.held_out import compare_held_out, device_of
 
     check_output(output, endings=("",), reads=(*records, *optics.reference))
     settings, rng = TwinSettings(gravity_m_s2=gravity_m_s2), np.random.default_rng(seed)
@@ -98,12 +98,12 @@ def twin(
     progress("aligning", 0.01)
     prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], settings=settings, names=names)
     progress("fitting", 0.13)
-    fitted = fit_prepared(prepared, settings=settings)
+    fitted = fit_prepared(prepared)
     held_out: tuple[HeldOutTrial, ...] = ()
     if len(records) > 1:
         held_out = compare_held_out(prepared, rng=rng, progress=part_of(progress, *HELD_OUT))
     if output is not None:
-        first = prepared.records[0]
+        first = prepared.matches[0].record
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
     return Twinned(names=tuple(names), fitted=fitted, held_out=held_out, output=output)
 
@@ -118,10 +118,9 @@ def _twin_json(fitted: "Twin", held: "tuple[HeldOutTrial, ...]") -> dict[str, ob
             {
                 "recording": h.recording,
                 "window_s": h.window_s,
-                "windows": len(h.errors.pitch),
-                "max_abs_pitch_difference_deg": _spread(h.errors.pitch * deg),
-                "max_tilt_difference_deg": _spread(h.errors.tilt * deg),
-                "end_difference_deg": [_spread(axis * deg) for axis in h.errors.end.T],
+                "windows": len(h.pitch),
+                "max_abs_pitch_difference_deg": _spread(h.pitch * deg),
+                "end_difference_deg": [_spread(axis * deg) for axis in h.end.T],
             }
             for h in held
         ],
@@ -182,9 +181,9 @@ def _held_out(twinned: Twinned) -> tuple[Section, ...]:
     """Return how well devices fitted to the other recordings predict each one."""
     deg = 1.0 / RADIAN_PER_DEGREE
     windows = (
-        (one.recording, f"{one.window_s:g}", str(len(one.errors.pitch)), *(f"{v:.2f}" for v in spread.values()))
+        (one.recording, f"{one.window_s:g}", str(len(one.pitch)), *(f"{v:.2f}" for v in spread.values()))
         for one in twinned.held_out
-        for spread in [_spread(one.errors.pitch * deg)]
+        for spread in [_spread(one.pitch * deg)]
     )
     title = "held out: largest pitch difference between simulated and real device in a window, deg"
     columns = ("recording", "window s", "windows", "median", "95 %", "max")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
     from undrift.study.judge import StudyOutcome
-    from undrift.twin.heldout import HeldOutTrial
+    from undrift.twin.held_out import HeldOutTrial
     from undrift.validation.agreement import Validation
     from undrift.validation.levels import LevelSummary, LevelTable
     from undrift.validation.trial import Trial
@@ -669,7 +669,7 @@ def draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
     figure, (panel,) = new_figure(1, height=0.6 + 0.35 * len(held))
     entitle(figure, f"Held out: largest pitch difference in windows of {held[0].window_s:g} s")
     for k, one in enumerate(held):
-        errors = one.errors.pitch[np.isfinite(one.errors.pitch)] / RADIAN_PER_DEGREE
+        errors = one.pitch[np.isfinite(one.pitch)] / RADIAN_PER_DEGREE
         panel.plot(
             errors, np.full(len(errors), k), "|", color=LIMIT, markersize=8.0, label="window" if k == 0 else None
         )

@@ -6,8 +6,8 @@ on recordings that it was not fitted to.
 
     accel      a recording and the ideal motion of its reference; accelerometers, lever arm and delay by specific force
     fit        all parameters: gyroscopes by windows (calibration.reference), noise at rest, ADC
-    heldout    the twin simulated on a motion that it has not seen: errors over windows
+    held_out   the twin simulated on a motion that it has not seen: errors over windows
 
 Frames: s sensor, b body of the reference, n level with z up; a matrix M takes readings to b. Units: rad/s, m/s2, s, m; time is
-axis 0. Open fit first, then heldout.
+axis 0. Open fit first, then held_out.
 """

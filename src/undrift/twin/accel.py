@@ -5,13 +5,12 @@ at the sensor, r from that origin, is::
 
     f + L r = M u(t + d) - c            f = R_nb^T (p'' + g z),  L = [w']x + [w]x [w]x,  c = M o
 
-The optics are the noisy side (differentiated twice), the readings u the quiet one, so f is what is explained and no regressor
-carries much noise. All terms are turned into n and low-passed there alike; a low-pass there commutes with the second
-derivative of the position. Then the model is linear in M, c and r, and in d by the change of u with time. Residuals beyond
-1.345 robust standard deviations count less (Huber). Filtered residuals correlate with their neighbours, so the covariance is
-the sandwich over blocks of one second.
+The optics are the noisy side (differentiated twice), the readings u the quiet one, so f is explained and no regressor has much
+noise. All terms are turned into n and low-passed there; a low-pass there commutes with the second derivative of the position.
+Then the model is linear in M, c and r, and in d by the change of u with time. Residuals beyond 1.345 robust standard deviations
+count less (Huber). Filtered residuals correlate with their neighbours, so the covariance is the sandwich over blocks of a second.
 
-The motion is a spline through the poses (``sim.motion.poses``), evaluated at the record's time less the gyroscopes' delay.
+The motion is a spline through the poses (``sim.motion.poses``), evaluated at the record's time minus the gyroscopes' delay.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,11 +33,11 @@ from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
-_POSE_CUTOFF_HZ = 30.0
-HIGHEST = 0.4  # of the sample rate: the highest cut-off at which slow poses or readings are low-passed
-_SHORTEST_S = 1.0  # stretches shorter than this are not filtered
-_EDGE = 1.5  # periods of the cut-off left out at each end of a stretch
-_PER_CUTOFF = 4.0  # samples kept for each period of the cut-off
+POSE_CUTOFF_HZ = 30.0
+MAX_CUTOFF_SHARE = 0.4  # of the sample rate of poses or readings
+MIN_STRETCH_S = 1.0  # shorter stretches are not filtered
+EDGE_PERIODS = 1.5  # of the cut-off, left out at each end of a stretch
+SAMPLES_PER_PERIOD = 4.0  # of the cut-off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,11 +45,11 @@ class Match(Aligned):
     """One recording in rad/s and m/s2, and the motion of its reference."""
 
     name: str
-    spline: PoseSpline  # Through the poses
-    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s; NaN where it never rests
+    spline: PoseSpline  # through the poses
+    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s; NaN if it never rests
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
-        """Return the motion that readings with a given delay stand for."""
+        """Return the motion at the instants that readings with a delay belong to."""
         return self.spline.at(self.record.time - delay_s, gravity_m_s2)
 
     @property
@@ -66,52 +65,50 @@ class Match(Aligned):
         return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - MARGIN_S)
 
 
-def match(record: Record, reference: Reference, *, adc: AdcModel | None = None, name: str = "") -> Match:
-    """Bring a recording and its reference together."""
-    done = record.in_si()
-    if done.gyro is None:
-        raise InputError("twin: wanted a record with a gyroscope, got none; map its columns")
-    aligned = align(done, reference).corrected(adc)
+def match(record: Record, reference: Reference, name: str = "", *, adc: AdcModel | None = None) -> Match:
+    """Align a recording and its reference."""
+    record = record.in_si()
+    if record.gyro is None:
+        raise InputError("twin: the record has no gyroscope. Map its columns.")
+    aligned = align(record, reference).corrected(adc)
     return Match(
         **{field.name: getattr(aligned, field.name) for field in fields(aligned)},
         name=name or reference.name,
-        spline=pose_spline(aligned.reference, _POSE_CUTOFF_HZ),
+        spline=pose_spline(aligned.reference, POSE_CUTOFF_HZ),
         rest_offset=rest_reading(aligned)[0],
     )
 
 
 def pose_spline(reference: Reference, cutoff_hz: float) -> PoseSpline:
     """Return the motion through poses, low-passed as far as their sample rate allows."""
-    cutoff_hz = min(cutoff_hz, HIGHEST * reference.sample_rate_hz)
+    cutoff_hz = min(cutoff_hz, MAX_CUTOFF_SHARE * reference.sample_rate_hz)
     return fit_pose_spline(reference, PoseSettings(cutoff_hz=cutoff_hz, position_cutoff_hz=cutoff_hz))
 
 
 def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[slice]:
-    """Yield stretches of motion in which poses and readings (N, C) are known, long enough to be filtered."""
-    known = match.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
-    known &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
-    for start, stop in runs(known):
-        if stop - start >= _SHORTEST_S * match.record.sample_rate_hz:
+    """Yield stretches of the motion with poses and readings (N, C) that are long enough to be filtered."""
+    valid = match.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
+    valid &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
+    for start, stop in runs(valid):
+        if stop - start >= MIN_STRETCH_S * match.record.sample_rate_hz:
             yield slice(int(start), int(stop))
 
 
-def smoothed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
-    """Return columns (N, C) low-passed without delay, thinned to a few for each period, without the ends, and their rows."""
+def low_passed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
+    """Return columns (N, C) low-passed without delay, a few samples per period without the ends, and their rows."""
     from scipy.signal import butter, sosfiltfilt
 
-    edge = int(np.ceil(_EDGE * sample_rate_hz / cutoff_hz))
-    step = max(1, int(sample_rate_hz / (_PER_CUTOFF * cutoff_hz)))
-    rows: IntArray = np.arange(edge, len(values) - edge, step)
+    edge = int(np.ceil(EDGE_PERIODS * sample_rate_hz / cutoff_hz))
+    rows: IntArray = np.arange(edge, len(values) - edge, max(1, int(sample_rate_hz / (SAMPLES_PER_PERIOD * cutoff_hz))))
     filtered: FloatArray = sosfiltfilt(butter(2, cutoff_hz, fs=sample_rate_hz, output="sos"), values, axis=0)[rows]
     return filtered, rows
 
 
-# ---- accel
+# ---- the fit
 
 CUTOFF_HZ = 10.0  # above it the second derivative of the poses is noise
 BLOCK_S = 1.0
-_PASSES = 2  # the second evaluates the motion at the delay found
-_LEAST_BLOCKS = 20
+MIN_BLOCKS = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,21 +121,30 @@ class AccelRows:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedAccel:
+    """Equations of several recordings, and the delay at which they were linearised."""
+
+    rows: tuple[AccelRows, ...]  # one for each recording
+    delay: float  # beyond the gyroscopes', s
+    gravity_m_s2: float  # m/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccelFit:
     """An accelerometer fitted to poses."""
 
     model: TriadModel  # f = M (u - o) with covariance
     lever_arm: FloatArray  # (3,), from the optical body's origin to the sensor, frame of that body, m
-    delay: float  # Of the readings beyond that of each recording's gyroscopes, s
+    delay: float  # of the readings beyond that of the gyroscopes, s
     covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
     residual_rms: FloatArray  # (R,), per axis, for each recording, m/s2
-    signal_rms: FloatArray  # (R,), of the specific force less gravity, per axis, m/s2
+    signal_rms: FloatArray  # (R,), specific force minus gravity, per axis, m/s2
 
 
 def lever_matrix(motion: Motion) -> FloatArray:
     """Return the effect of a lever arm on specific force, L = [w']x + [w]x [w]x, (N, 3, 3)."""
     if motion.angular_acceleration_b is None:
-        raise InputError("lever arm: wanted a motion with angular acceleration, got none; make it from poses")
+        raise InputError("lever arm: the motion has no angular acceleration. Make it from poses.")
     w = motion.rate_b
     outer = w[:, :, None] * w[:, None, :] - (w * w).sum(axis=1)[:, None, None] * np.eye(3)
     x, y, z = motion.angular_acceleration_b.T
@@ -147,110 +153,83 @@ def lever_matrix(motion: Motion) -> FloatArray:
 
 
 def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:
-    """Return the equations of one recording."""
+    """Return the equations of one recording, linearised at a delay and a matrix."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
-        raise InputError("accel fit: wanted accel readings and positions of the reference, got one only or neither")
+        raise InputError("accel fit: needs accel readings and positions of the reference. One of them is missing.")
     motion, rate = match.at(delay_s, gravity_m_s2), match.record.sample_rate_hz
     lever, tables, times = lever_matrix(motion), [], []
     for rows in stretches(match, motion, readings):
+        r_nb = rotation(motion.q_nb[rows]).as_matrix()
         slope = np.gradient(readings[rows], axis=0) * rate @ matrix.T
-        columns = force_columns(readings[rows], motion, lever, rows, slope)
-        done, kept = smoothed(columns.reshape(len(columns), -1), cutoff_hz, rate)
-        tables.append(done.reshape(len(kept), 3, 17))
+        columns = (
+            pose_columns(r_nb, readings[rows]),
+            -(r_nb @ lever[rows]),
+            np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
+            np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
+        )
+        table, kept = low_passed(np.concatenate(columns, axis=2).reshape(-1, 51), cutoff_hz, rate)
+        tables.append(table.reshape(len(kept), 3, 17))
         times.append(match.record.time[rows][kept])
     if not tables:
-        raise NotObservable("accel fit: wanted a second of motion with known poses, got none; record longer motion")
+        raise NotObservable("accel fit: no second of motion has poses throughout. Record longer motion.")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
     return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block)
 
 
-def force_columns(u: FloatArray, motion: Motion, lever: FloatArray, rows: slice, slope: FloatArray) -> FloatArray:
-    """Return columns of matrix row by row, c, lever arm, delay, and p'' + g z of a stretch, frame n, (K, 3, 17), of u and slope."""
-    r_nb = rotation(motion.q_nb[rows]).as_matrix()
-    turned = [
-        pose_columns(r_nb, u),
-        -(r_nb @ lever[rows]),
-        np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
-        np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
-    ]
-    return np.concatenate(turned, axis=2)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PreparedAccel:
-    """Equations of several recordings, and where they were linearised."""
-
-    rows: tuple[AccelRows, ...]  # One for each recording
-    delay: float  # Beyond the gyroscopes', at which they were linearised, s
-    gravity_m_s2: float  # m/s2
-
-
 def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ) -> PreparedAccel:
     """Return the equations of several recordings, linearised at the delay that fits them all."""
-    delay = 0.0
-    matrix: FloatArray = np.eye(3)
-    for k in range(_PASSES):
-        rows = tuple(
-            accel_rows(m, delay_s=m.lag.seconds + delay, matrix=matrix, gravity_m_s2=gravity_m_s2, cutoff_hz=cutoff_hz)
-            for m in matches
-        )
-        if k + 1 < _PASSES:
-            x = _solve(rows)[0]
-            matrix, delay = x[:9].reshape(3, 3), delay + float(x[15])
-    return PreparedAccel(rows=rows, delay=delay, gravity_m_s2=gravity_m_s2)
+
+    def equations(delay: float, matrix: FloatArray) -> tuple[AccelRows, ...]:
+        how = {"matrix": matrix, "gravity_m_s2": gravity_m_s2, "cutoff_hz": cutoff_hz}
+        return tuple(accel_rows(m, delay_s=m.lag.seconds + delay, **how) for m in matches)  # type: ignore[arg-type]
+
+    x = _solve(equations(0.0, np.eye(3)))[0]
+    delay = float(x[15])
+    return PreparedAccel(rows=equations(delay, x[:9].reshape(3, 3)), delay=delay, gravity_m_s2=gravity_m_s2)
 
 
 def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None) -> AccelFit:
-    """Solve the equations of chosen recordings together."""
+    """Solve the equations of all recordings, or of chosen ones."""
     rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
     x, covariance, condition = _solve(rows)
     matrix = x[:9].reshape(3, 3)
     offset, jacobian = offset_of(matrix, x[9:12], 16)
     covariance = jacobian @ covariance @ jacobian.T
-    level = np.array([0.0, 0.0, prepared.gravity_m_s2])
-    residuals = [r.force - r.design @ x for r in rows]
-    force = np.concatenate([r.force for r in rows])
+    residuals = [item.force - item.design @ x for item in rows]
+    force = np.concatenate([item.force for item in rows])
     fit = triad_fit(
-        np.concatenate(residuals),
-        method="reference",
-        unit_in="m/s2",
-        unit_out="m/s2",
-        matrix=matrix,
-        offset=offset,
-        covariance=covariance[:12, :12],
-        rank=16,
-        condition=condition,
+        np.concatenate(residuals), method="reference", unit_in="m/s2", unit_out="m/s2", matrix=matrix, offset=offset,
+        covariance=covariance[:12, :12], rank=16, condition=condition,
         valid_range=(float(force.min()), float(force.max())),
-    )
+    )  # fmt: skip
+    level = np.array([0.0, 0.0, prepared.gravity_m_s2])
     return AccelFit(
         model=fit.model,
         lever_arm=x[12:15],
         delay=prepared.delay + float(x[15]),
         covariance=covariance,
-        residual_rms=np.array([_rms(r) for r in residuals]),
-        signal_rms=np.array([_rms(r.force - level) for r in rows]),
+        residual_rms=np.array([np.sqrt((values**2).mean()) for values in residuals]),
+        signal_rms=np.array([np.sqrt(((item.force - level) ** 2).mean()) for item in rows]),
     )
 
 
 def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
-    a, y = np.concatenate([r.design for r in rows]), np.concatenate([r.force for r in rows])
-    blocks = np.flatnonzero(np.concatenate([np.append(True, np.diff(r.block) != 0) for r in rows]))
-    if len(blocks) < _LEAST_BLOCKS:
+    """Return the parameters (16,), their covariance and the condition of the equations."""
+    design = np.concatenate([item.design for item in rows]).reshape(-1, 16)
+    force = np.concatenate([item.force for item in rows]).reshape(-1)
+    blocks = np.flatnonzero(np.concatenate([np.append(True, np.diff(item.block) != 0) for item in rows]))
+    if len(blocks) < MIN_BLOCKS:
         raise NotObservable(
-            f"accel fit: wanted {_LEAST_BLOCKS} s of motion with known poses or more, got {len(blocks)} s; record longer",
+            f"accel fit: needs {MIN_BLOCKS} s of motion with poses or more, got {len(blocks)} s. Record longer.",
             seconds=len(blocks),
         )
-    flat = a.reshape(-1, 16)
-    condition = full_rank(flat, "accel fit")
-    x, weight, _ = fit_huber(flat, y.reshape(-1), together=3, to_sigma=1.0, passes=10)
-    scaled = flat / (length := np.linalg.norm(flat, axis=0))
-    residual = y.reshape(-1) - flat @ x
-    bread: FloatArray = np.linalg.inv((scaled.T * weight) @ scaled)
-    sums = np.add.reduceat((scaled.T * (weight * residual)).T.reshape(-1, 3, 16).sum(axis=1), blocks)
+    condition = full_rank(design, "accel fit")
+    x, weight, _ = fit_huber(design, force, together=3, to_sigma=1.0, passes=10)
+    length = np.linalg.norm(design, axis=0)
+    weighted = (design / length).T * weight
+    bread: FloatArray = np.linalg.inv(weighted @ (design / length))
+    scores = (weighted * (force - design @ x)).T.reshape(-1, 3, 16).sum(axis=1)
+    sums = np.add.reduceat(scores, blocks)
     covariance: FloatArray = bread @ (sums.T @ sums) @ bread * (len(blocks) / max(len(blocks) - 16 / 3, 1.0))
     return x, covariance / np.outer(length, length), condition
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt((values**2).mean()))

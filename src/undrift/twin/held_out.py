@@ -1,0 +1,149 @@
+"""Held out: the twin, simulated on a motion to which it was not fitted, compared with the real device.
+
+The twin is fitted to the other recordings of the device. Its readings of the held-out motion and the real readings are corrected by
+the twin's matrix, each with its own offset, and integrated from the same orientation over every window. The figures are the largest
+difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane (beyond, pitch stretches a
+difference of tilt more than twofold), and the difference at the window's end about each axis of the body.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import FloatArray, IntArray, runs
+from undrift.calibration.codes import restored_gyro
+from undrift.errors import InputError
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.orientation import sagittal_pitch
+from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.motion import Motion
+from undrift.twin.accel import pose_spline
+from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared
+from undrift.validation.trial import wrapped
+
+# ---- the twin as a device to simulate
+
+BITS = 16
+
+
+def device_of(twin: Twin, *, sample_rate_hz: float, serial: str = "") -> DeviceModel:
+    """Return the fitted device for simulation."""
+    model, half_s = twin.gyro.triad.model, 0.5 / sample_rate_hz
+    gyro = _chain(model.matrix, model.offset, twin.gyro_noise, "rad/s")
+    if twin.adc is not None and twin.adc.gyro_lsb is not None:
+        reference = float(np.mean(twin.adc.gyro_lsb)) * 2.0 ** (BITS - 1)
+        gyro = replace(gyro, adc=Adc(bits=BITS, reference=reference, rounding=twin.adc.gyro_rounding, codes=False))
+    accel, delay_s = SensorChain(unit="m/s2", scale=Scale(nominal_sensitivity=1.0)), twin.delay
+    if twin.accel is not None:
+        delay_s = twin.delay + twin.accel.delay
+        accel = _chain(twin.accel.model.matrix, twin.accel.model.offset, twin.accel_noise, "m/s2")
+        accel = replace(accel, lever_arm=LeverArm(arms=np.tile(twin.accel.lever_arm, (3, 1))))
+    sampling = Sampling(
+        sample_rate_hz=sample_rate_hz,
+        gyro_delay_s=np.full(3, half_s - twin.delay),
+        accel_delay_s=np.full(3, -delay_s),
+    )
+    return DeviceModel(serial=serial, gyro=gyro, accel=accel, sampling=sampling, name="twin", source_tag="fitted")
+
+
+def _chain(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit: str) -> SensorChain:
+    """Return the chain whose readings a correction matrix (3, 3) and offset (3,) correct."""
+    forward = np.linalg.inv(matrix)
+    gain = np.linalg.norm(forward, axis=1)
+    return SensorChain(
+        unit=unit,
+        scale=Scale(nominal_sensitivity=1.0, error=gain - 1.0, axes=forward / gain[:, None]),
+        offset=Offset(constant=offset),
+        white_noise=None if noise is None else WhiteNoise(random_walk=noise.random_walk),
+    )
+
+
+# ---- errors over windows
+
+WINDOWS_S = (5.0, 50.0)
+STRIDE_S = 0.5  # from one window to the next
+POINTS_PER_S = 36.0  # at which a window is compared
+IN_PLANE = 0.5  # least part of the vertical in the sagittal plane
+SHARED_CLOCK_S = 1e-3  # delays of a device's recordings agree to this if device and optics share a clock
+MOTION_CUTOFF_HZ = 20.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldOutTrial:
+    """Differences between real and simulated device in W windows of a held-out recording."""
+
+    recording: str
+    window_s: float  # length of the windows
+    pitch: FloatArray  # (W,), largest difference in each, rad; NaN if the vertical never came near the plane
+    end: FloatArray  # (W, 3), difference at the end about each axis of the body, rad
+
+
+def compare_held_out(
+    prepared: Prepared,
+    *,
+    rng: np.random.Generator,
+    lengths_s: Sequence[float] = WINDOWS_S,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> tuple[HeldOutTrial, ...]:
+    """Hold every recording out in turn and compare the twin of the others with it."""
+    count = len(prepared.matches)
+    if count < 2:
+        raise InputError("twin: needs two recordings to hold one out, got one. Record the device a second time.")
+    trials = list[HeldOutTrial]()
+    for number, match in enumerate(prepared.matches):
+        progress(f"held out: recording {number + 1} of {count}", number / count)
+        twin = fit_prepared(prepared, chosen=[k for k in range(count) if k != number])
+        motion, real, simulated = _rates(prepared, twin, number, rng)
+        valid = match.moving & (np.asarray(motion.valid) > 0.0)
+        valid &= np.isfinite(real).all(axis=1) & np.isfinite(simulated).all(axis=1)
+        for length_s in lengths_s:
+            parts = [_windows(motion, real, simulated, slice(a, b), length_s) for a, b in runs(valid)]
+            table = np.concatenate([np.empty((0, 4)), *parts])
+            if len(table):
+                trials.append(
+                    HeldOutTrial(recording=match.name, window_s=length_s, pitch=table[:, 0], end=table[:, 1:])
+                )
+    return tuple(trials)
+
+
+def _rates(
+    prepared: Prepared, twin: Twin, number: int, rng: np.random.Generator
+) -> tuple[Motion, FloatArray, FloatArray]:
+    """Return the motion of a held-out recording, and corrected rates of the real and the simulated device, (N, 3) rad/s."""
+    match, model = prepared.matches[number], twin.gyro.triad.model
+    rate_hz = match.record.sample_rate_hz
+    lag_s = twin.delay if abs(match.lag.seconds - twin.delay) < SHARED_CLOCK_S else match.lag.seconds
+    spline = pose_spline(replace(match.reference, position=None), MOTION_CUTOFF_HZ)
+    motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), twin.settings.gravity_m_s2)
+    # without delay: the motion is evaluated at the delayed instants
+    device = replace(device_of(twin, sample_rate_hz=rate_hz), sampling=Sampling())
+    readings = restored_gyro(np.asarray(simulate_device(device, motion, rng=rng).record.gyro), twin.adc)
+    offset = twin.gyro.model_at_rest_offset(match.rest_offset).offset
+    return motion, (match.gyro - offset) @ model.matrix.T, (readings - model.offset) @ model.matrix.T
+
+
+def _windows(motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float) -> FloatArray:
+    """Compare two rates (N, 3), rad/s, over every window of a stretch: pitch, end about x, y, z, (W, 4) rad."""
+    time, q_nb, rate_hz = motion.time[rows], motion.q_nb[rows], motion.sample_rate_hz
+    samples, stride = round(length_s * rate_hz), max(1, round(STRIDE_S * rate_hz))
+    if len(time) <= samples:
+        return np.empty((0, 4))
+    tracks = [integrate_strapdown(rate[rows], time, q_nb[0]) for rate in (real, simulated)]
+    points: IntArray = np.arange(0, samples + 1, max(1, round(rate_hz / POINTS_PER_S)))
+    points[-1] = samples
+    return np.array([_window(tracks, q_nb, first, points) for first in range(0, len(time) - samples, stride)])
+
+
+def _window(tracks: Sequence[FloatArray], q_nb: FloatArray, first: int, points: IntArray) -> FloatArray:
+    real, simulated = (
+        quaternion_product(quaternion_product(q_nb[first], quaternion_conjugate(q[first])), q[first + points])
+        for q in tracks
+    )
+    vertical = rotate(quaternion_conjugate(simulated), np.array([0.0, 0.0, 1.0]))
+    in_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
+    pitch = np.abs(wrapped(sagittal_pitch(real) - sagittal_pitch(simulated)))[in_plane]
+    turn = rotation_vector(quaternion_product(quaternion_conjugate(simulated[-1]), real[-1]))
+    return np.concatenate(([np.nanmax(pitch) if np.isfinite(pitch).any() else np.nan], np.abs(turn)))
