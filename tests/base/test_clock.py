@@ -1,11 +1,12 @@
-"""Clocks: the host's runs at its speed; a virtual one carries out what is due, in order, and is then later."""
+"""Clocks: the host's runs at its speed; on a paced one, time passes in waits; a virtual one of tests also does what is due."""
 
 import threading
 import time
 
 import pytest
 
-from undrift.base.clock import HOST, Clock, VirtualClock
+from testkit.virtual_clock import VirtualClock
+from undrift.base.clock import HOST, Clock, PacedClock
 from undrift.errors import InputError
 
 
@@ -74,46 +75,12 @@ def test_what_is_due_while_someone_waits_is_done_in_order_at_its_time():
     assert clock.now() == 2.0
 
 
-def test_a_step_that_waits_makes_it_later_and_is_not_taken_within_itself():
-    clock, said = VirtualClock(), []
-
-    def step():
-        said.append(clock.now())
-        clock.wait(2.0)
-        return 1.0
-
-    clock.repeat(step, "slow")
-    clock.wait(1.0)
-    assert said == [0.0]
-    assert clock.now() == 2.0
-
-
-def test_a_condition_is_told_by_what_is_due_or_its_time_passes():
-    clock = VirtualClock()
-    news = clock.condition()
-
-    def tell():
-        if clock.now() < 1.0:
-            return 0.25
-        with news:
-            news.notify_all()
-        return None
-
-    clock.repeat(tell, "teller")
-    with news:
-        assert news.wait(5.0)
-        assert clock.now() == 1.0
-        assert not news.wait(5.0)
-        assert clock.now() == 6.0
-
-
-def test_nobody_listens_but_who_says_so():
-    clock = VirtualClock()
-    assert clock.host is clock
-    port = clock.listen("127.0.0.1", 0, lambda: "a way")
-    assert clock.listen("127.0.0.1", 0, lambda: "another") != port
-    assert clock.connection("127.0.0.1", port) == "a way"
-    clock.forget("127.0.0.1", port)
-    clock.forget("127.0.0.1", port)
-    with pytest.raises(ConnectionRefusedError, match="nothing on this clock listens there"):
-        clock.connection("127.0.0.1", port)
+def test_on_a_paced_clock_only_waits_take_time():
+    clock = PacedClock()
+    clock.wait(3600.0)
+    clock.wait(-1.0)
+    assert clock.now() == 3600.0
+    paced = PacedClock(100.0)
+    start = time.monotonic()
+    paced.wait(2.0)
+    assert time.monotonic() - start >= 0.02

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from testkit.virtual_clock import VirtualClock
 from testkit.waiting import eventually
-from undrift.base.clock import VirtualClock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.live.hands import HandSettings, start_hand_held

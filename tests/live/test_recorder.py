@@ -8,7 +8,7 @@ import pytest
 
 from testkit.byte_sender import Paced, Sender
 from testkit.tally import tally
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at

@@ -10,7 +10,7 @@ import pytest
 from testkit.cards import Card
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import Scripted, VirtualScripted
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import galil as axis_module
 from undrift.rig.galil import GalilRig, open_from

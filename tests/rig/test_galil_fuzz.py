@@ -15,7 +15,7 @@ from testkit.cards import Card
 from testkit.data import show
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilRig
 from undrift.rig.link import LinkPort, LinkSettings

@@ -10,7 +10,7 @@ import pytest
 from testkit.cards import Board
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblRig, open_from, parse_status, reply_end
 from undrift.rig.link import Link, LinkSettings

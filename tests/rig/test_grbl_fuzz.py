@@ -6,7 +6,7 @@ import random
 import pytest
 
 from testkit.scripted_server import VirtualScripted
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblRig, reply_end
 from undrift.rig.link import Link, LinkSettings

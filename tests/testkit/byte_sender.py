@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable
 
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 
 
 class Sender:

@@ -10,7 +10,7 @@ import threading
 from typing import Any
 
 from testkit.scripted_server import Scripted, VirtualScripted
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.rig.simulated import SimulatedBench
 
 # ---- Galil

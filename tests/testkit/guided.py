@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 from undrift.commands.bench.guides import ORDER
 from undrift.live.hands import start_hand_held
 from undrift.record import FACES, Record

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from testkit.virtual_clock import VirtualClock
 from undrift.programme import Protocol, programme_of
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
@@ -71,7 +72,9 @@ DEVICE = DeviceModel(
 
 def simulated(clock=None, *, devices=1, **settings):
     """Return a simulated bench with such devices; on a clock of its own no time passes but what the test waits for."""
-    return SimulatedBench((DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock)
+    return SimulatedBench(
+        (DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock()
+    )
 
 
 class Hands:

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from undrift.base.clock import VirtualClock
+from testkit.virtual_clock import VirtualClock
 
 Answer = Callable[[str], bytes | None]
 
