@@ -41,6 +41,11 @@ class PoseRates:
     rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body; zero where not valid
     valid: BoolArray  # (K,), false where a pose is missing or the step is a gap
 
+    def part(self, rows: IntArray | BoolArray | slice, later_s: float = 0.0) -> "PoseRates":
+        """Return some of the rates, on a clock that is ahead by ``later_s``."""
+        start, stop = self.start[rows] + later_s, self.stop[rows] + later_s
+        return PoseRates(start=start, stop=stop, rate=self.rate[rows], valid=self.valid[rows])
+
 
 def pose_rates(reference: Reference) -> PoseRates:
     """Return the mean rate of the body between neighbouring poses."""
@@ -254,6 +259,7 @@ def _drawn_to(
 _STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
 AVERAGE_S = 0.05  # s, of rates that are compared
 _BLOCK_S = 0.5  # residuals this far apart count as independent
+_LEAST_AVERAGES = 30  # that both sides have
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -281,7 +287,6 @@ class Lag:
     correlation_after: float  # the same with the shift
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
-    residual_rms: float  # Between the averaged rates after alignment, rad/s
 
 
 def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Lag:
@@ -328,87 +333,76 @@ def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
     return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Regression:
-    """Averaged rates of the reference on those of the readings, at some alignment; M of the K averages have both."""
-
-    start: FloatArray  # (M,), of the averages, s
-    u: FloatArray  # (M, 3), readings less ``centre_u``
-    residual: FloatArray  # (M, A), rad/s
-    slope: FloatArray  # (M, A), change of the fitted rates with the readings' time, rad/s2
-    power: float  # Sum of squares of the reference's rates about ``centre_w``
-    matrix: FloatArray  # (3, A)
-    centre_u: FloatArray
-    centre_w: FloatArray
-
-    @property
-    def unexplained(self) -> float:
-        """Sum of squares of the residuals."""
-        return float((self.residual**2).sum())
-
-    @property
-    def correlation(self) -> float:
-        """Multiple correlation of the rates."""
-        return float(np.sqrt(max(0.0, 1.0 - self.unexplained / self.power)))
-
-    def cleared(self, slope: FloatArray) -> FloatArray:
-        """Return a column of the design, cleared of what A and c could explain."""
-        slope = slope - slope.mean(axis=0)
-        return slope - self.u @ np.linalg.lstsq(self.u, slope, rcond=_THREE_AXES)[0]
-
-
-def _regressed(
-    integral: RunningIntegral, wanted: PoseRates, start: FloatArray, stop: FloatArray, least: int
-) -> Regression | None:
-    """Fit A and c where the averages lie at start and stop of the readings; None for fewer than the least, or at rest."""
+def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
+    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most; None without common motion."""
+    start, stop = wanted.start + lag, wanted.stop + lag
     mean, inside = integral.mean(start, stop)
-    if inside.sum() < least:
-        return None
-    width = 0.25 * float(np.median(wanted.stop - wanted.start))
-    late, early = (integral.mean(start + by, stop + by) for by in (width, -width))
-    inside &= late[1] & early[1]
-    u, w = mean[inside], wanted.rate[inside]
-    slope = (late[0][inside] - early[0][inside]) / (2.0 * width)
+    if inside.sum() < _LEAST_AVERAGES:
+        return None, 0.0
+    width = 0.25 * float(np.median(stop - start))
+    (late, late_inside), (early, early_inside) = (integral.mean(start + by, stop + by) for by in (width, -width))
+    inside &= late_inside & early_inside
+    u, w, slope = mean[inside], wanted.rate[inside], (late - early)[inside] / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
     u, w = u - centre_u, w - centre_w
     a = np.linalg.lstsq(u, w, rcond=_ONE_AXIS if w.shape[1] == 1 else _THREE_AXES)[0]
-    fit = Regression(
-        start=wanted.start[inside], u=u, residual=w - u @ a, slope=slope @ a, power=float((w**2).sum()), matrix=a,
-        centre_u=centre_u, centre_w=centre_w,
-    )  # fmt: skip
-    return fit if fit.power > 0.0 else None
-
-
-def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
-    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most."""
-    fit = _regressed(integral, wanted, wanted.start + lag, wanted.stop + lag, 30)
-    if fit is None:
+    residual, power = w - u @ a, float((w**2).sum())
+    if not power > 0.0:
         return None, 0.0
-    step, uncertainty = _lag_step(fit)
+    # The column of the lag, cleared of what A and c explain, leaves one equation: step = sum(s r) / sum(s s).
+    column = (slope - slope.mean(axis=0)) @ a
+    column -= u @ np.linalg.lstsq(u, column, rcond=_THREE_AXES)[0]
+    square, step, uncertainty = float((column**2).sum()), 0.0, float("inf")
+    if square > 0.0:
+        step = float((column * residual).sum()) / square
+        score = (column * (residual - step * column)).sum(axis=1)
+        block = np.flatnonzero(np.diff(np.floor(wanted.start[inside] / _BLOCK_S), prepend=-np.inf) > 0.0)
+        uncertainty = float(np.sqrt((np.add.reduceat(score, block) ** 2).sum()) / square)
     return Lag(
         seconds=lag,
         standard_uncertainty=uncertainty,
         correlation_before=0.0,
-        correlation_after=fit.correlation,
-        matrix=fit.matrix.T,
-        constant=fit.centre_w - fit.matrix.T @ fit.centre_u,
-        residual_rms=float(np.sqrt(fit.unexplained / fit.residual.size)),
+        correlation_after=float(np.sqrt(max(0.0, 1.0 - float((residual**2).sum()) / power))),
+        matrix=a.T,
+        constant=centre_w - a.T @ centre_u,
     ), step
 
 
-def _lag_step(fit: Regression) -> tuple[float, float]:
-    # The column of the lag, cleared; one equation is left: step = sum(s r) / sum(s s).
-    clear = fit.cleared(fit.slope)
-    square = float((clear * clear).sum())
-    if not square > 0.0:
-        return 0.0, float("inf")
-    step = float((clear * fit.residual).sum()) / square
-    score = (clear * (fit.residual - step * clear)).sum(axis=1)
-    block: BoolArray = np.concatenate(([True], np.diff(np.floor(fit.start / _BLOCK_S)) > 0.0))
-    return step, float(np.sqrt((np.add.reduceat(score, np.flatnonzero(block)) ** 2).sum()) / square)
+# ---- two clocks that do not run alike: a straight line through the lags of parts of a recording
 
 
-# ---- two clocks that do not run alike, and files that were filled up
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockLine:
+    """Lag over time: lag = ``lag_s`` + ``skew`` (t - ``middle_s``), t on the clock of the reference."""
+
+    middle_s: float
+    lag_s: float
+    skew: float  # seconds per second by which the clock of the record runs faster
+    lag_uncertainty_s: float  # standard, at ``middle_s``
+    skew_uncertainty: float  # standard; infinite if one part only has a lag
+    off_s: FloatArray  # (P,), lags minus the line
+
+
+def clock_line(when: FloatArray, lags: FloatArray, uncertainty: FloatArray) -> ClockLine:
+    """Fit a line to lags (P,), s, at times (P,); its uncertainty is enlarged by their scatter."""
+    weight = uncertainty**-2.0
+    middle, lag = float(weight @ when / weight.sum()), float(weight @ lags / weight.sum())
+    away = when - middle
+    square = float(weight @ away**2)
+    skew = float(weight @ (away * (lags - lag)) / square) if square > 0.0 else 0.0
+    off = lags - lag - skew * away
+    spread = max(1.0, float(weight @ off**2) / (len(lags) - 2)) if len(lags) > 2 else 1.0
+    return ClockLine(
+        middle_s=middle, lag_s=lag, skew=skew, off_s=off,
+        lag_uncertainty_s=float(np.sqrt(spread / weight.sum())),
+        skew_uncertainty=float(np.sqrt(spread / square)) if square > 0.0 else float("inf"),
+    )  # fmt: skip
+
+
+def middle_of_motion(rates: PoseRates) -> float:
+    """Return the mean time, s, weighted by the square of the rate: the time at which a lag is determined."""
+    return float(np.average(rates.start, weights=(rates.rate**2).sum(axis=1)))
+
 
 _PARTS, _LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
 # s, over the recording, and its standard uncertainties: BROAD's clocks, which run alike, differ by up to 0.1 ms and two of them
@@ -420,30 +414,25 @@ _TURNS = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest, whatever the device'
 def in_step(
     record: Record, poses: Reference, settings: LagSettings = LagSettings()
 ) -> tuple[Record, Lag, list[Finding]]:
-    """Return the record on a clock that runs like the reference's, its lag, and what was removed or cannot be."""
+    """Return the record on a clock that runs like the reference's, its lag, and findings about the two clocks."""
     lag, findings, rates = find_lag(record, poses, settings), list[Finding](), pose_rates(poses)
-    parts = list[tuple[float, float, float]]()
-    there = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
-    span_s = float(np.ptp(rates.start[there])) if there.any() else 0.0
-    for rows in np.array_split(np.flatnonzero(there), _PARTS) if span_s > _PARTS * _LEAST_PART_S else ():
-        some = PoseRates(start=rates.start[rows], stop=rates.stop[rows], rate=rates.rate[rows], valid=rates.valid[rows])
-        try:
-            of_part = lag_of(record.time, np.asarray(record.gyro), some, settings, near=lag.seconds)
-        except AlignmentError:  # it lies still, or is not seen
-            return record, lag, findings
-        middle = float(np.average(some.start, weights=(some.rate**2).sum(axis=1)))
-        parts.append((middle, of_part.seconds, of_part.standard_uncertainty))
-    if not parts:
+    common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
+    span_s = float(np.ptp(rates.start[common])) if common.any() else 0.0
+    if not span_s > _PARTS * _LEAST_PART_S:
         return record, lag, findings
-    when, late, spread = np.array(parts).T
-    weight = 1.0 / np.maximum(spread, 1e-6)
-    columns = weight[:, None] * np.stack((np.ones(_PARTS), when - when.mean()), axis=1)
-    line, square, *_ = np.linalg.lstsq(columns, weight * late, rcond=None)
-    uncertainty = np.sqrt(max(1.0, *square / (_PARTS - 2)) * np.linalg.inv(columns.T @ columns)[1, 1])
-    if abs(line[1]) * span_s > _LEAST_SKEW and abs(line[1]) > _CLEAR * uncertainty:
-        record = replace(record, time=record.time - line[1] * (record.time - lag.seconds - when.mean()))
-        findings.append(finding("sync.skew", "info", skew_ppm=1e6 * line[1], late_ms=1e3 * line[1] * span_s))
-        lag, late = find_lag(record, poses, settings), late - line[1] * (when - when.mean())
+    parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), _PARTS)]
+    try:
+        lags = [lag_of(record.time, np.asarray(record.gyro), part, settings, near=lag.seconds) for part in parts]
+    except AlignmentError:  # a part lies still, or is not seen
+        return record, lag, findings
+    spread = np.maximum([part.standard_uncertainty for part in lags], 1e-6)
+    when, late = np.array([middle_of_motion(part) for part in parts]), np.array([part.seconds for part in lags])
+    line = clock_line(when, late, spread)
+    if abs(line.skew) * span_s > _LEAST_SKEW and abs(line.skew) > _CLEAR * line.skew_uncertainty:
+        record = replace(record, time=record.time - line.skew * (record.time - lag.seconds - when.mean()))
+        late_ms = 1e3 * line.skew * span_s
+        findings.append(finding("sync.skew", "info", skew_ppm=1e6 * line.skew, late_ms=late_ms))
+        lag, late = find_lag(record, poses, settings), line.off_s
     if np.ptp(late) > _OUT_OF_STEP:
         findings.append(finding("sync.out_of_step", "warn", most_ms=1e3 * float(np.ptp(late))))
     return record, lag, findings
