@@ -38,7 +38,6 @@ def errors(place, seeds, movement="walk"):
         fit = find_mounting([record], place, movement=movement)
         found = fit.mounting
         assert found is not None, (place, seed)
-        assert "mount.slipped" not in [one.code for one in fit.verdict.findings], (place, seed)
         rows.append((off(found, matrix), np.sqrt(np.diag(found.covariance))))
     return np.array(rows).transpose(1, 0, 2)
 
@@ -70,15 +69,6 @@ def test_every_place_and_movement_shows_forward(place, movement):
     assert worst < 3.5  # of 24 angles; 3.5 standard deviations leave out one angle in two thousand
 
 
-def test_where_nobody_stands_up_is_the_mean_over_walking_and_less_sure():
-    record, matrix = drawn(3, "lower-back")
-    walking = record.between(6.0, 12.0)  # of the first bout
-    found = find_mounting([walking, *(record.between(a, a + 5.5) for a in (19.5, 32.5, 45.5))], "lower-back")
-    assert [one.code for one in found.verdict.findings] == ["mount.no_stance", "mount.look", "mount.uncertain"]
-    assert np.degrees(np.linalg.norm(off(found.mounting, matrix))) < 3.0 * np.degrees(found.mounting.uncertainty)
-    assert found.mounting.uncertainty > np.radians(7.0)
-
-
 def test_what_is_not_shown_is_named():
     record, _ = drawn(4, "lower-back")
     standing = find_mounting([record.between(0.0, 4.0)], "lower-back")
@@ -94,12 +84,13 @@ def test_what_is_not_shown_is_named():
     assert [one.code for one in lost.verdict.findings] == ["mount.no_up"]
 
 
-def test_a_device_that_slipped_between_recordings_is_noticed():
+def test_a_device_that_slipped_between_recordings_is_less_sure():
     rng = np.random.default_rng(5)
     slipped = quaternion_product(np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)]), np.array([1.0, 0.0, 0.0, 0.0]))
-    first, second = walk(rng), walk(rng, walk_s=60.0, bouts=3, q_ab=slipped)
-    found = find_mounting([first, *(second.between(a, a + 50.0) for a in (8.0, 72.0, 136.0))], "lower-back")
-    assert "mount.apart" in [one.code for one in found.verdict.findings]
+    first, second = walk(rng), walk(rng, q_ab=slipped)
+    found, sound = (find_mounting(records, "lower-back") for records in ([first, second], [first]))
+    assert found.mounting.covariance[2, 2] > 9.0 * sound.mounting.covariance[2, 2]
+    assert "mount.uncertain" in [one.code for one in found.verdict.findings]
 
 
 def test_a_named_posture_is_taken_and_a_movement_must_move_the_segment():

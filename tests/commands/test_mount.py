@@ -70,7 +70,7 @@ def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):
     words = ("--worn", "lower-back", "--calibration", worn / "bare.json", "-o", tmp_path / "no.json")
     answer = undrift("mount", tmp_path / "stand.parquet", *words)
     assert answer.code == 1
-    assert "Forward is not shown by walk at the lower-back" in answer.out
+    assert "Forward is not determined by walk at the lower-back" in answer.out
     assert not (tmp_path / "no.json").exists()
 
 
