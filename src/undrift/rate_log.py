@@ -105,7 +105,7 @@ def read_rate_log(path: str | Path) -> RateLog:
             f"{', '.join(names)[:80]}; rename the columns"
         )
     (when,), (what,) = named
-    columns = [text.names[names.index(name)] for name in (when, what)]
+    columns = (text.names[names.index(when)], text.names[names.index(what)])
     table = parse_text(text, columns)
     time, value = table.numbers(columns[0]) * TIMES[when], table.numbers(columns[1]) * values[what]
     whole = np.isfinite(time) & np.isfinite(value)
@@ -163,7 +163,8 @@ def _scores(
     time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_s: float
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the best correlation, a score of each shift, and the shifts, s: among equals the widest overlap is best."""
-    best, score, lags = 0.0, np.zeros(1), np.zeros(1)
+    nothing: FloatArray = np.zeros(1)
+    best, score, lags = 0.0, nothing, nothing
     for centre in (True, False):
         shifts, correlation, overlap = lag_correlation(time, gyro, rates, longest_s, centre=centre)
         here = np.nan_to_num(correlation) * np.sqrt(overlap / max(overlap.max(), 1.0))
