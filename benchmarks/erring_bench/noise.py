@@ -48,7 +48,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
         case = f"{seconds:g} s, B {flicker:g}, K {walk:g} deg/s, {bits or 'no'} bit"
         for (group, name), true in zip(NAMES.items(), truth, strict=True):
             found = [getattr(axis, name) for fit in fits for axis in fit]
-            seen = np.array([one.value for one in found if one.finding is None])
+            seen = np.array([one.value for one in found if not one.reason])
             limits = np.array([one.interval for one in found])
             yield Row(
                 fit="noise", case=case, group=group, devices=devices, good_percent=100.0 * len(seen) / len(found),

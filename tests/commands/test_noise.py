@@ -63,7 +63,7 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
         assert contents(tmp_path) == before
         return line
 
-    assert "wanted a device at rest" in refused(bench / "trial.parquet", "--figure", tmp_path / "old.svg")
+    assert "must be at rest" in refused(bench / "trial.parquet", "--figure", tmp_path / "old.svg")
     assert "wanted a name ending in .svg, .png or .pdf" in refused(
         tmp_path / "rest.csv", "--figure", tmp_path / "rest.csv"
     )
@@ -82,13 +82,7 @@ def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regula
     write_record(made.record, tmp_path / "host.csv")
     refused = undrift.refused("noise", tmp_path / "host.csv")
     assert "where a host stamped the samples use --clock regular" in refused
-    answer = undrift.good(
-        "noise", tmp_path / "host.csv", "--clock", "regular", "--details", "--figure", tmp_path / "a.svg"
-    )
-    assert "gaps left out" in answer.out
     told = undrift.good("noise", tmp_path / "host.csv", "--clock", "regular", "--json").json()
-    gaps = next(item for item in told["verdict"]["findings"] if item["code"] == "noise.gaps")
-    assert 5 < gaps["values"]["gaps"] < 60
     assert told["taus_s"][-1] < 60.0  # a quarter of the 240 s without gaps
     for axis in told["gyro"]:
         assert axis["angle_random_walk"]["value"] == pytest.approx(0.001, rel=0.05)  # 0.01 rad/s at 100 Hz

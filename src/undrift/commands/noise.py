@@ -249,10 +249,10 @@ def _axis_json(axis: "AxisNoise") -> dict[str, object]:
 
 
 def _cell(term: str, axis: "AxisNoise") -> str:
-    """Return a coefficient with its interval, or the limit below which it was not seen."""
+    """Return a coefficient with its interval, or its upper limit if it is not observable."""
     one = getattr(axis, term)
     if math.isnan(one.value):
-        return f"not seen, under {one.interval[1]:.2g}"
+        return f"not observable, under {one.interval[1]:.2g}"
     return f"{one.value:.3g} [{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
 
 
@@ -263,7 +263,7 @@ def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str], triad: str
         if unit:
             values = ((axis.axis, getattr(axis, term)) for axis in axes)
             shown = (
-                f"{axis} {factor * c.value:.3g}" if not math.isnan(c.value) else f"{axis} not seen"
+                f"{axis} {factor * c.value:.3g}" if not math.isnan(c.value) else f"{axis} not observable"
                 for axis, c in values
             )
             beside = ""

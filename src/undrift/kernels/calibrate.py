@@ -1,6 +1,6 @@
-"""Kernels of calibration: Allan variance, thermometer lag, rotation between stills.
+"""Kernels of calibration: thermometer lag, rotation between stills.
 
-Shapes and units. Differences: phase (N,), any unit, over m samples. Lag: temp, time, out (N,) degC, s, degC, out not the same
+Shapes and units. Lag: temp, time, out (N,) degC, s, degC, out not the same
 memory; lag, smooth s; state (4,): time and value of the last reading, the low-passed value, the last output; NaN before the first
 reading; changed in place. Moves: gyro flat (3 N,) raw unit, time (N,) s.
 """
@@ -12,20 +12,6 @@ from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.kernels.rotation import matrix_of, turned
-
-# ---- Allan variance: mean square of second differences
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def second_difference(phase: FloatArray, m: int) -> float:
-    # Mean of (x_(k+2m) - 2 x_(k+m) + x_k)^2 over every k
-    total, count = 0.0, 0
-    for k in range(phase.size - 2 * m):
-        d = phase[k + 2 * m] - 2.0 * phase[k + m] + phase[k]
-        total += d * d
-        count += 1
-    return total / count
-
 
 # ---- a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps
 
