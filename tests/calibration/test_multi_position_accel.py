@@ -5,6 +5,7 @@ import pytest
 
 from testkit.findings import only
 from testkit.poses import fit_poses
+from undrift.calibration.creep import Creep
 from undrift.calibration.multi_position import still_variance
 from undrift.calibration.norm import QUADRATIC_SD, NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
@@ -59,6 +60,14 @@ def test_without_standard_errors_the_residuals_tell_the_noise() -> None:
     known = fit_poses(readings(n) + 2.0 * rng.normal(size=n.shape), gravity=G, standard_errors=np.full(n.shape, 2.0))
     ratio = fit.model.standard_uncertainty[9:] / known.model.standard_uncertainty[9:]
     np.testing.assert_allclose(ratio, 1.0, atol=0.3)  # 51 spare equations: 10 % one sigma
+
+
+def test_excess_and_temperature_do_not_keep_a_fit_from_converging() -> None:
+    creep = Creep(warmth=np.linspace(-0.5, 0.5, 18), offset_per_k=5e-3, scale_per_k=2e-4)
+    for seed in range(60):
+        rng, n = np.random.default_rng(seed), directions(18, seed)
+        raw = readings(n) + (rng.normal(size=(18, 3)) + creep.warmth[:, None] * rng.normal(0.0, 2.0, 3))
+        fit_norm(raw, gravity=G, variances=np.full((18, 3), 0.7), creep=creep)
 
 
 def test_scale_and_offset_alone_come_back_from_the_faces() -> None:

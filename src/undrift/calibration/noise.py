@@ -466,7 +466,8 @@ def _fit(curve: AllanDeviation, record: Record) -> tuple[FloatArray, FloatArray,
     """
     measured, shapes = curve.deviation**2, _shapes(curve.taus_s)
     spectra, squared_gain = _spectra(curve.taus_s, record)
-    model, covariance = measured, np.diag(2.0 * measured**2 / curve.edf)
+    model: FloatArray = measured
+    covariance: FloatArray = np.diag(2.0 * measured**2 / curve.edf)
     for _ in range(6):
         for model_error in _MODEL_ERRORS:
             squares, errors, chi = _weighted(measured, shapes, covariance + np.diag((model_error * model) ** 2))

@@ -44,7 +44,8 @@ WEAKEST = 0.02  # rms change of length, in g, per unit of a determined parameter
 CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
 PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
-MOST_STEPS, CONVERGED, FARTHEST = 50, 1e-9, 30.0  # of the descent; relative step; parameters beyond which it runs away
+MOST_STEPS, WHOLE_STEPS = 100, 15  # of the descent; after the second number the excess moves by half of its step
+CONVERGED, FARTHEST = 1e-9, 30.0  # relative step; parameters beyond which the descent runs away
 SIZE_ROUNDS = 20  # of the size of quadratic terms
 _START = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
@@ -173,7 +174,7 @@ class _NormEquations:
         if self.observability(p, prior)[0] < WEAKEST:
             return p, None
         size = np.array([1.0] * 6 + [self.gravity] * 3)[self.free]
-        for _ in range(MOST_STEPS):
+        for number in range(MOST_STEPS):
             design, residuals, noise = self.rows(p)
             if not excess:  # before the first fit, the scatter of the lengths themselves
                 excess = excess_variance(residuals, noise, len(residuals))
@@ -182,7 +183,8 @@ class _NormEquations:
             step = np.linalg.lstsq(rows, np.concatenate((-residuals / deviation, known)), rcond=None)[0]
             p[self.free] += step[: len(self.free)]
             leverage = float((np.linalg.qr(rows)[0][: len(residuals)] ** 2).sum())
-            excess = excess_variance(residuals + design @ step, noise, len(residuals) - leverage)
+            change = excess_variance(residuals + design @ step, noise, len(residuals) - leverage) - excess
+            excess += change if number < WHOLE_STEPS else 0.5 * change  # weights and excess may oscillate
             converged = float(np.abs(step[: len(self.free)] / size).max()) < CONVERGED
             if converged or not float(np.abs(p[self.free] / size).max()) < FARTHEST:
                 break
