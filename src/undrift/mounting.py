@@ -69,7 +69,7 @@ class MountFit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Person:
+class _Track:
     """Postures and steps of one recording, N samples in b."""
 
     record: Record  # in SI units
@@ -80,7 +80,7 @@ class _Person:
     walk: BoolArray  # (N,), straight
 
 
-def _track(record: Record) -> _Person:
+def _track(record: Record) -> _Track:
     """Find postures and steps of a recording with a filter that tracks the inclination."""
     from scipy.signal import butter, sosfiltfilt
 
@@ -105,7 +105,7 @@ def _track(record: Record) -> _Person:
     turned = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
     spin = sosfiltfilt(slow, (gyro * up).sum(axis=1))
     quiet, walk = (turned < _SWAYS) & (size < _QUIET), (size > _STEPS) & (np.abs(spin) < _TURNS)
-    return _Person(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
+    return _Track(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
 
 
 def find_mounting(
@@ -142,7 +142,7 @@ def find_mounting(
     return MountFit(mounting=worn, basis=(basis, way), verdict=Verdict.of(*findings))
 
 
-def _up(tracks: Sequence[_Person], posture: Posture, named: Span | None) -> tuple[FloatArray, Span, str] | None:
+def _up(tracks: Sequence[_Track], posture: Posture, named: Span | None) -> tuple[FloatArray, Span, str] | None:
     """Return the vertical of the upright segment in b, the variances about its x and y, and its posture; None without one."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
@@ -165,7 +165,7 @@ def _up(tracks: Sequence[_Person], posture: Posture, named: Span | None) -> tupl
 
 
 def _pieces(
-    tracks: Sequence[_Person], up: FloatArray, place: Worn, movement: Movement
+    tracks: Sequence[_Track], up: FloatArray, place: Worn, movement: Movement
 ) -> tuple[FloatArray, tuple[float, float, int]]:
     """Return vectors (K, 3) in b, level, that point forward on average; their usual scatter, shared error and fewest number."""
     if movement == "walk":
@@ -195,7 +195,7 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
     return (forward, across) if 1.0 / max(along, across) > _CLEAR else None
 
 
-def _bouts(one: _Person) -> list[FloatArray]:
+def _bouts(one: _Track) -> list[FloatArray]:
     """Return the mean velocity of each walk between two postures, or of the stride beside one, (3,) in b, m/s."""
     time, rate, speeds = one.record.time, one.record.sample_rate_hz, []
     rests = [(int(a), int(b)) for a, b in runs(one.quiet) if b - a > rate]

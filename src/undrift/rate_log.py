@@ -27,7 +27,7 @@ from undrift.sync import (
     Lag,
     LagSettings,
     PoseRates,
-    clock_line,
+    lag_line,
     lag_correlation,
     lag_of,
     middle_of_motion,
@@ -137,7 +137,7 @@ def align_clocks(log: RateLog, record: Record, offset_s: float | None = None) ->
     rough = _rough_offset(log, record, rates) if offset_s is None else offset_s
     when, lags = _lags(log, record, rates, rough)
     late = np.array([lag.seconds for lag in lags])
-    line = clock_line(when, late, np.hypot([lag.standard_uncertainty for lag in lags], FLOOR_S))
+    line = lag_line(when, late, np.hypot([lag.standard_uncertainty for lag in lags], FLOOR_S))
     if np.abs(line.off_s).max() > JUMP_S:
         worst = int(np.argmax(np.abs(line.off_s)))
         raise AlignmentError(

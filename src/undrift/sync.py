@@ -372,7 +372,7 @@ def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ClockLine:
+class LagLine:
     """Lag over time: lag = ``lag_s`` + ``skew`` (t - ``middle_s``), t on the clock of the reference."""
 
     middle_s: float
@@ -383,7 +383,7 @@ class ClockLine:
     off_s: FloatArray  # (P,), lags minus the line
 
 
-def clock_line(when: FloatArray, lags: FloatArray, uncertainty: FloatArray) -> ClockLine:
+def lag_line(when: FloatArray, lags: FloatArray, uncertainty: FloatArray) -> LagLine:
     """Fit a line to lags (P,), s, at times (P,); its uncertainty is enlarged by their scatter."""
     weight = uncertainty**-2.0
     middle, lag = float(weight @ when / weight.sum()), float(weight @ lags / weight.sum())
@@ -392,7 +392,7 @@ def clock_line(when: FloatArray, lags: FloatArray, uncertainty: FloatArray) -> C
     skew = float(weight @ (away * (lags - lag)) / square) if square > 0.0 else 0.0
     off = lags - lag - skew * away
     spread = max(1.0, float(weight @ off**2) / (len(lags) - 2)) if len(lags) > 2 else 1.0
-    return ClockLine(
+    return LagLine(
         middle_s=middle, lag_s=lag, skew=skew, off_s=off,
         lag_uncertainty_s=float(np.sqrt(spread / weight.sum())),
         skew_uncertainty=float(np.sqrt(spread / square)) if square > 0.0 else float("inf"),
@@ -427,7 +427,7 @@ def in_step(
         return record, lag, findings
     spread = np.maximum([part.standard_uncertainty for part in lags], 1e-6)
     when, late = np.array([middle_of_motion(part) for part in parts]), np.array([part.seconds for part in lags])
-    line = clock_line(when, late, spread)
+    line = lag_line(when, late, spread)
     if abs(line.skew) * span_s > _LEAST_SKEW and abs(line.skew) > _CLEAR * line.skew_uncertainty:
         record = replace(record, time=record.time - line.skew * (record.time - lag.seconds - when.mean()))
         late_ms = 1e3 * line.skew * span_s
