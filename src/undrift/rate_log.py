@@ -27,8 +27,8 @@ from undrift.sync import (
     Lag,
     LagSettings,
     PoseRates,
-    lag_line,
     lag_correlation,
+    lag_line,
     lag_of,
     middle_of_motion,
 )
