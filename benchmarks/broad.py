@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks.broad_files import read_broad
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import find_motion_offset
 from undrift.correction.rest import find_rest_offset

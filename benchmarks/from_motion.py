@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.broad import DEVICES, pairs, trial
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import calibrate, calibrate_from_motion, calibrate_to_references, device_adc
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion, calibrate_to_references
+from undrift.calibration.codes import device_adc
 from undrift.calibration.element_prior import learn_prior
 from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.reference import leave_one_out

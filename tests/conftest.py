@@ -70,7 +70,7 @@ def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object
 def described_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Read, describe and search each public file once in a run of the suite, for modules with this fixture."""
     from testkit.data import DATA
-    from undrift.correction.consistency import find_disagreement
+    from undrift.calibration.triads import find_disagreement
     from undrift.io.inspect import Description, describe
     from undrift.segments import find_poses
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import NotObservable
 from undrift.record import Session
 from undrift.sim.device.effects import GSensitivity, Nonlinearity, ThermalScale

@@ -14,8 +14,8 @@ import numpy as np
 from benchmarks.erring_bench import Row, Tally, chain_that_errs
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings
-from undrift.record import Session, Still, Turn
+from undrift.calibration.settings import CalibrateSettings
+from undrift.record import RateTable, Session, Still, Turn
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import PowerOnTransient, RandomWalk
 from undrift.sim.device.model import DeviceModel
@@ -43,15 +43,14 @@ class Case:
     warm_up_dps: float = 0.0  # of the offset at the first sample, either way, with 60 s
     walk_dps: float | None = None  # deg/s/sqrt(s); None for a consumer part's
     alone_deg: float | None = None  # stated mounting where no accelerometers show it, deg; None for the default
-    settings: CalibrateSettings = field(default_factory=lambda: CalibrateSettings(identify_adc=False))
+    stated: RateTable = field(default_factory=RateTable)
 
 
-EXACT = CalibrateSettings(
-    identify_adc=False, table_level_deg=0.0, mount_tilt_deg=0.0, rate_uncertainty=0.0, wobble_deg=0.0
-)
+SETTINGS = CalibrateSettings(identify_adc=False)
+EXACT = RateTable(table_level_deg=0.0, mount_tilt_deg=0.0, rate_uncertainty=0.0, wobble_deg=0.0)
 WORST = replace(USUAL, wobble=0.1 * DEG, ripple=3e-3, excess=3e-3)
 CASES = {
-    "ideal table, stated as such": Case(BenchErrors(), settings=EXACT),
+    "ideal table, stated as such": Case(BenchErrors(), stated=EXACT),
     "mounted 0.1 deg off per axis": Case(USUAL),
     "the same, faces off level by 0.05 deg": Case(replace(USUAL, face_tilt=0.05 * DEG)),
     "wobble 0.1 deg": Case(replace(USUAL, wobble=0.1 * DEG)),
@@ -83,10 +82,11 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
     for _ in range(devices):
         device, session, offset = drawn(case, rng)
-        alone = case.settings if case.alone_deg is None else replace(case.settings, mount_tilt_deg=case.alone_deg)
-        both = (session, case.settings), (_without_accel(session), alone)
-        for tally, (given, settings) in zip(tallies, both, strict=True):
-            made = calibrate(given, settings=settings)
+        alone = _without_accel(session)
+        if case.alone_deg is not None:
+            alone = replace(alone, rate_table=replace(case.stated, mount_tilt_deg=case.alone_deg))
+        for tally, given in zip(tallies, (session, alone), strict=True):
+            made = calibrate(given, settings=SETTINGS)
             assert made.gyro is not None
             tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
     for tally in tallies:
@@ -113,7 +113,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
     shown = simulate_device(device, motion, rng=rng)
     session = Session(
         kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
-        stills=motion.stills, turns=motion.turns,
+        stills=motion.stills, turns=motion.turns, rate_table=case.stated,
     )  # fmt: skip
     pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
     during = slice(min(p.start for p in pieces), max(p.stop for p in pieces))

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session

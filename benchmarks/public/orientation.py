@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.broad import DEVICES, pairs
 from benchmarks.from_motion import by_vqf, end_errors
 from benchmarks.public.table import Row, Table, by_others
-from undrift.calibration.calibrate import calibrate_from_motion, device_adc
+from undrift.calibration.calibrate import calibrate_from_motion
+from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
 from undrift.correction.motion import find_motion_offset

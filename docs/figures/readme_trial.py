@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.broad_files import read_broad
 
 from undrift import Calibration, validate_trial
-from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import leave_one_out
 from undrift.report.figures import DEVICE, ERROR, new_figure, save_figure
 from undrift.units import STANDARD_GRAVITY

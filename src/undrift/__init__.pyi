@@ -21,7 +21,7 @@ from undrift.calibration.calibrate import (
     calibrate_from_motion as calibrate_from_motion,
     calibrate_to_references as calibrate_to_references,
 )
-from undrift.calibration.session import CalibrateSettings as CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings as CalibrateSettings
 from undrift.model import Calibration as Calibration
 from undrift.findings import Finding as Finding, Verdict as Verdict
 from undrift.io.store import read_calibration as read_calibration, write_calibration as write_calibration

@@ -214,6 +214,11 @@ class Magnetometer:
     lag_s: float  # By which its readings lag those of the gyroscopes
     lag_uncertainty_s: float  # Standard uncertainty
 
+    def corrected(self, mag_ut: FloatArray, rate: FloatArray | None) -> FloatArray:
+        """Return the field (N, 3), uT, of readings (N, 3) at corrected rates (N, 3), rad/s; without rates its lag stays."""
+        x = (mag_ut - self.model.offset) @ self.model.matrix.T
+        return np.asarray(x if rate is None else x - self.lag_s * np.cross(rate, x))
+
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

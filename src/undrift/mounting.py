@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs
-from undrift.correction.consistency import check_triads
+from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Verdict, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate

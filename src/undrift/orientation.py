@@ -33,7 +33,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, bridged, frozen, runs
 from undrift.base.summary import Shown, at
-from undrift.correction.consistency import check_triads
+from undrift.calibration.triads import check_triads
 from undrift.correction.rest import (
     FEWEST,
     IN_MOTION,
@@ -47,6 +47,7 @@ from undrift.correction.rest import (
 from undrift.errors import InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
+from undrift.kernels.attitude import filtered_with_field
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import sphere_of, unpadded
@@ -260,10 +261,6 @@ LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
 # In a stretch taken as rest, a person who stands sways by 1 deg/s rms and by 0.5 deg from its first third to its last
 MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
 WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # of strapdown over the record: what optics show on a trial of two minutes
-LEAST_BIAS_SIGMA_DPS = (
-    1e-3  # deg/s, prior of the filter's bias: below it the filter would not correct a real change for long
-)
-UNEVEN = 0.1  # of the median step: beyond it the filter, which knows one step, gets readings on an even grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -577,39 +574,22 @@ def filtered(
     Heading from its start, or where it takes a magnetometer from magnetic east, x of n; ``acc_s`` is the time constant by which the
     inclination follows the accelerometers.
     """
-    from vqf import offlineVQF
-
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
         raise InputError(
             f"orient: wanted an accelerometer without gaps for the filter, got {got}; use the method strapdown"
         )
-    time, values = record.time, np.hstack((gyro, record.accel))
+    mag_ut = None
     if magnetometer:
         mag_ut = np.asarray(record.mag_ut)
         if not np.isfinite(mag_ut).all(axis=1).any():
             raise InputError("orient: wanted a magnetometer, got gaps alone; leave it out")
-        values = np.hstack((values, bridged(time, mag_ut)))  # it may be slower
-    steps, even = np.diff(time), time
-    step = float(np.median(steps))
-    if uneven := bool((np.abs(steps - step) > UNEVEN * step).any()):
-        even = np.arange(time[0], time[-1] + step, step)
-        values = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
-    sigma = max(uncertainty / RADIAN_PER_DEGREE, LEAST_BIAS_SIGMA_DPS)  # VQF's own unit, deg/s
-    step = step if uneven else float(time[-1] - time[0]) / len(steps)
-    gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
-    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma, "tauAcc": acc_s})
-    q: FloatArray = out["quat9D" if mag else "quat6D"]
-    findings: tuple[Finding, ...] = ()
-    if mag:
-        findings += (finding("orient.north", "info", percent=100.0 * float(out["magDistDetected"].mean())),)
-        findings += (finding("orient.field", "warn"),) * (record.state == "raw")
-    if not uneven:
-        return q, findings
-    from scipy.spatial.transform import Rotation, Slerp
-
-    between = Slerp(even, Rotation.from_quat(q, scalar_first=True))
-    return np.asarray(between(np.minimum(time, even[-1])).as_quat(scalar_first=True)), findings
+        mag_ut = bridged(record.time, mag_ut)  # it may be slower
+    q, disturbed = filtered_with_field(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty, acc_s=acc_s)
+    if not magnetometer:
+        return q, ()
+    north = finding("orient.north", "info", percent=100.0 * disturbed)
+    return q, (north, finding("orient.field", "warn")) if record.state == "raw" else (north,)
 
 
 def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:

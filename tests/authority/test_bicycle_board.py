@@ -6,7 +6,8 @@ import pytest
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError
 from undrift.record import Record, Session
 from undrift.segments import still_means
@@ -73,5 +74,5 @@ def test_a_wider_prior_widens_the_stated_uncertainty_and_nothing_else():
 
 
 def test_a_prior_outside_its_range_is_refused():
-    with pytest.raises(InputError, match=r"wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got 0; "):
+    with pytest.raises(InputError, match="cross_axis_prior"):
         CalibrateSettings(cross_axis_prior=0.0)

@@ -17,7 +17,7 @@ from undrift.calibration.codes import (
     identify_record_adc,
     without_truncation,
 )
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.record import Record
 from undrift.sim.device.effects import Adc
 from undrift.sim.device.presets import random_device

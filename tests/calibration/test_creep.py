@@ -18,8 +18,8 @@ from undrift.calibration.creep import (
     offset_drift,
     walk_about_mean,
 )
-from undrift.calibration.session import CalibrateSettings, Observed, observe
-from undrift.errors import InputError
+from undrift.calibration.session import Observed, observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.record import Record, Session, Still, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -70,11 +70,13 @@ def test_an_integral_takes_the_angle_for_the_scale_and_the_duration_for_the_offs
 def test_what_a_thermometer_lags_behind_on_a_ramp_is_added_back_and_counts_in_the_reference() -> None:
     per_s, lag_s = 1.2 / (STILL_S * len(UP)), 80.0
     seen = seen_of(np.linspace(24.0, 25.2, N))  # as read: the sensors are warmer by lag times the rate
-    lagging = replace(seen, settings=CalibrateSettings(thermometer_lag_s=lag_s))
+    lagging = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(thermometer_lag_s=lag_s)))
     plain, added = (creep_of(each, each.stills, "gyro") for each in (seen, lagging))
     np.testing.assert_allclose(added.warmth - plain.warmth, lag_s * per_s, rtol=1e-3)
     assert added.span_k == pytest.approx(plain.span_k, rel=1e-6)  # the lag moves all alike
-    stated = replace(seen.session, stills=tuple(replace(s, temp_c=24.0 + 0.1 * k) for k, s in enumerate(seen.stills)))
+    stated = replace(
+        lagging.session, stills=tuple(replace(s, temp_c=24.0 + 0.1 * k) for k, s in enumerate(seen.stills))
+    )
     of_points = creep_of(replace(lagging, session=stated, stills=stated.stills), stated.stills, "gyro")
     np.testing.assert_allclose(
         of_points.warmth, 0.1 * (np.arange(12) - 5.5), atol=2e-3
@@ -130,19 +132,15 @@ def test_a_span_above_the_limit_is_a_finding_with_its_cost() -> None:
     assert found.values["span_k"] == pytest.approx(3.6, rel=1e-3)
     assert found.values["offset"] == pytest.approx(0.9, rel=1e-3)  # half the span at 0.5 mg/K
     assert found.values["scale_percent"] == pytest.approx(0.036, rel=1e-3)
-    wide = replace(seen, settings=CalibrateSettings(span_limit_k=4.0))
+    wide = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(span_limit_k=4.0)))
     assert creep_of(wide, seen.stills, "accel").findings() == ()
 
 
-def test_settings_overrule_the_session_and_are_checked() -> None:
+def test_a_session_states_the_sensitivity() -> None:
     stated = TemperatureSensitivity(accel_offset_mg_per_k=0.1, gyro_offset_dps_per_k=0.01)
-    used = CalibrateSettings(accel_offset_mg_per_k=0.3).sensitivity(stated)
-    assert (used.accel_offset_mg_per_k, used.gyro_offset_dps_per_k) == (0.3, 0.01)
     seen = seen_of(np.linspace(24.0, 25.0, N))
     seen = replace(seen, session=replace(seen.session, sensitivity=stated))
     assert creep_of(seen, seen.stills, "gyro").offset_per_k == pytest.approx(0.01 * RADIAN_PER_DEGREE)
-    with pytest.raises(InputError, match="span_limit_k from 0 to 100, got -1"):
-        CalibrateSettings(span_limit_k=-1.0)
 
 
 # ---- flicker: its covariance is that of exponential correlations, and rests that flicker show its size

@@ -18,7 +18,8 @@ from undrift.calibration.known_rotation import (
     rotation_data,
 )
 from undrift.calibration.plausibility import axis_vectors, face_vectors
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import FaceMeans, calibrate_faces
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.model import TriadModel

@@ -9,7 +9,7 @@ import pytest
 from testkit.data import data_path
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.record import FACES, Record, Session, Still
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device

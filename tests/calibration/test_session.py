@@ -11,7 +11,6 @@ from testkit.findings import codes, only
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import (
-    CalibrateSettings,
     at_one_temperature,
     check_stills,
     check_turns,
@@ -19,6 +18,7 @@ from undrift.calibration.session import (
     observe,
     piece_temperatures,
 )
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.sim.device.presets import random_device, random_device_of

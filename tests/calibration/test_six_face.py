@@ -9,7 +9,8 @@ from testkit.cohorts import LARGER_COHORTS, first_and_long
 from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration.plausibility import check_scale_factor, face_vectors
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import (
     FaceMeans,
     _by_mounting,

@@ -66,7 +66,7 @@ def pages_of(site: Path, name: str) -> str:
 def test_each_command_option_and_finding_is_in_the_site(site: Path) -> None:
     for name in COMMANDS:
         assert f"undrift {name}" in (site / "_generated" / f"command-{name}.html").read_text(encoding="utf-8")
-    assert "--table-level-deg" in (site / "_generated" / "command-calibrate.html").read_text(encoding="utf-8")
+    assert "--turn-deg" in (site / "_generated" / "command-calibrate.html").read_text(encoding="utf-8")
     findings = pages_of(site, "findings")
     assert [code for code in catalogue() if f">{code}<" not in findings] == []
 

@@ -105,12 +105,12 @@ TEMP_COUNTS = (
     r"column '\w+': wanted readings up to 300 degc.*check",
 )
 TURN_ANGLE = (
-    r"angles in rad as deg",
+    r"angles in deg, not rad",
     r"turn[^;]*(?:angle|deg)[^;]*(?:360|stated|wrong)[^;]*(?:not|got|but|by|times)[^;]*",
     r"--turn-deg",
 )
 SCALE_AS_STATED = (
-    r"rests on the stated turns alone[^;]*wrong angle, rate or sample rate",
+    r"comes from the stated turns only[^;]*wrong angle, rate or sample rate",
 )  # A note: any turn may be wrong
 TURN_SIGN = (r"sign of the turns?|turns?[^;]*(?:opposite|reversed|wrong sign)|reversed[^;]*turns",)
 UPSIDE_DOWN = (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.cramer_rao import white_device
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
 from undrift.record import Session
 from undrift.sim.bench_errors import BenchErrors

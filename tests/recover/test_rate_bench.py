@@ -15,9 +15,9 @@ from testkit.cramer_rao import white_device
 from testkit.data import show
 from testkit.findings import codes
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.model import Calibration
-from undrift.record import Session
+from undrift.record import RateTable, Session
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.motion.bench import BenchKind, BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -31,9 +31,8 @@ SCALES, CROSS = [0, 4, 8], [1, 2, 3, 5, 6, 7]
 MOUNTED = BenchErrors(mount_tilt=0.1 * DEG, level=0.05 * DEG)
 
 
-def stated(table: BenchErrors) -> CalibrateSettings:
-    return CalibrateSettings(
-        identify_adc=False,
+def stated(table: BenchErrors) -> RateTable:
+    return RateTable(
         table_level_deg=table.level / DEG,
         mount_tilt_deg=table.mount_tilt / DEG,
         rate_uncertainty=table.table_rate,
@@ -46,17 +45,18 @@ def without_accel(session: Session) -> Session:
 
 
 def errors(
-    kind: BenchKind, table: BenchErrors, *, settings: CalibrateSettings | None = None
+    kind: BenchKind, table: BenchErrors, *, described: RateTable | None = None
 ) -> tuple[np.ndarray, np.ndarray, list[Calibration]]:
     """Return error over standard uncertainty, and relative error, of the matrix of each device."""
     rng, ratio, error, made = np.random.default_rng(12), [], [], []
     bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table, lever_arm_b=ARM)
     for _ in range(DEVICES):
         device = white_device(rng)
-        session = simulate_session(kind, device, rng=rng, settings=bench)
-        made.append(
-            calibrate(session if kind == "bench" else without_accel(session), settings=settings or stated(table))
+        session = replace(
+            simulate_session(kind, device, rng=rng, settings=bench), rate_table=described or stated(table)
         )
+        given = session if kind == "bench" else without_accel(session)
+        made.append(calibrate(given, settings=CalibrateSettings(identify_adc=False)))
         gyro = made[-1].gyro
         assert gyro is not None
         away = gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
@@ -92,7 +92,7 @@ def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind
 @pytest.mark.slow
 def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
     table = BenchErrors(wobble=0.1 * DEG)
-    ratio, _, _ = errors("rate_table", table, settings=stated(BenchErrors()))
+    ratio, _, _ = errors("rate_table", table, described=stated(BenchErrors()))
     # Wobble is measured by 36 squares of a device: its variance is uncertain by a quarter, and an error in its units by an eighth.
     check("cross-axis, wobble", ratio[:, CROSS] / 1.25)
 

@@ -10,7 +10,7 @@ import pytest
 from testkit.data import show
 from testkit.findings import codes
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device, random_device_of
 from undrift.sim.device.truth import true_calibration

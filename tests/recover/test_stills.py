@@ -9,7 +9,8 @@ from testkit.data import show
 from testkit.hand_held import Tremor, hand_held_log
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.pieces import pieces_of
-from undrift.calibration.session import CalibrateSettings, observe
+from undrift.calibration.session import observe
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session
 from undrift.segments import StillSettings, find_poses, find_still, left_out

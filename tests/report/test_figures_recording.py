@@ -9,7 +9,7 @@ from testkit.data import data_path
 from testkit.hand_held import Tremor, hand_held_log
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.pieces import pieces_of
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.record import Record, Session, Still, Turn
 from undrift.report.figures import draw_recording, svg_of
 from undrift.segments import StillSettings

@@ -14,7 +14,7 @@ from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
 from undrift.calibration.pieces import pieces_of
-from undrift.calibration.session import CalibrateSettings
+from undrift.calibration.settings import CalibrateSettings
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
 from undrift.commands.rig import Ran

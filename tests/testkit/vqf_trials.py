@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from testkit.broad_trials import DEVICES, of_device
-from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
 from undrift.frames import quaternion_conjugate, quaternion_product

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.hand_turns import Device, make_recording
-from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import device_adc
 from undrift.errors import InputError
 from undrift.validation.agreement import validate_leave_one_out, validate_trials
 from undrift.validation.trial import TrialSettings, nominal_calibration

@@ -1,28 +1,26 @@
 """From a session to a Calibration, with the fits that its recordings allow.
 
-    accelerometer   six-face where faces are labelled, or all six are found; else multi-position, from nine free poses
+    accelerometer   six-face if faces are labelled or all six are found; otherwise multi-position, from nine free poses
     gyroscope       rate-table        turns with an achieved rate about x, y and z
                     known-rotation    turns with an angle, or three full turns found between rests
                     multi-position    moves between nine still phases or more
-                    rest              the offset alone, where the unit is physical
+                    rest              only the offset, if the readings are in a physical unit
 
-The first that the session allows is used, unless one is asked for by its name in ``FITS``. Codes that are found to be truncated
-are corrected for their half step before anything is fitted, as ``correct`` does. What was not observable is a finding, with the
-recording that would show it; so is what a kind of session never shows, however well it was recorded.
+The first that the session allows is used, unless the caller names one. Readings whose codes are found to be truncated are
+corrected by half a step before anything is fitted, as ``correct`` does. A parameter that the session does not determine is a
+finding, which names the recording that would determine it.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
-from undrift.base.summary import at
-from undrift.calibration.codes import identify_record_adc, restored
+from undrift.arrays import FloatArray
+from undrift.calibration.codes import device_adc, identify_record_adc, restored
 from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
@@ -30,63 +28,57 @@ from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.pieces import check_accel
-from undrift.calibration.plausibility import missing_faces, range_in_doubt, scale_as_stated
+from undrift.calibration.plausibility import missing_faces, range_in_doubt
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings
+from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
-from undrift.calibration.session import CalibrateSettings, Observed, Outcome, at_one_temperature, in_one_unit, observe
-from undrift.calibration.settings import FITS, FitMethod
+from undrift.calibration.session import Observed, Outcome, at_one_temperature, in_one_unit, observe
+from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
+from undrift.calibration.triads import check_triads
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice
 from undrift.findings import Finding, Level, finding
 from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.fit.priors import SCALE_FACTOR
+from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
-from undrift.plugins import load_named, names_in
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
 from undrift.segments import unpadded
 from undrift.sync import LagSettings, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from undrift.record import ArrowTable
-
-Mode = Literal["paper", "affine", "levelled"]
-Triad = Literal["accelerometer", "gyroscope"]
 Adc = Literal["auto", "none"]
+Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 
-_LEAST_POSES = 9  # free poses of a multi-position fit
-RADIANS = (0.4, 1.22)  # as degrees at the equator, as radians 23 to 70 deg, where people live
+MIN_FREE_POSES = 9  # of a multi-position fit
+LATITUDE_LIKE_RADIANS = (
+    0.4,
+    1.22,
+)  # read as degrees a place at the equator, as radians 23 to 70 deg, where people live
+GRAVITY_SPREAD = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
 
 
-# ---- fits by their names
-
-
-def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
-    """Take the offset of the gyroscopes from rests; the scale is the unit's own. An entry of FITS."""
+def calibrate_rest(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
+    """Measure the offset of the gyroscopes in rests; the scale factor is nominal."""
     unit = seen.session.records[0].gyro_unit
-    # Faces and poses alone are for the accelerometer; full turns were meant for the gyroscopes.
+    # Faces and poses are meant for the accelerometers; full turns were meant for the gyroscopes.
     level: Level = "warn" if accel is None or seen.turns_of(2.0 * np.pi) else "info"
-    if not is_physical(unit):
+    if not is_physical(unit):  # a model turns readings into rad/s, and the scale of counts is unknown
         return Outcome(findings=(finding("gyro.not_observable", level),))
     factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
     offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
     if np.isnan(offset).any():
         return Outcome(findings=(finding("gyro.not_observable", "warn"),))
     share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, seen.settings.cross_axis_prior)
-    covariance = np.diag(np.concatenate(((factor * share.ravel()) ** 2, variance)))
-    residuals = (seen.rest_means() - offset) * factor
     fit = triad_fit(
-        residuals,
+        (seen.rest_means() - offset) * factor,
         Verdict.of(finding("gyro.offset_alone", level, scale_percent=100.0 * SCALE_FACTOR)),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
         matrix=factor * np.eye(3),
         offset=offset,
-        covariance=covariance,
+        covariance=np.diag(np.concatenate(((factor * share.ravel()) ** 2, variance))),
         rank=3,
         condition=1.0,
         valid_range=(0.0, 0.0),
@@ -94,54 +86,50 @@ def calibrate_rest(seen: Observed, mode: str | None, accel: TriadFit | None) -> 
     return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
-ASSUMED_GRAVITY = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
-ENTRY_POINTS = "undrift.fits"  # other packages add a FitMethod under this group
-
-
-def find_fit(name: str, kind: Literal["accel", "gyro", "reference"]) -> Callable[..., Any]:
-    """Return the fit of a name from FITS, else from the entry points of other packages."""
-    names = [each for each in names_in(FITS, ENTRY_POINTS) if each not in FITS or getattr(FITS[each], kind)]
-    method = FITS.get(name) or (load_named(name, {}, ENTRY_POINTS, FitMethod) if name in names else FitMethod())
-    if (fit := getattr(method, kind)) is None:
-        raise InputError(f"calibrate: wanted {kind} one of {', '.join(names)}, got '{name}'; name one of them")
-    return cast(Callable[..., Any], at(f"undrift.calibration.{fit}") if isinstance(fit, str) else fit)
+ACCEL_FITS: dict[str, Fit] = {"six-face": calibrate_faces, "multi-position": calibrate_poses}
+GYRO_FITS: dict[str, Fit] = {
+    "rate-table": calibrate_rates,
+    "known-rotation": calibrate_turns,
+    "multi-position": calibrate_moves,
+    "rest": calibrate_rest,
+}
 
 
 def calibrate(
-    session: "Session | Record | str | Path | pd.DataFrame | ArrowTable",
-    *more: "Record | str | Path | pd.DataFrame | ArrowTable",
-    accel: str | None = None,
-    gyro: str | None = None,
+    session: Session | Record,
+    *more: Record,
+    accel: AccelFit | None = None,
+    gyro: GyroFit | None = None,
     mode: Mode | None = None,
+    gravity_m_s2: float | None = None,
+    serial: str = "",
     settings: CalibrateSettings = CalibrateSettings(),
-    **reading: Any,
 ) -> Calibration:
-    """Calibrate a device from a session, or from recordings as the command line takes them.
+    """Calibrate a device from a session, or from recordings of it.
 
     Parameters
     ----------
-    session : Session, Record, str, Path or DataFrame
-        Recordings; stills and turns as stated in it, else found in the data. A name is that of a session's folder or of a
-        recording; a frame may be of pandas or polars.
-    more : Record, str, Path or DataFrame
+    session : Session or Record
+        A session, whose stills and turns are used as it states them; or the first recording, in which they are found.
+    more : Record
         Further recordings of the same device.
     accel : str, optional
-        six-face, multi-position, or a fit that another package adds; None chooses.
+        six-face or multi-position; None chooses.
     gyro : str, optional
-        Likewise rate-table, known-rotation, multi-position, or rest (the offset alone); "none" for no gyroscope.
+        rate-table, known-rotation, multi-position, or rest (only the offset); "none" leaves the gyroscope out; None chooses.
     mode : str, optional
         paper, affine or levelled; None is levelled for six faces and affine for turns.
+    gravity_m_s2 : float, optional
+        Local gravity of recordings, m/s2; None assumes standard gravity, and the verdict says so. A session states its own.
+    serial : str
+        Serial number of the device in recordings.
     settings : CalibrateSettings
         Further choices.
-    reading : dict
-        Of recordings that are no Session: gravity_m_s2, or latitude_deg and height_m, and serial. Of files also column_map,
-        sample_rate_hz, sensor, gaps, clock, drop_bad_rows, as the options of the command; of frames columns, units,
-        sample_rate_hz, gaps, as ``Record.from_frame`` takes them.
 
     Returns
     -------
     Calibration
-        What was observable, the verdict, and where it came from.
+        What the recordings determine, the verdict, and where it came from.
 
     Raises
     ------
@@ -150,7 +138,7 @@ def calibrate(
     Implausible
         Data or results that cannot be this device.
     InputError
-        A method or mode that is not one, or a corrected recording.
+        An unknown method or mode, or a corrected recording.
 
     Examples
     --------
@@ -161,74 +149,107 @@ def calibrate(
     >>> made.gyro.method, made.accel.method, made.verdict.status
     ('rate-table/affine', 'six-face/levelled', 'good')
     """
-    if not isinstance(session, Session) or more or reading:
-        session = cast(Session, at("undrift.commands.files:session_given")(session, *more, **reading))
-        settings = replace(settings, latitude_deg=reading.get("latitude_deg", settings.latitude_deg))
+    if isinstance(session, Record):
+        session = _session_of((session, *more), gravity_m_s2, "stated", serial)
+    elif more or gravity_m_s2 is not None or serial:
+        raise InputError(
+            "calibrate: a Session states its recordings, gravity and serial number. Give the session only."
+        )
     return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
 
 
+def _session_of(
+    records: Sequence[Record], gravity_m_s2: float | None, source: GravitySource, serial: str = ""
+) -> Session:
+    """Return recordings as a session; gravity is the standard one if it is not given."""
+    return Session(
+        kind="calibration",
+        serial=serial or records[0].device,
+        records=tuple(records),
+        gravity_m_s2=STANDARD_GRAVITY if gravity_m_s2 is None else gravity_m_s2,
+        gravity_source="standard" if gravity_m_s2 is None else source,
+    )
+
+
 def calibrated(
-    session: Session, *, accel: str | None, gyro: str | None, mode: Mode | None, settings: CalibrateSettings
+    session: Session,
+    *,
+    accel: AccelFit | None = None,
+    gyro: GyroFit | None = None,
+    mode: Mode | None = None,
+    settings: CalibrateSettings = CalibrateSettings(),
 ) -> tuple[Calibration, Observed]:
-    """Calibrate a device from a session, and return with it what was seen of rests and turns."""
-    if accel is not None:
-        find_fit(accel, "accel")  # an unknown name is an error before anything is fitted
-    if gyro not in (None, "none"):
-        find_fit(str(gyro), "gyro")
+    """Calibrate a device from a session, and return the rests and turns that were found in it as well."""
+    check_choice(accel, AccelFit | None, "calibrate", "accel")
+    check_choice(gyro, GyroFit | None, "calibrate", "gyro")
     check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
-    of_accel = _calibrate_accel(seen, accel, mode)
-    if of_accel.fit is not None:
-        of_accel = of_accel.after(*check_accel(seen, of_accel.fit.model, of_accel.used))
-    of_gyro = _calibrate_gyro(seen, gyro, mode, of_accel)
-    unused = (*_mode_not_used(mode, "accelerometer", of_accel), *_mode_not_used(mode, "gyroscope", of_gyro))
-    of_statements: tuple[Finding, ...] = ()
-    if settings.latitude_deg is not None and RADIANS[0] < abs(settings.latitude_deg) < RADIANS[1]:
-        shown = {"latitude_deg": settings.latitude_deg, "as_radians_deg": settings.latitude_deg / RADIAN_PER_DEGREE}
-        of_statements += (finding("session.latitude_in_radians", "warn", **shown),)
-    if session.gravity_source == "standard" and of_accel.fit is not None:
-        of_statements += (finding("session.gravity_assumed", "warn", gravity_m_s2=session.gravity_m_s2),)
-    if of_gyro.fit is not None and of_gyro.fit.model.unit_in == "count":
-        largest = max(float(np.nanmax(np.abs(r.gyro))) for r in session.records if r.gyro is not None)
-        scale = float(np.median(of_gyro.fit.model.scale_factor))
-        of_statements += range_in_doubt(scale, largest)
-        of_statements += (scale_as_stated(scale),) if of_gyro.method in ("rate-table", "known-rotation") else ()
-    drifted = () if of_gyro.fit is None else offset_drift(seen, float(np.linalg.norm(of_gyro.fit.model.matrix, 2)))
-    of_session = (*other_temperatures, *of_statements, *seen.findings, *drifted)
-    found = each_once((*of_session, *of_accel.findings, *of_gyro.findings, *unused))
-    if of_accel.fit is None and of_gyro.fit is None:
-        reasons = "; ".join(item.text for item in found)
+    accel_outcome = _calibrate_accel(seen, accel, mode)
+    if accel_outcome.fit is not None:
+        accel_outcome = accel_outcome.after(*check_accel(seen, accel_outcome.fit.model, accel_outcome.used))
+    gyro_outcome = _calibrate_gyro(seen, gyro, mode, accel_outcome)
+    findings = each_once(
+        (
+            *other_temperatures,
+            *_doubts(seen, accel_outcome, gyro_outcome),
+            *accel_outcome.findings,
+            *gyro_outcome.findings,
+            *_mode_not_used(mode, "accelerometer", accel_outcome),
+            *_mode_not_used(mode, "gyroscope", gyro_outcome),
+        )
+    )
+    if accel_outcome.fit is None and gyro_outcome.fit is None:
+        reasons = "; ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")
-    verdict = Verdict.of(*found)
-    for outcome in (of_accel, of_gyro):
+    verdict = Verdict.of(*findings)
+    for outcome in (accel_outcome, gyro_outcome):
         verdict = verdict if outcome.fit is None else verdict.also(outcome.fit.verdict)
     thermal = session.kind == "thermal" or bool(other_temperatures)
+    limits = limits_of(accel_outcome, gyro_outcome, seen.mean_temperature(), thermal=thermal)
     calibration = Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
         gravity_m_s2=session.gravity_m_s2,
-        gyro=None if of_gyro.fit is None else of_gyro.fit.model,
-        accel=None if of_accel.fit is None else of_accel.fit.model,
+        gyro=None if gyro_outcome.fit is None else gyro_outcome.fit.model,
+        accel=None if accel_outcome.fit is None else accel_outcome.fit.model,
         adc=adc,
-        verdict=verdict.also(Verdict.of(*limits_of(of_accel, of_gyro, seen.mean_temperature(), thermal=thermal))),
-        provenance=_provenance(session, seen, of_accel.method, of_gyro.method, mode),
+        verdict=verdict.also(Verdict.of(*limits)),
+        provenance=_provenance(seen, accel_outcome.method, gyro_outcome.method, mode),
         file_map=session.file_map,
     )
     return calibration, seen
 
 
+def _doubts(seen: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
+    """Yield what speaks against what the session states, and how far its rests drift."""
+    latitude_deg = seen.settings.latitude_deg
+    if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
+        as_radians_deg = latitude_deg / RADIAN_PER_DEGREE
+        yield finding("session.latitude_in_radians", "warn", latitude_deg=latitude_deg, as_radians_deg=as_radians_deg)
+    if seen.session.gravity_source == "standard" and accel.fit is not None:
+        yield finding("session.gravity_assumed", "warn", gravity_m_s2=seen.session.gravity_m_s2)
+    if gyro.fit is not None and gyro.fit.model.unit_in == "count":
+        readings = [record.gyro for record in seen.session.records if record.gyro is not None]
+        largest = max(float(np.nanmax(np.abs(gyro_counts))) for gyro_counts in readings)
+        stated = gyro.method in ("rate-table", "known-rotation")
+        yield from range_in_doubt(float(np.median(gyro.fit.model.scale_factor)), largest, stated=stated)
+    yield from seen.findings
+    if gyro.fit is not None:
+        yield from offset_drift(seen, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
+
+
 def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
-    """Return the converter's rounding, and what the session shows without it."""
+    """Return the converter's rounding, and what the session shows once it is corrected."""
     adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
     return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
 
 
 def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
-    """Return a bare session with what was found in it stated, and its steady turns, whose rate only the rig knows.
+    """Return a bare session with the rests and turns found in it, and its steady turns, whose rate only the rig knows.
 
-    Faces are stated where they are what the accelerometers would be calibrated by.
+    Rests carry a face if the accelerometers would be calibrated from faces.
     """
     seen = _observed(in_one_unit(session), settings)[1]
     stills = seen.stills if seen.mostly_faces else tuple(replace(still, face=None) for still in seen.stills)
@@ -249,83 +270,81 @@ def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     )
 
 
-def _calibrate_accel(seen: Observed, method: str | None, mode: Mode | None) -> Outcome:
-    if all(r.accel is None for r in seen.session.records):
+def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
+    if all(record.accel is None for record in seen.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: wanted its readings, got none; map the accel columns")
         return Outcome()
     if method is not None:
-        return _as_asked("accelerometer", method, find_fit(method, "accel")(seen, mode, None))
-    missing = missing_faces([s.face for s in seen.faced if s.face is not None])
+        return _required("accelerometer", method, ACCEL_FITS[method](seen, mode, None))
+    missing = missing_faces([still.face for still in seen.faced if still.face is not None])
     faces = not missing or (not seen.found and len(missing) == 1)
     if faces and (not seen.found or seen.mostly_faces):
         return calibrate_faces(seen, mode)
     rests = len(seen.stills)
-    lacking = finding("session.too_few_poses", "warn", wanted=_LEAST_POSES, rests=rests, missing=missing)
+    too_few = finding("session.too_few_poses", "warn", wanted=MIN_FREE_POSES, rests=rests, missing=missing)
     if rests < FEWEST_POSES:
-        return Outcome(findings=(lacking,))
+        return Outcome(findings=(too_few,))
     try:
         return calibrate_poses(seen, mode)
     except (NotObservable, PoorFit) as error:
         if faces:
             return calibrate_faces(seen, mode)
-        if rests < _LEAST_POSES:
-            return Outcome(findings=(lacking,))
+        if rests < MIN_FREE_POSES:
+            return Outcome(findings=(too_few,))
         if isinstance(error, PoorFit):
             raise
         failed = finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error))
-        there = tuple(face for face in FACES if face not in missing) or "none"
-        lacking = finding("session.faces_missing", "warn", missing=missing, faces=there, wanted=_LEAST_POSES)
-        return Outcome(findings=(lacking, failed))
+        return Outcome(findings=(too_few, failed))
 
 
-def _calibrate_gyro(seen: Observed, method: str | None, mode: Mode | None, accel: Outcome) -> Outcome:
-    if all(r.gyro is None for r in seen.session.records):
+def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, accel: Outcome) -> Outcome:
+    if method == "none":
+        return Outcome()
+    if all(record.gyro is None for record in seen.session.records):
         if method is not None:
             raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
         return Outcome()
-    if method == "none":
-        return Outcome(findings=(finding("gyro.left_out", "info"),))
-    sound, spoilt = seen.without_saturated_turns()
+    sound, saturated = seen.without_saturated_turns()
     try:
         if method is not None:
-            outcome = _as_asked("gyroscope", method, find_fit(method, "gyro")(sound, mode, accel.fit))
-        elif spoilt and not sound.session.turns:
+            outcome = _required("gyroscope", method, GYRO_FITS[method](sound, mode, accel.fit))
+        elif saturated and not sound.session.turns:
             outcome = calibrate_rest(seen, mode, accel.fit)
         else:
             outcome = _best_gyro(sound, mode, accel.fit)
     except NotObservable as error:
         if method is not None:
-            raise NotObservable("; ".join((str(error), *(item.text for item in spoilt))), **error.numbers) from error
+            raise NotObservable("; ".join((str(error), *(item.text for item in saturated))), **error.numbers) from error
         outcome = calibrate_rest(seen, mode, accel.fit)
         outcome = replace(outcome, findings=()) if outcome.fit is None else outcome
         outcome = outcome.after(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)))
-    outcome = outcome.after(*spoilt)
+    outcome = outcome.after(*saturated)
     if outcome.fit is None:
-        return outcome.after(*_offset_in_counts(seen, Verdict.of(*outcome.findings)))
+        return outcome
     model = outcome.fit.model
     verdict = outcome.fit.verdict.also(scale_verdict(model.scale_factor, model.unit_in))
     return replace(outcome, fit=replace(outcome.fit, verdict=verdict))
 
 
-def _as_asked(triad: Triad, method: str, outcome: Outcome) -> Outcome:
+def _required(triad: str, method: str, outcome: Outcome) -> Outcome:
     if outcome.fit is None:
         raise NotObservable(f"{triad} by {method}: " + "; ".join(item.text for item in outcome.findings))
     return outcome
 
 
 def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
-    """Return the first of rate-table or known-rotation or multi-position, then rest, that gives a fit."""
-    turns = seen.session.turns
-    plateaus, outcome = 0, Outcome()
-    if any(t.turn_rate is not None for t in turns):
+    """Return the first of rate-table, known-rotation and multi-position that gives a fit, otherwise rest."""
+    turns, outcome = seen.session.turns, Outcome()
+    plateaus: tuple[Turn, ...] = ()
+    if any(turn.turn_rate is not None for turn in turns):
         outcome = calibrate_rates(seen, mode, accel)
-    elif any(t.angle is not None for t in turns) or seen.full_turns():
+    elif any(turn.angle is not None for turn in turns) or seen.full_turns():
         outcome = calibrate_turns(seen, mode, accel)
     else:
-        plateaus = len(seen.plateaus())
-        if len(seen.stills) >= _LEAST_POSES:
-            # Slow moves between poses are steady too; on a rate table without its rates the poses fail, for any reason.
+        plateaus = seen.plateaus()
+        if len(seen.stills) >= MIN_FREE_POSES:
+            # Slow moves between poses are steady too. On a rate table without its rates the poses fail, for any reason.
             by_hand = accel is not None and accel.model.method == "multi-position"
             try:
                 outcome = calibrate_moves(seen, mode, accel)
@@ -333,24 +352,14 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
                 if by_hand or not plateaus:
                     raise
             if plateaus and outcome.fit is not None and outcome.fit.verdict.status == "bad":
-                outcome = Outcome()  # the turns of a table whose rates are not stated, taken for moves
+                outcome = Outcome()  # turns of a table whose rates are not stated, fitted as moves
     if outcome.fit is not None:
         return outcome
-    steady = (finding("rate_table.rates_not_stated", "warn", turns=plateaus),) if plateaus else outcome.findings
-    return calibrate_rest(seen, mode, accel).after(*steady)
+    unknown_rates = (finding("rate_table.rates_not_stated", "warn", turns=len(plateaus)),) if plateaus else ()
+    return calibrate_rest(seen, mode, accel).after(*(unknown_rates or outcome.findings))
 
 
-def _offset_in_counts(seen: Observed, verdict: Verdict) -> Iterator[Finding]:
-    # A model turns readings into rad/s: an offset without a scale has no place in it, and an invented scale would be used.
-    unit = seen.session.records[0].gyro_unit
-    offset, variance = seen.rest_rate()
-    if not is_physical(unit) and not np.isnan(offset).any():
-        sigma = np.sqrt(variance.max())
-        level: Level = "info" if verdict.status == "good" else "warn"
-        yield finding("gyro.offset_in_counts", level, offset=offset, unit=unit, uncertainty=sigma)
-
-
-def _mode_not_used(mode: Mode | None, triad: Triad, outcome: Outcome) -> Iterator[Finding]:
+def _mode_not_used(mode: Mode | None, triad: str, outcome: Outcome) -> Iterator[Finding]:
     accel = triad == "accelerometer"
     without = outcome.method != "six-face" if accel else mode == "paper" and outcome.method == "multi-position"
     if outcome.fit is not None and mode in ("paper", "levelled") and without:
@@ -362,39 +371,36 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     """Return what this kind of session never shows, however well it was recorded."""
     if accel.fit is not None and accel.method in ("multi-position", "six-face"):
         yield finding("multi_position.mounting" if accel.method == "multi-position" else "six_face.fixture", "info")
-    if gyro.fit is not None and gyro.method in ("multi-position", "known-rotation"):
-        if gyro.method == "known-rotation":
-            yield finding("known_rotation.other_rates", "info")
-        elif gyro.fit.model.g_sensitivity is None:
-            yield finding("multi_position.g_sensitivity", "info")
     if gyro.fit is not None and gyro.method in ("rate-table", "known-rotation") and accel.fit is None:
         # An offset that differs between the axes asks for the same recording.
         shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)
         yield from () if shown else (finding("rate_table.no_accel", "info"),)
-    if not thermal and np.isfinite(temp_c):
-        yield finding("session.one_temperature", "info", temp_c=temp_c)
-    elif not thermal:
-        yield finding("session.unknown_temperature", "info")
+    if not thermal:
+        where = (
+            f"near {temp_c:.1f} degC"
+            if np.isfinite(temp_c)
+            else "at the temperature of the session, which was not recorded"
+        )
+        yield finding("session.one_temperature", "info", where=where)
 
 
-def _provenance(session: Session, seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
-    settings, turns = seen.settings, seen.session.turns
+def _provenance(seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
+    """Return the inputs and every setting that a fit used."""
+    session, turns = seen.session, seen.session.turns
     if gyro == "known-rotation" and not turns:
         turns = seen.full_turns()
     names = (
         "window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg",
         "axis_uncertainty_deg",
     )  # fmt: skip
-    numbers = ((name, getattr(settings, name)) for name in names)
-    table = settings.rate_table(session.rate_table)
-    of_table = tuple((item.name, f"{getattr(table, item.name):g}") for item in fields(table) if gyro == "rate-table")
-    sensitivity = settings.sensitivity(session.sensitivity)
-    of_creep = tuple((item.name, f"{getattr(sensitivity, item.name):g}") for item in fields(sensitivity))
-    shown = ((name, "none" if value is None else f"{value:g}") for name, value in numbers)
+    numbers = {name: getattr(seen.settings, name) for name in names}
+    for stated in (*((session.rate_table,) if gyro == "rate-table" else ()), session.sensitivity):
+        numbers |= {item.name: getattr(stated, item.name) for item in fields(stated)}
     return Provenance(
         inputs=session.inputs,
         settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default"), *shown, *of_table, *of_creep),
+            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default")),
+            *((name, "none" if value is None else f"{value:g}") for name, value in numbers.items()),
             ("gravity", session.gravity_source),
             ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
             ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
@@ -413,7 +419,6 @@ def calibrate_to_references(
     references: Sequence[Reference],
     *,
     adc: Adc = "auto",
-    method: str = "reference",
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
     gravity_m_s2: float | None = None,
@@ -431,8 +436,6 @@ def calibrate_to_references(
         One for each record.
     adc : str
         "auto" fits what the codes lost where their rounding is identified; "none" leaves the codes.
-    method : str
-        reference, or a fit that another package adds.
     settings : ReferenceSettings
         Of the fit.
     lag_settings : LagSettings
@@ -457,7 +460,7 @@ def calibrate_to_references(
     check_choice(adc, Adc, "calibrate", "adc")
     check_local_gravity(gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
-    fit = find_fit(method, "reference")(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
+    fit = fit_reference(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
     accel, more = _accel_of(records, references, rounding, fit, gravity_m_s2)
     if accel is not None and gravity_source == "standard":
         more += (finding("session.gravity_assumed", "info", gravity_m_s2=gravity_m_s2),)
@@ -469,7 +472,7 @@ def calibrate_to_references(
         adc=rounding,
         verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
         settings=(
-            ("gyro", method),
+            ("gyro", "reference"),
             ("adc", adc),
             ("mounting", settings.mounting),
             ("gravity", gravity_source),
@@ -548,13 +551,10 @@ def calibrate_from_motion(
     >>> [f"{scale:.2f}" for scale in calibration.gyro.scale_factor]
     ['1.00', '1.01', '1.00']
     """
-    if gravity_m_s2 is None:
-        gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
     check_choice(adc, Adc, "calibrate", "adc")
-    check_local_gravity(gravity_m_s2, "motion")
-    session = Session(
-        kind="calibration", serial="", records=tuple(records), gravity_m_s2=gravity_m_s2, gravity_source=gravity_source,
-    )  # fmt: skip
+    if gravity_m_s2 is not None:
+        check_local_gravity(gravity_m_s2, "motion")
+    session = _session_of(records, gravity_m_s2, gravity_source)
     return from_motion(session, identify_adc=adc == "auto", prior=prior, magnetometer=magnetometer)[0]
 
 
@@ -564,26 +564,49 @@ def from_motion(
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
     given = in_one_unit(session).records
-    whole = [part for record in given for part in without_gaps(record)]
-    records = [unpadded(record) for record in whole]  # rows that fill a file up look like a rest
-    named = [one for pair in zip(whole, records, strict=True) for one in padding(*pair)]
-    missing = sum(map(len, given)) - sum(map(len, whole))
-    named += [finding("motion.gaps", "info", missing=missing, stretches=len(whole))] if missing else []
-    named += [one for each in records for one in at("undrift.correction.consistency:check_triads")(each)]
-    rounding = device_adc(records) if identify_adc else None
+    stretches = [stretch for record in given for stretch in without_gaps(record)]
+    records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
+    findings = [item for pair in zip(stretches, records, strict=True) for item in padding(*pair)]
+    missing = sum(map(len, given)) - sum(map(len, stretches))
+    if missing:
+        findings.append(finding("motion.gaps", "info", missing=missing, stretches=len(stretches)))
+    findings += [item for record in records for item in check_triads(record)]
     assumed = session.gravity_source == "standard"
-    readings = [restored(record, rounding) for record in records]
-    gravity_error = ASSUMED_GRAVITY if assumed else 0.0
-    fit_them = partial(fit_in_motion, gravity_m_s2=session.gravity_m_s2, gravity_uncertainty=gravity_error, prior=prior)
-    fit = fit_them(readings)
-    more = (finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2),) if assumed else ()
+    if assumed:
+        findings.append(finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2))
+    adc = device_adc(records) if identify_adc else None
+    readings = [restored(record, adc) for record in records]
+    fit_readings = partial(
+        fit_in_motion,
+        gravity_m_s2=session.gravity_m_s2,
+        gravity_uncertainty=GRAVITY_SPREAD if assumed else 0.0,
+        prior=prior,
+    )
+    fit = fit_readings(readings)
+    field = None
+    if magnetometer:  # the field is then a second direction beside gravity
+        field = _fit_field(readings, fit)
+        rates = [_rate_in_motion(record, fit, k) for k, record in enumerate(readings)]
+        fit = fit_readings(
+            [
+                record
+                if record.mag_ut is None
+                else replace(record, mag_ut=field.magnetometer.corrected(record.mag_ut, rate))
+                for record, rate in zip(readings, rates, strict=True)
+            ],
+            field=True,
+        )
+        fit = replace(fit, field=field)
+    verdict = fit.gyro.verdict.also(Verdict.of(*each_once(findings)))
     calibration = _calibration(
         records,
         session.serial,
         gravity_m_s2=session.gravity_m_s2,
         gyro=fit.gyro.model,
         accel=fit.accel.model,
-        adc=rounding,
+        magnetometer=None if field is None else field.magnetometer,
+        adc=adc,
+        verdict=verdict if field is None else verdict.also(field.verdict),
         settings=(
             ("gyro", "motion"),
             ("accel", "motion"),
@@ -593,28 +616,27 @@ def from_motion(
         ),
         file_map=session.file_map,
     )
-    of_field = Verdict()
-    if magnetometer:  # then once more, with the field as a second direction beside gravity
-        field = _field_in(records, calibration)
-        made, of_field = replace(calibration, magnetometer=field.magnetometer), field.verdict
-        mags = [at("undrift.correction.correct:correct")(record, made).mag_ut for record in records]
-        readings = [replace(record, mag_ut=mag) for record, mag in zip(readings, mags, strict=True)]
-        fit = replace(fit_them(readings, field=True), field=field)
-        calibration = replace(made, gyro=fit.gyro.model, accel=fit.accel.model)
-    verdict = fit.gyro.verdict.also(Verdict.of(*each_once(named), *more)).also(of_field)
-    return replace(calibration, verdict=verdict), fit
+    return calibration, fit
 
 
-def _field_in(records: Sequence[Record], calibration: Calibration) -> FieldFit:
-    """Fit the magnetometer to those recordings that have one, turned by gyroscopes and gravity."""
-    readings: list[FieldReadings | None] = [None] * len(records)
+def _rate_in_motion(record: Record, fit: InMotion, number: int) -> FloatArray:
+    """Return the corrected rate (N, 3), rad/s, of a recording whose offset the fit has found."""
+    return np.asarray((np.asarray(record.gyro) - fit.offsets[number]) @ fit.gyro.model.matrix.T)
+
+
+def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
+    """Fit the magnetometer to the recordings that have one; the gyroscopes and gravity give the attitude."""
+    readings: list[FieldReadings | None] = []
     for number, record in enumerate(records):
         if record.mag_ut is None:
+            readings.append(None)
             continue
-        done = at("undrift.correction.correct:correct")(record, calibration)
-        how = at("undrift.orientation:OrientSettings")(method="vqf", offset="motion")
-        track = at("undrift.orientation:orient_unchecked")(done, None, how, gyro_model=calibration.gyro)
-        readings[number] = (track.time, record.mag_ut[record.time.searchsorted(track.time)], track.q_nb)
+        force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
+        offset_sigma = float(fit.offset_uncertainty[number].max()) * fit.units[0]
+        attitude = filtered_attitude(
+            record.time, _rate_in_motion(record, fit, number), force, offset_sigma=offset_sigma
+        )
+        readings.append((record.time, record.mag_ut, attitude))
     if not any(readings):
         raise InputError(
             "magnetometer: wanted its readings in a recording, got none; map their columns (mag), or leave the option out"
@@ -659,15 +681,3 @@ def _accel_of(
             "opposite sign; reverse its columns"
         )
     return accel_fit, ()
-
-
-def device_adc(records: Sequence[Record]) -> AdcModel | None:
-    """Find how the gyroscope codes of one device were rounded, from all its recordings."""
-    models = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
-    if not models:
-        return None
-    ranked = Counter(model.gyro_rounding for model in models).most_common()
-    if len(ranked) > 1 and ranked[0][1] == ranked[1][1]:
-        return None
-    chosen = [model for model in models if model.gyro_rounding == ranked[0][0]]
-    return min(chosen, key=lambda model: float(np.sum(np.asarray(model.gyro_lsb))))

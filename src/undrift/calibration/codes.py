@@ -10,6 +10,7 @@ Nearest and floor differ by half a step everywhere, which an offset takes up: co
 not. Only samples that sweep through zero are counted: at rest the density near code 0 is anything but level.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -61,6 +62,16 @@ def identify_record_adc(*records: Record) -> AdcModel | None:
     """Find the ADC of both triads of a device from its raw records, all together."""
     triads = ([r.gyro for r in records if r.gyro is not None], [r.accel for r in records if r.accel is not None])
     return adc_model(*(identify_adc(np.concatenate(parts)) if parts else None for parts in triads))
+
+
+def device_adc(records: Sequence[Record]) -> AdcModel | None:
+    """Find how the gyroscope codes of one device were rounded, from all its recordings; None where they disagree."""
+    models = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
+    ranked = Counter(model.gyro_rounding for model in models).most_common()
+    if not ranked or (len(ranked) > 1 and ranked[0][1] == ranked[1][1]):
+        return None
+    chosen = [model for model in models if model.gyro_rounding == ranked[0][0]]
+    return min(chosen, key=lambda model: float(np.sum(np.asarray(model.gyro_lsb))))
 
 
 def adc_model(gyro: AdcFinding | None, accel: AdcFinding | None) -> AdcModel | None:

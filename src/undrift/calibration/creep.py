@@ -335,7 +335,7 @@ class Creep:
 
 def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
     """Return the creep of a session in some of its stills and turns."""
-    prior = seen.settings.sensitivity(seen.session.sensitivity)
+    prior = seen.session.sensitivity
     offset, percent = (
         (prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY, prior.accel_scale_percent_per_k)
         if kind == "accel"

@@ -680,9 +680,7 @@ def _by_moves(
     offset = partial(_offset_in_moves, walk=walk, scale=np.linalg.norm(forward, axis=1))
     by_turns = multi_position.ByTurns(fitted.matrix, fitted.covariance[:9, :9], fitted.by_creep, offset)
     try:
-        return multi_position.fit_gyro_between_stills(
-            records, stills, accel, creep=creep, by_turns=by_turns, scale_tolerance=seen.settings.scale_tolerance
-        ).model
+        return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     except NotObservable:
         return None
     except PoorFit as error:
@@ -716,7 +714,6 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         angle_uncertainty=seen.settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         axis_uncertainty=seen.settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         creep=creep_of(seen, data.pieces, "gyro"),
-        scale_tolerance=seen.settings.scale_tolerance,
         moves=lambda fitted: None if model is None else _by_moves(seen, data, model, fitted),
     )
     if model is not None:

@@ -794,7 +794,6 @@ def _of_session(seen: Observed, axes: TriadFit | None = None, *, gyro: bool = Tr
         cross_axis_prior=seen.settings.cross_axis_prior,
         axes=model,
         creep=lambda pieces, kind: creep_of(seen, pieces, kind),
-        scale_tolerance=seen.settings.scale_tolerance,
     )
 
 

@@ -14,7 +14,6 @@ from undrift.calibration.codes import mean_rounding
 from undrift.calibration.plausibility import stuck_windows
 from undrift.calibration.session import (
     APART_C,
-    CalibrateSettings,
     Observed,
     at_one_temperature,
     in_one_unit,
@@ -24,6 +23,7 @@ from undrift.calibration.session import (
     saturated_turns,
     whole_readings,
 )
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError
 from undrift.findings import Finding, finding, told_apart
 from undrift.fit.least_squares import block_size, noise_of_means

@@ -4,7 +4,7 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -189,6 +189,8 @@ def _sticks(finite: FloatArray, end: float, seam: BoolArray) -> bool:
 
 # ---- labels, gravity, scale
 
+SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from the stated unit
+
 # A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
 _FACTORS = (2.0, 4.0, 8.0, 16.0)
 _REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
@@ -314,20 +316,16 @@ def check_own_scale(
 _LEAST_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
 
 
-def scale_as_stated(scale_factor: float) -> Finding:
-    """Return that nothing but the stated turns gives a scale factor, counts per rad/s, with the range that it means."""
-    range_dps = 2.0**15 / scale_factor / RADIAN_PER_DEGREE
-    return finding("gyro.scale_as_stated", "info", per_dps=scale_factor * RADIAN_PER_DEGREE, range_dps=range_dps)
+def range_in_doubt(scale_factor: float, largest: float, *, stated: bool) -> Iterator[Finding]:
+    """Yield the range that a scale factor, counts per rad/s, means for readings of 16 bit.
 
-
-def range_in_doubt(scale_factor: float, largest: float) -> tuple[Finding, ...]:
-    """Return what speaks against a scale factor, counts per rad/s, of a gyroscope whose largest reading is known."""
+    It is a warning if no gyroscope has a range as small; otherwise a note if only stated turns determine the scale.
+    """
     range_ = 2.0**15 / scale_factor
-    if largest >= 2.0**15 or range_ >= _LEAST_RANGE:
-        return ()
-    unit = "turn rates in rad/s stated as deg/s, or angles in rad as deg (360 deg are 6.283 rad), make that"
-    values = {"per_dps": scale_factor * RADIAN_PER_DEGREE, "range_dps": range_ / RADIAN_PER_DEGREE, "unit": unit}
-    return (finding("gyro.range", "warn", **values),)
+    small = range_ < _LEAST_RANGE and largest < 2.0**15
+    if small or stated:
+        per_dps, range_dps = scale_factor * RADIAN_PER_DEGREE, range_ / RADIAN_PER_DEGREE
+        yield finding("gyro.range", "warn" if small else "info", per_dps=per_dps, range_dps=range_dps)
 
 
 def stuck_at_rate(values: FloatArray) -> Stuck | None:

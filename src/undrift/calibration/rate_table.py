@@ -484,7 +484,7 @@ def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
 def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
     session, own = seen.session, seen.settings
-    latitude, tolerance = own.latitude_deg, own.scale_tolerance
+    latitude = own.latitude_deg
     dwells = dwell_means(session.records, session.turns, settle_s=own.settle_s, cutoff_hz=own.spline_cutoff_hz)
     dwells, creep = _on_table(seen, dwells, accel)
     rests = _rest_means(seen, dwells, None if accel is None else accel.model)
@@ -501,7 +501,6 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             dwells,
             rests,
             latitude_deg=latitude,
-            scale_tolerance=tolerance,
             cross_axis_prior=own.cross_axis_prior,
             creep=creep_of(seen, pieces, "gyro"),
         )
@@ -516,7 +515,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
         dwells = replace(dwells, reading=dwells.reading - offset)
-    paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude, scale_tolerance=tolerance)
+    paper: TriadFit = fit_rate_table(dwells, mode="paper", latitude_deg=latitude)
     paper = paper if offset is None else with_offset(paper, offset, variance)
     return Outcome(fit=paper, method="rate-table", findings=findings)
 
@@ -553,7 +552,7 @@ def _nominal_findings(fit: RateTableFit, dwells: DwellMeans, cross_axis_prior: f
 
 def _on_table(seen: Observed, dwells: DwellMeans, accel: TriadFit | None) -> tuple[DwellMeans, Creep]:
     """Return the dwells with the axis of each in the case, and the temperature of each."""
-    session, table = seen.session, seen.settings.rate_table(seen.session.rate_table)
+    session, table = seen.session, seen.session.rate_table
     turns = [t for t in session.turns if t.axis is not None and t.turn_rate is not None]
     stretches = Dwells(
         records=session.records,

@@ -6,7 +6,7 @@ reading counts twice. ``at_one_temperature`` keeps the pieces of one set-point: 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -14,14 +14,20 @@ import numpy as np
 from undrift import segments
 from undrift.arrays import FloatArray, runs
 from undrift.calibration.codes import code_steps, code_variance
-from undrift.calibration.plausibility import check_gravity, rate_unit_words, stuck_at_rate, stuck_in_motion
-from undrift.calibration.settings import Fitting, Sensitivity, Table, documented
+from undrift.calibration.plausibility import (
+    SCALE_TOLERANCE,
+    check_gravity,
+    rate_unit_words,
+    stuck_at_rate,
+    stuck_in_motion,
+)
+from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
 from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import TriadFit, block_size, excess_variance, noise_of_means
 from undrift.model import AXES, Verdict, level_of
-from undrift.record import FACES, RateTable, Record, Session, Still, TemperatureSensitivity, Turn
+from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- rest: does the device rest where a session states it, and is no stretch counted twice?
@@ -412,84 +418,13 @@ def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatA
     return np.asarray(spans_of(records, pieces).mean(axis=1))
 
 
-# ---- settings, and what a session shows
+# ---- what a session shows
 
 _FULL_TURN = 2.0 * np.pi  # rad
 _NEAR_FULL = 0.1  # a turn this near a whole number, relative, counts as whole
 _FREE = 0.1  # largest share of free poses among rests on faces
 _SAME_POSE = 0.26  # of gravity: 15 deg
 _FEW = 9  # stills: with fewer, pauses that were too short are reported
-
-
-@documented
-@dataclass(frozen=True, kw_only=True)
-class CalibrateSettings(Fitting, Table, Sensitivity):
-    """Choices that a session file does not make.
-
-    Parameters
-    ----------
-    still : StillSettings
-        How still phases are found where the session states none.
-    latitude_deg : float or None
-        For the Earth's rate on a rate table, deg; None leaves it out.
-    turn_angle_deg : float or None
-        Angle of the turns between rests of a session that states none, deg; None takes three full turns, where there are.
-    remove_offset : bool
-        Mode paper has no offset column: take the offset off first, as the note's order of steps does.
-    identify_adc : bool
-        Look for the step and rounding of the codes.
-
-    Examples
-    --------
-    >>> import undrift
-    >>> undrift.CalibrateSettings(polynomial_degree=2).window_s
-    6.0
-    """
-
-    still: segments.StillSettings = field(default_factory=lambda: segments.StillSettings(adapt=True))
-    latitude_deg: float | None = None
-    turn_angle_deg: float | None = None
-    remove_offset: bool = True
-    identify_adc: bool = True
-
-    def __post_init__(self) -> None:
-        latitude, cutoff, angle = self.latitude_deg, self.spline_cutoff_hz, self.turn_angle_deg
-        if angle is not None and not 0.0 < angle < np.inf:
-            raise InputError(f"calibrate: wanted turn_angle_deg above 0, got {angle:g}; 360 for full turns")
-        if latitude is not None and not -90.0 <= latitude <= 90.0:
-            raise InputError(f"calibrate: wanted latitude_deg from -90 to 90, got {latitude:g}; south is negative")
-        if not self.window_s > 0.0 or self.polynomial_degree < 0 or not self.settle_s >= 0.0:
-            raise InputError(
-                "calibrate: wanted window_s above 0 s, polynomial_degree and settle_s of 0 or more, got "
-                f"{self.window_s:g}, {self.polynomial_degree} and {self.settle_s:g}; correct them"
-            )
-        if cutoff is not None and not cutoff > 0.0:
-            raise InputError(
-                f"calibrate: wanted spline_cutoff_hz above 0 Hz, got {cutoff:g}; None leaves the filter out"
-            )
-        for name in ("angle_uncertainty_deg", "axis_uncertainty_deg"):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 90.0:
-                raise InputError(f"calibrate: wanted {name} from 0 to 90, got {value:g}; 0 for exact turns")
-        if not 0.0 < self.cross_axis_prior <= 0.2:
-            raise InputError(
-                f"calibrate: wanted cross_axis_prior above 0 and up to 0.2 of the scale factor, got {self.cross_axis_prior:g}; "
-                "0.01 is 1 %"
-            )
-        self.sensitivity(TemperatureSensitivity())
-        self.rate_table(RateTable())
-
-    def sensitivity(self, stated: TemperatureSensitivity) -> TemperatureSensitivity:
-        """Return how the device follows temperature: as the session states it, save for what these settings state."""
-        return replace(stated, **self._chosen(Sensitivity))
-
-    def rate_table(self, stated: RateTable) -> RateTable:
-        """Return how good the rate table is: as the session states it, save for what these settings state."""
-        return replace(stated, **self._chosen(Table))
-
-    def _chosen(self, kind: type[Sensitivity | Table]) -> dict[str, float]:
-        values = {item.name: getattr(self, item.name) for item in fields(kind)}
-        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -562,7 +497,7 @@ class Observed:
         In physical units their angle is near the known one; in counts a full turn brings the device back to its pose.
         """
         turned: list[tuple[Turn, float]] = []
-        tolerance, whole = self.settings.scale_tolerance, abs(angle / _FULL_TURN - round(angle / _FULL_TURN)) < 1e-6
+        tolerance, whole = SCALE_TOLERANCE, abs(angle / _FULL_TURN - round(angle / _FULL_TURN)) < 1e-6
         for _, record, search in self.turn_searches():
             physical = is_physical(record.gyro_unit)
             factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
@@ -633,7 +568,7 @@ class Observed:
             if search.rotations and last.min() > _CUT_LIMITS[1] * np.linalg.norm(gyro, axis=1).max():
                 return f"; recording {number} still turns at its end: its last turn is cut off"
             ratio = self._reading_ratio(record, search, angle_deg)
-            if abs(ratio - 1.0) > self.settings.scale_tolerance:
+            if abs(ratio - 1.0) > SCALE_TOLERANCE:
                 rate_hz = record.sample_rate_hz
                 return (
                     f"; turns back to the same pose read {ratio:.3g} times that angle: the angle, the unit or range of the "

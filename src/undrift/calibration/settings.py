@@ -1,64 +1,43 @@
-"""Choices of a calibration that a session file does not make: its fits, options of the command, fields of ``CalibrateSettings``.
+"""Settings of a calibration: what neither the recordings nor a session file state."""
 
-Nothing here imports numpy: the command line shows its help from these classes.
-"""
+from dataclasses import dataclass, field
+from typing import Literal
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from inspect import cleandoc
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
+import numpy as np
 
+from undrift.errors import InputError
 from undrift.fit.priors import SETTLE_S
+from undrift.segments import StillSettings
 
-Kind = TypeVar("Kind", bound=type)
-_HEAD = "Parameters\n----------\n"
+AccelFit = Literal["six-face", "multi-position"]
+GyroFit = Literal["rate-table", "known-rotation", "multi-position", "rest", "none"]
+Mode = Literal["paper", "affine", "levelled"]
 
-
-class FitMethod(NamedTuple):
-    """A way to calibrate: its words on a certificate, and what fits each triad, a function or its place in this package."""
-
-    words: str = ""
-    accel: str | Callable[..., Any] | None = (
-        None  # of what a session shows, the mode, and the accelerometer's fit if any
-    )
-    gyro: str | Callable[..., Any] | None = None  # likewise
-    reference: str | Callable[..., Any] | None = None  # called as ``fit_reference``
-
-
-FITS = {
-    "six-face": FitMethod("six faces against gravity", accel="six_face:calibrate_faces"),
-    "rate-table": FitMethod("steady rates of a rate table, about each axis", gyro="rate_table:calibrate_rates"),
-    "known-rotation": FitMethod("turns by a known angle about each axis", gyro="known_rotation:calibrate_turns"),
-    "multi-position": FitMethod(
-        "rests in free poses against the size of gravity",
-        *("multi_position:calibrate_poses", "multi_position:calibrate_moves"),
-    ),
-    "rest": FitMethod("rests alone: offset only, the scale factor is nominal", gyro="calibrate:calibrate_rest"),
-    "reference": FitMethod("motion against an orientation reference", reference="reference:fit_reference"),
-    "motion": FitMethod("gravity in free motion, nothing else"),  # both triads at once: calibrate_from_motion
+METHODS = {  # a method's name and its description on a certificate
+    "six-face": "six faces against gravity",
+    "rate-table": "steady rates of a rate table, about each axis",
+    "known-rotation": "turns by a known angle about each axis",
+    "multi-position": "rests in free poses against the size of gravity",
+    "rest": "rests only: the offset is measured, the scale factor is nominal",
+    "reference": "motion against an orientation reference",
+    "motion": "gravity in free motion, nothing else",
 }
-if TYPE_CHECKING:
-    AccelFit: TypeAlias = str
-    GyroFit: TypeAlias = str
-else:
-    AccelFit = Literal[tuple(name for name, fit in FITS.items() if fit.accel)]
-    GyroFit = Literal[(*(name for name, fit in FITS.items() if fit.gyro), "none")]
-
-
-def documented(cls: Kind) -> Kind:
-    """Put what the bases of a settings class say of their fields behind what it says of its own."""
-    own, mark, examples = cleandoc(cls.__doc__ or "").partition("\n\nExamples\n")
-    parts = [cleandoc(base.__doc__ or "").partition(_HEAD)[2] for base in cls.__bases__]
-    cls.__doc__ = "\n".join((own, *parts)) + mark + examples
-    return cls
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitting:
-    """How readings are averaged and fitted.
+class CalibrateSettings:
+    """Settings of a calibration.
+
+    How good a rate table is, and how far a device follows temperature, is part of a ``Session`` (``rate_table``, ``sensitivity``).
 
     Parameters
     ----------
+    still : StillSettings
+        How still phases are found in a session that states none.
+    latitude_deg : float or None
+        For the Earth's rate on a rate table, deg; None leaves it out.
+    turn_angle_deg : float or None
+        Angle of the turns between rests in a session that states none, deg; None looks for three full turns.
     window_s : float
         Longest stretch of each face that is averaged, s.
     settle_s : float
@@ -66,78 +45,55 @@ class Fitting:
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
     axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg; the same for all turns
-        about one axis, as a fixture or a straight edge errs.
-    scale_tolerance : float
-        Largest relative difference of a scale factor from the stated unit; physical units only.
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg. The error is the same for
+        all turns about one axis, like that of a fixture or a straight edge.
     polynomial_degree : int
         Degree of the polynomial in time that filters each face before it is averaged; it sets the noise of the mean.
     spline_cutoff_hz : float or None
-        Low-pass each dwell at a known rate by the note's cubic spline, which halves it at this cut-off, Hz; no filter by default.
+        Cut-off of the note's cubic spline, Hz, which low-passes each dwell at a known rate; None leaves the filter out.
     cross_axis_prior : float
-        Standard deviation of a cross-axis term that the session does not show, relative to the scale; 0.01 is 1 %.
+        Standard deviation of a cross-axis term that the session does not determine, relative to the scale; 0.01 is 1 %.
+    remove_offset : bool
+        Mode paper has no offset column: subtract the offset first, as the note's order of steps does.
+    identify_adc : bool
+        Look for the step and rounding of the codes.
+
+    Examples
+    --------
+    >>> import undrift
+    >>> undrift.CalibrateSettings(polynomial_degree=2).window_s
+    6.0
     """
 
+    still: StillSettings = field(default_factory=lambda: StillSettings(adapt=True))
+    latitude_deg: float | None = None
+    turn_angle_deg: float | None = None
     window_s: float = 6.0
     settle_s: float = SETTLE_S
     angle_uncertainty_deg: float = 1.0
     axis_uncertainty_deg: float = 0.5
-    scale_tolerance: float = 0.25
     polynomial_degree: int = 1
     spline_cutoff_hz: float | None = None
     cross_axis_prior: float = 0.01
+    remove_offset: bool = True
+    identify_adc: bool = True
 
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """How good the rate table of a session is, in place of what the session states.
-
-    Parameters
-    ----------
-    table_level_deg : float or None
-        Standard uncertainty of the rate table's axis against the vertical, deg; as the session states, else 0.1.
-    mount_tilt_deg : float or None
-        Standard uncertainty of the mounting on the table about each axis, deg; as the session states, else 0.1. It stays in the
-        covariance in full where accelerometers do not show the table's axis.
-    rate_uncertainty : float or None
-        Standard uncertainty of the stated rates in common, relative; as the session states, else 0.0001.
-    wobble_deg : float or None
-        Standard uncertainty of the table's axis from dwell to dwell, deg; as the session states, else 0.01. Scatter that shows
-        more counts instead.
-    """
-
-    table_level_deg: float | None = None
-    mount_tilt_deg: float | None = None
-    rate_uncertainty: float | None = None
-    wobble_deg: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sensitivity:
-    """How far the device may follow its temperature within a session; a session.toml states it under [temperature].
-
-    Parameters
-    ----------
-    gyro_offset_dps_per_k : float or None
-        Standard deviation of the gyroscopes' offset drift, deg/s per K; as the session states, else 0.05.
-    accel_offset_mg_per_k : float or None
-        Standard deviation of the accelerometers' offset drift, mg per K; as the session states, else 0.5.
-    gyro_scale_percent_per_k : float or None
-        Standard deviation of the gyroscopes' change of scale, % per K; as the session states, else 0.02.
-    accel_scale_percent_per_k : float or None
-        Standard deviation of the accelerometers' change of scale, % per K; as the session states, else 0.02.
-    unrecorded_span_k : float or None
-        Change of temperature where nothing shows it, neither a temperature column nor rests in deg/s, K; else 1.
-    thermometer_lag_s : float or None
-        Lag of the thermometer behind the sensors, s; as the session states, else 0, as on one die with them.
-    span_limit_k : float or None
-        Largest change of temperature within a session without a finding, K; as the session states, else 2.
-    """
-
-    gyro_offset_dps_per_k: float | None = None
-    accel_offset_mg_per_k: float | None = None
-    gyro_scale_percent_per_k: float | None = None
-    accel_scale_percent_per_k: float | None = None
-    unrecorded_span_k: float | None = None
-    thermometer_lag_s: float | None = None
-    span_limit_k: float | None = None
+    def __post_init__(self) -> None:
+        limits = {
+            "latitude_deg": (-90.0, 90.0),
+            "turn_angle_deg": (np.nextafter(0.0, 1.0), np.inf),
+            "window_s": (np.nextafter(0.0, 1.0), np.inf),
+            "settle_s": (0.0, np.inf),
+            "angle_uncertainty_deg": (0.0, 90.0),
+            "axis_uncertainty_deg": (0.0, 90.0),
+            "polynomial_degree": (0, np.inf),
+            "spline_cutoff_hz": (np.nextafter(0.0, 1.0), np.inf),
+            "cross_axis_prior": (1e-6, 0.2),
+        }
+        for name, (least, most) in limits.items():
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                allowed = (
+                    f"from {least:.2g} to {most:g}" if np.isfinite(most) else "0 or more" if least == 0 else "above 0"
+                )
+                raise InputError(f"calibrate: {name} must be {allowed}, got {value:g}")

@@ -30,6 +30,7 @@ from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_ca
 from undrift.calibration.dwells import mountings
 from undrift.calibration.norm import MG, QUADRATIC_SD
 from undrift.calibration.plausibility import (
+    SCALE_TOLERANCE,
     check_faces,
     check_gravity,
     check_handedness,
@@ -312,7 +313,7 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         offset = share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
     fit: TriadFit = fit_six_face(poses, gravity=seen.session.gravity_m_s2, mode=used)  # type: ignore[arg-type]
-    check_own_scale(fit.model.scale_factor, poses.unit, "accel", settings.scale_tolerance, "accelerometer")
+    check_own_scale(fit.model.scale_factor, poses.unit, "accel", SCALE_TOLERANCE, "accelerometer")
     if offset is not None:
         variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
         variance = variance + in_common @ share @ share

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Files, Flag, OptionalOutput, Picture, options, verb
+from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
-from undrift.calibration.settings import AccelFit, Fitting, GyroFit, Sensitivity, Table
+from undrift.calibration.settings import AccelFit, GyroFit
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import answer_sentence, departures_words, rms_of, uncertainty_section
 from undrift.commands.data_sheet import PART
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
     from undrift.calibration.pieces import Piece
-    from undrift.calibration.session import CalibrateSettings, Observed
+    from undrift.calibration.session import Observed
+    from undrift.calibration.settings import CalibrateSettings
     from undrift.model import Calibration, TriadModel
     from undrift.record import Record, Session
 
@@ -42,8 +43,6 @@ RESIDUALS = (
 )
 INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
 FIELD = ("field_ut", "below_horizon_deg", "disturbed_percent")
-for _options in (Fitting, Table, Sensitivity):
-    options(_options)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -130,11 +129,7 @@ def calibrate(
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
-    keep_offset: Flag = False,
     adc: Literal["auto", "none"] = "auto",
-    fitting: Fitting = Fitting(),
-    table: Table = Table(),
-    sensitivity: Sensitivity = Sensitivity(),
     rests: Rests = Rests(),
     figure: Picture = None,
     progress: Progress = silent,
@@ -168,8 +163,6 @@ def calibrate(
         How to calibrate the gyroscopes; what the session allows by default. rest takes their offset alone, none leaves them out.
     mode : str or None
         paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
-    keep_offset : bool
-        Mode paper, whose matrix has no offset column: the readings are free of it, remove none.
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
     figure : Path or None
@@ -179,7 +172,7 @@ def calibrate(
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.calibrate import from_motion
     from undrift.calibration.element_prior import PUBLISHED, ElementPrior
-    from undrift.calibration.session import CalibrateSettings
+    from undrift.calibration.settings import CalibrateSettings
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior, rates))
     if rates_offset_s is not None and (rates is None or len(files) > 1):
@@ -192,14 +185,13 @@ def calibrate(
             "mode": mode,
             "turn_deg": turn_deg,
             "rates": rates,
-            "keep_offset": keep_offset or None,
         }
-        _check_idle(idle | {"kind": kind}, fitting, table, sensitivity, rests)
+        _check_idle(idle | {"kind": kind}, rests)
     elif prior is not None or magnetometer:
         raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
     settings = CalibrateSettings(
-        still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, remove_offset=not keep_offset,
-        identify_adc=adc == "auto", **(asdict(fitting) | asdict(table) | asdict(sensitivity)))  # fmt: skip
+        still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, identify_adc=adc == "auto"
+    )
     with reading(progress, 0.5, *files):
         session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)

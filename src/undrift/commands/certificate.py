@@ -18,7 +18,7 @@ from undrift import __version__
 from undrift.base.options import Output, options, verb
 from undrift.base.summary import Result, Section, Summary, at, figure_of, rows_section
 from undrift.calibration.expanded import COVERAGE, ParameterTable, block_of, expand, gravity_uncertainty
-from undrift.calibration.settings import FITS
+from undrift.calibration.settings import METHODS
 from undrift.commands.answer import (
     BLOCKS,
     NAMES,
@@ -280,7 +280,7 @@ def _conditions(calibration: "Calibration") -> Iterator[tuple[str, str]]:
 
 def method_words(method: str) -> str:
     """Return a method of calibration in words."""
-    return FITS[method].words if method in FITS else method
+    return METHODS.get(method, method)
 
 
 def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[tuple[str, str]]:

@@ -283,7 +283,8 @@ def _correct_one(
     progress: Progress = silent,
 ) -> CorrectedFile:
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""
-    from undrift.correction.consistency import check_corrected, check_force
+    from undrift.calibration.triads import check_force
+    from undrift.correction.consistency import check_corrected
     from undrift.correction.correct import read_ahead
     from undrift.correction.coverage import find_beyond
     from undrift.io.formats import detect

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import WRITTEN, Flag, Policy, Up, options, stated, verb
+from undrift.base.options import WRITTEN, Flag, Policy, Up, options, stated
 from undrift.base.spoken import CALLED
 from undrift.base.summary import PICTURES, Origin, plain
 from undrift.errors import InputError
@@ -285,32 +285,6 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         gravity_m_s2, source = place.gravity(of_session=True)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
     return session
-
-
-@verb
-def session_given(
-    *given: Any, place: Place = Place(), opening: Opening = Opening(), columns: Any = None, units: Any = None
-) -> Any:
-    """Return the session of what Python hands in: files as a command takes them, or records and frames."""
-    from undrift.record import Record, Session
-
-    files = tuple(Path(one) for one in given if isinstance(one, str | Path))
-    if len(files) == len(given):
-        return session_of(files, place, opening)
-    if files or any(isinstance(one, Session) for one in given):
-        raise InputError(
-            "calibrate: wanted one session, or files, or records and frames, got a mixture; read the files, and give their records"
-        )
-    how = {"columns": columns, "units": units, "sample_rate_hz": opening.sample_rate_hz, "gaps": opening.gaps}
-    how = {name: value for name, value in how.items() if value is not None}
-    if how and all(isinstance(one, Record) for one in given):
-        raise InputError(
-            f"calibrate: wanted none of {', '.join(how)} beside a Record, which states them; leave them out"
-        )
-    records = tuple(one if isinstance(one, Record) else Record.from_frame(one, **how) for one in given)
-    gravity_m_s2, source = place.gravity()
-    about: Any = {"gravity_m_s2": gravity_m_s2, "gravity_source": source, "serial": place.serial or records[0].device}
-    return Session(kind="calibration", records=records, **about)
 
 
 def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -> "Session":

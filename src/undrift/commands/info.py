@@ -111,7 +111,7 @@ def info(
     output : Path or None
         Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """
-    from undrift.correction.consistency import find_disagreement
+    from undrift.calibration.triads import find_disagreement
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     if write_session is not None:
@@ -216,8 +216,8 @@ def _write_session(
 ) -> Summary:
     """Write a session.toml with the rests, faces and turns of bare recordings."""
     from undrift.calibration.calibrate import find_pieces
-    from undrift.calibration.session import CalibrateSettings
-    from undrift.correction.consistency import check_triads
+    from undrift.calibration.settings import CalibrateSettings
+    from undrift.calibration.triads import check_triads
     from undrift.files import write_whole
     from undrift.io.proposal import session_text
     from undrift.io.session import NAME
@@ -324,7 +324,8 @@ def _effects(file: Path) -> dict[str, list[str]]:
 
 def _look(session: "Session | None", rests: Rests) -> "tuple[Observed | None, str]":
     """Return what is seen of still phases, and why there is none; too short a recording is no error."""
-    from undrift.calibration.session import CalibrateSettings, look
+    from undrift.calibration.session import look
+    from undrift.calibration.settings import CalibrateSettings
 
     if session is None:
         return None, ""

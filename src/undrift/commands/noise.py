@@ -133,7 +133,7 @@ def noise(
         Preset of the device's part, as mpu6050, whose data sheet stands beside; by default the part that the calibration names.
     """
     from undrift.calibration.noise import fit_noise
-    from undrift.correction.consistency import check_force
+    from undrift.calibration.triads import check_force
 
     reads = (record, calibration, opening.column_map)
     check_figure(figure, reads=reads)

@@ -396,7 +396,7 @@ def _judged(
 ) -> Validated:
     """Return the validation by the calibration that was read or fitted to all recordings, or none."""
     from undrift.calibration.calibrate import calibrate_to_references
-    from undrift.correction.consistency import check_triads
+    from undrift.calibration.triads import check_triads
     from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out, validate_trials
     from undrift.validation.trial import check_poses, check_scale
 

@@ -393,8 +393,7 @@ def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatA
     magnetometer = calibration.magnetometer
     if magnetometer is None or record.mag_ut is None:
         return record.mag_ut
-    x: FloatArray = (record.mag_ut - magnetometer.model.offset) @ magnetometer.model.matrix.T
-    return x - magnetometer.lag_s * np.cross(rate, x) if len(rate) else x
+    return magnetometer.corrected(record.mag_ut, rate if len(rate) else None)
 
 
 # ---- A stream

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import device_adc
-from undrift.calibration.codes import identify_adc
+from undrift.calibration.codes import device_adc, identify_adc
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
 from undrift.errors import CalibrationError, InputError
 from undrift.findings import Finding, finding

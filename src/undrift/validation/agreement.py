@@ -29,7 +29,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.summary import Shown
-from undrift.calibration.calibrate import device_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import HeldOut, ReferenceSettings, leave_one_out
 from undrift.calibration.reference_accel import turned_like
 from undrift.errors import InputError

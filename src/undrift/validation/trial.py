@@ -30,7 +30,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
 from undrift.calibration.codes import identify_record_adc
-from undrift.correction.consistency import check_triads
+from undrift.calibration.triads import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import IN_MOTION, RestOffset, find_rest_offset, mean_variance

@@ -8,7 +8,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray, runs
 from undrift.calibration.pieces import Piece, pieces_of
-from undrift.calibration.session import CalibrateSettings, look
+from undrift.calibration.session import look
+from undrift.calibration.settings import CalibrateSettings
 from undrift.commands.files import Opening, Rests
 from undrift.files import write_together
 from undrift.io.inspect import describe

@@ -1,0 +1,56 @@
+"""Attitude by VQF [1]_, offline, over a whole recording.
+
+.. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
+   rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
+"""
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.units import RADIAN_PER_DEGREE
+
+MIN_OFFSET_SIGMA_DPS = 1e-3  # prior of the filter's offset: below it the filter would not follow a real change for long
+UNEVEN = 0.1  # of the median step: beyond it the filter, which knows one step, gets readings on an even grid
+
+
+def filtered_attitude(
+    time: FloatArray, rate: FloatArray, force: FloatArray, *, offset_sigma: float, acc_s: float = 3.0
+) -> FloatArray:
+    """Return q_nb (N, 4) from corrected rates (N, 3), rad/s, and specific force (N, 3), m/s2; the heading drifts.
+
+    ``offset_sigma`` is the standard uncertainty of the rate's offset, rad/s; ``acc_s`` the time constant by which the inclination
+    follows the accelerometers.
+    """
+    return filtered_with_field(time, rate, force, None, offset_sigma=offset_sigma, acc_s=acc_s)[0]
+
+
+def filtered_with_field(
+    time: FloatArray,
+    rate: FloatArray,
+    force: FloatArray,
+    mag_ut: FloatArray | None,
+    *,
+    offset_sigma: float,
+    acc_s: float = 3.0,
+) -> tuple[FloatArray, float]:
+    """Return q_nb (N, 4) with the heading of a magnetic field (N, 3), and the share of time in which the field was disturbed."""
+    from scipy.spatial.transform import Rotation, Slerp
+    from vqf import offlineVQF
+
+    values = np.hstack((rate, force) if mag_ut is None else (rate, force, mag_ut))
+    steps, even = np.diff(time), time
+    step = float(np.median(steps))
+    if uneven := bool((np.abs(steps - step) > UNEVEN * step).any()):
+        even = np.arange(time[0], time[-1] + step, step)
+        values = np.stack([np.interp(even, time, column) for column in values.T], axis=1)
+    else:
+        step = float(time[-1] - time[0]) / len(steps)
+    sigma_dps = max(offset_sigma / RADIAN_PER_DEGREE, MIN_OFFSET_SIGMA_DPS)
+    gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
+    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma_dps, "tauAcc": acc_s})
+    q: FloatArray = out["quat9D" if mag else "quat6D"]
+    disturbed = float(out["magDistDetected"].mean()) if mag else 0.0
+    if uneven:
+        between = Slerp(even, Rotation.from_quat(q, scalar_first=True))
+        q = np.asarray(between(np.minimum(time, even[-1])).as_quat(scalar_first=True))
+    return q, disturbed
