@@ -20,9 +20,8 @@ import numpy as np
 
 from benchmarks.broad import DEVICES, pairs, trial
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import calibrate, calibrate_from_motion, calibrate_to_references
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion
 from undrift.calibration.codes import device_adc
-from undrift.calibration.element_prior import learn_prior
 from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
@@ -80,13 +79,6 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         calibrate_from_motion([other for other in records if other is not record], magnetometer=True)
         for record in records
     ]
-    by_optics = [
-        calibrate_to_references(*zip(*pairs(other), strict=True)) for other in DEVICES.values() if other != numbers
-    ]
-    part = learn_prior(by_optics, "the other two devices, by optics")
-    with_prior = [
-        calibrate_from_motion([other for other in records if other is not record], prior=part) for record in records
-    ]
     without: list[Calibration | None] = [None] * len(records)
     plain = TrialSettings(adc="none")
     rows: tuple[tuple[str, Sequence[Calibration | None], OffsetChoice], ...] = (
@@ -96,7 +88,6 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         ("reference fit, offset from motion", fits, "motion"),
         ("motion of the others, rest", in_motion, "rest"),
         ("motion of the others, offset from motion", in_motion, "motion"),
-        ("prior of the other two devices, offset from motion", with_prior, "motion"),
         ("and the magnetometer, rest", with_field, "rest"),
         ("and the magnetometer, offset from motion", with_field, "motion"),
     )

@@ -22,7 +22,6 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, identify_record_adc, restored
 from undrift.calibration.creep import creep_of, offset_drift
-from undrift.calibration.element_prior import PUBLISHED, ElementPrior
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
@@ -506,7 +505,6 @@ def calibrate_from_motion(
     adc: Adc = "auto",
     gravity_m_s2: float | None = None,
     gravity_source: GravitySource = "stated",
-    prior: ElementPrior = PUBLISHED,
     magnetometer: bool = False,
 ) -> Calibration:
     """Calibrate one device from recordings in which it is turned: gravity in motion shows both triads.
@@ -521,8 +519,6 @@ def calibrate_from_motion(
         Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
     gravity_source : str
         "stated", or "latitude and height" where it was computed from these.
-    prior : ElementPrior
-        What devices of the part deviate by: published sizes, or those of calibrated devices by ``learn_prior``.
     magnetometer : bool
         Whether to fit the magnetometer too, by the recordings that have one.
 
@@ -555,11 +551,11 @@ def calibrate_from_motion(
     if gravity_m_s2 is not None:
         check_local_gravity(gravity_m_s2, "motion")
     session = _session_of(records, gravity_m_s2, gravity_source)
-    return from_motion(session, identify_adc=adc == "auto", prior=prior, magnetometer=magnetometer)[0]
+    return from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)[0]
 
 
 def from_motion(
-    session: Session, *, identify_adc: bool, prior: ElementPrior = PUBLISHED, magnetometer: bool = False
+    session: Session, *, identify_adc: bool, magnetometer: bool = False
 ) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
@@ -580,7 +576,6 @@ def from_motion(
         fit_in_motion,
         gravity_m_s2=session.gravity_m_s2,
         gravity_uncertainty=GRAVITY_SPREAD if assumed else 0.0,
-        prior=prior,
     )
     fit = fit_readings(readings)
     field = None
@@ -610,7 +605,6 @@ def from_motion(
         settings=(
             ("gyro", "motion"),
             ("accel", "motion"),
-            ("prior", prior.source),
             ("adc", "auto" if identify_adc else "none"),
             ("gravity", session.gravity_source),
         ),

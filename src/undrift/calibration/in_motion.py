@@ -22,7 +22,6 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray, bridged
-from undrift.calibration.element_prior import ELEMENTS, KINDS, PUBLISHED, ElementPrior, by_kinds
 from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -47,6 +46,53 @@ FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
 IMPLAUSIBLE = 0.25  # of a scale factor: raw parts are within 0.2
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
+
+
+# ---- what is known about the matrices of a raw device
+#
+#     t = T (M - I, A - I, p)      t_d ~ N(0, size^2 of each kind)      M and A of a device d, p the offset of its accelerometers
+#
+# Kinds, three elements each. Sizes are twice what is published of 16 units of one part: scale factors of 0.12 to 0.20 and 0.07 to
+# 0.14 %, symmetric cross-axis terms of 0.05 to 2.4 mrad, and 0.3 to 1.2 mrad between the triads. They count as known from a number
+# of elements: cross-axis terms from thirty, scale factors and offsets from six, since data sheets allow more [assumed].
+
+KINDS = {  # size, number of elements that it is known from
+    "gyro_scale": (0.004, 6.0),
+    "gyro_cross": (0.0028, 30.0),  # (m_ij + m_ji) / 2
+    "accel_scale": (0.004, 6.0),
+    "accel_cross": (0.0028, 30.0),
+    "between": (0.004, 30.0),  # rotation of the gyroscopes minus that of the accelerometers, rad
+    "case": (0.002, 30.0),  # mean of both rotations, rad
+    "accel_offset": (0.3, 6.0),  # m/s2
+}
+_SIZE, _KNOWN_FROM = np.array(list(KINDS.values())).T
+
+
+def _elements() -> FloatArray:
+    """Return T (21, 21), from both matrices, row by row, and the offset to the kinds."""
+    scale, cross, turn = np.zeros((3, 3, 9))
+    for k, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
+        scale[k, 4 * k] = 1.0
+        cross[k, [3 * i + j, 3 * j + i]] = 0.5
+        turn[k, [3 * i + j, 3 * j + i]] = 0.5, -0.5
+    none = np.zeros((3, 9))
+    rows = ((scale, none), (cross, none), (none, scale), (none, cross), (turn, -turn), (0.5 * turn, 0.5 * turn))
+    whole = np.eye(21)
+    whole[:18, :18] = np.block([list(row) for row in rows])
+    return whole
+
+
+ELEMENTS = _elements()
+
+
+def kind_sizes(square: FloatArray) -> FloatArray:
+    """Return the sizes (7,) after the squares (..., 21) of the elements of some devices."""
+    total = square.reshape(-1, 7, 3).sum(axis=(0, 2))
+    return np.asarray(np.sqrt((_KNOWN_FROM * _SIZE**2 + total) / (_KNOWN_FROM + square.size / 7.0)))
+
+
+# ---- fit
+
 _OF_GYRO = np.r_[:9, 21:24]
 _DIAGONAL = np.tile(np.eye(3, dtype=bool).reshape(-1), 2)
 
@@ -147,15 +193,13 @@ class _Model:
     accel: FloatArray
     offset: FloatArray  # p
     usual: FloatArray  # (3,), gyroscopes' offset over its recordings
-    prior: ElementPrior
     sizes: FloatArray  # (7,), deviation of each kind of element
 
     @property
     def deviation(self) -> FloatArray:
-        """M and A against the identity, and p, by kinds of elements, less what devices of the part share, (21,)."""
+        """M and A against the identity, and p, by kinds of elements, (21,)."""
         matrices = (np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1)
-        deviation: FloatArray = ELEMENTS @ np.append(matrices, self.offset) - self.prior.mean
-        return deviation
+        return np.asarray(ELEMENTS @ np.append(matrices, self.offset))
 
     @property
     def weight(self) -> FloatArray:
@@ -173,7 +217,8 @@ class _Model:
 
     def widen(self, covariance: FloatArray) -> None:
         """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
-        self.sizes = self.prior.sizes(self.deviation**2 + by_kinds(covariance))
+        variance = np.diag(ELEMENTS @ covariance[:21, :21] @ ELEMENTS.T)
+        self.sizes = kind_sizes(self.deviation**2 + variance)
 
 
 def fit_in_motion(
@@ -181,7 +226,6 @@ def fit_in_motion(
     *,
     gravity_m_s2: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
-    prior: ElementPrior = PUBLISHED,
     field: bool = False,
 ) -> InMotion:
     """Fit both triads of one device to raw recordings of 20 s and more in which it is turned; gravity in m/s2.
@@ -196,7 +240,7 @@ def fit_in_motion(
     rests = [one.rest.rate for one in units if one.rest is not None]
     model = _Model(
         gyro=np.eye(3), accel=np.eye(3), offset=np.zeros(3),
-        usual=np.mean(rests, axis=0) if rests else np.zeros(3), prior=prior, sizes=prior.sizes(np.zeros((0, 21))),
+        usual=np.mean(rests, axis=0) if rests else np.zeros(3), sizes=_SIZE,
     )  # fmt: skip
     for one in units:
         one.offset = model.usual if one.rest is None else one.rest.rate
@@ -220,7 +264,7 @@ def fit_in_motion(
         model.widen(covariance)
     wide = np.full(len(shown), WIDENED["gyro"])
     wide[9:21] = WIDENED["accel"]
-    freedom = 3.0 + np.array([one.as_from for one in prior.kinds])
+    freedom = 3.0 + _KNOWN_FROM
     model.sizes = model.sizes * np.sqrt(freedom / (freedom - 2.0))  # Student's t: sizes are known from few elements
     covariance = np.linalg.inv(_prior(model, units)[0] + shown / wide[:, None] / wide)
     for first, size in ((0, model.sizes[0]), (9, model.sizes[2])):
@@ -421,8 +465,3 @@ def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
         if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))
-    after = np.sqrt(by_kinds(covariance).reshape(7, 3).mean(axis=1))
-    sizes = dict(zip(KINDS, np.stack((model.sizes, after), axis=1), strict=True))
-    shares = {f"{name}_percent": 100.0 * sizes[name] for name in KINDS[:4]}
-    between = np.degrees(sizes["between"])
-    yield finding("motion.prior", "info", source=model.prior.source, between_deg=between, **shares)

@@ -123,7 +123,6 @@ def calibrate(
     rates_offset_s: float | None = None,
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name=("--from", "--calibrate-from"))] = "pieces",
-    prior: Path | None = None,
     kind: str | None = None,
     magnetometer: Flag = False,
     accel: AccelFit | None = None,
@@ -151,8 +150,6 @@ def calibrate(
         calibration.json to write.
     calibrate_from : str
         "pieces" takes rests, faces and turns; "motion" gravity alone while the device is turned or worn, 20 s and more.
-    prior : Path or None
-        What devices of this part deviate by, for motion; published sizes by default.
     kind : str or None
         Preset of the device's part, as mpu6050: its sensitivity to temperature, and the lag of its thermometer, are the prior.
     magnetometer : bool
@@ -168,13 +165,11 @@ def calibrate(
     figure : Path or None
         Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
-    from undrift.base.codec import read
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.calibrate import from_motion
-    from undrift.calibration.element_prior import PUBLISHED, ElementPrior
     from undrift.calibration.settings import CalibrateSettings
 
-    check_output(output, endings=(".json",), reads=(*files, opening.column_map, prior, rates))
+    check_output(output, endings=(".json",), reads=(*files, opening.column_map, rates))
     if rates_offset_s is not None and (rates is None or len(files) > 1):
         raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
     check_figure(figure, reads=files)
@@ -187,8 +182,8 @@ def calibrate(
             "rates": rates,
         }
         _check_idle(idle | {"kind": kind}, rests)
-    elif prior is not None or magnetometer:
-        raise InputError("calibrate: `prior` and `magnetometer` are for `calibrate_from` motion: state it, or neither")
+    elif magnetometer:
+        raise InputError("calibrate: `magnetometer` requires `calibrate_from` motion. Set it, or omit `magnetometer`.")
     settings = CalibrateSettings(
         still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, identify_adc=adc == "auto"
     )
@@ -199,8 +194,7 @@ def calibrate(
     if rates is not None:
         session, log = _turns_of_log(session, rates, rates_offset_s, settings)
     if calibrate_from == "motion":
-        part_prior = PUBLISHED if prior is None else read(ElementPrior, prior)
-        made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer, prior=part_prior)
+        made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)
         seen = None
     else:
         (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None

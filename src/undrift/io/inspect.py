@@ -524,8 +524,6 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
     if keys.get("kind") == "undrift.calibration":
         device = keys.get("device") or "a device without a serial number"
         kind, summary = "calibration", f"calibration of {device}, format {keys.get('format')}"
-    elif keys.get("kind") == "undrift.prior":
-        kind, summary = "prior", f"prior of a part, learnt from {keys.get('devices')} devices"
     elif keys.get("kind") == "undrift.device":
         device = " ".join(str(keys[key]) for key in ("name", "serial") if keys.get(key)) or "without a name"
         kind, summary = "device", f"device model {device}, format {keys.get('format')}"
