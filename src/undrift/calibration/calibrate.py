@@ -554,9 +554,7 @@ def calibrate_from_motion(
     return from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)[0]
 
 
-def from_motion(
-    session: Session, *, identify_adc: bool, magnetometer: bool = False
-) -> tuple[Calibration, InMotion]:
+def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
     given = in_one_unit(session).records
