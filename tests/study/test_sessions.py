@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.errors import UndriftError
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration
 from undrift.study.case import stream, with_cutoff
-from undrift.study.plan import DEVICE, NOTE_BENCH
-from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, WARM_C, calibrate_by, calibrate_by_means
+from undrift.study.plan import DEVICE, NOTE_BENCH, note_study
+from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, WARM_C, calibrate_by, calibrate_by_means, free_motion
 
 DPS = np.pi / 180.0
 
@@ -62,9 +61,21 @@ def test_means_of_dwells_give_the_matrix_of_recordings(fit):
     np.testing.assert_allclose(by_means.accel.matrix @ np.linalg.inv(recorded.accel.matrix), np.eye(3), atol=5e-3)
 
 
-def test_motion_alone_cannot_calibrate_a_device_in_counts():
-    with pytest.raises(UndriftError, match="gain"):
-        calibrate_by(SESSIONS["motion"], unit(1), errors=NOTE_BENCH, streams=partial(stream, 0, "motion"))
+def test_motion_alone_does_not_suit_a_device_in_counts():
+    assert not SESSIONS["motion"].suits(unit(1))
+    assert SESSIONS["hand"].suits(unit(1))
+    assert SESSIONS["motion"].suits(random_device_of("xsens_mti1", np.random.default_rng(1)))
+
+
+def test_free_motion_stays_within_the_range_of_the_device():
+    device = with_cutoff(note_study().unit(2), None)  # at full pace its codes end at 4095
+    _, record = free_motion(device, partial(stream, 0, "simulation", "method", 2), "robot arm first")
+    assert 0 < record.gyro.min() < record.gyro.max() < 4095
+
+
+def test_sessions_with_the_same_rates_share_their_part_at_one_temperature():
+    assert SESSIONS["note"].at_one_temperature == SESSIONS["note rates"].at_one_temperature
+    assert SESSIONS["three rates"].at_one_temperature != SESSIONS["three rates, warm"].at_one_temperature
 
 
 def test_a_session_states_its_minutes_instruments_and_commands():

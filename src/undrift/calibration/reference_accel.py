@@ -43,6 +43,7 @@ _PASSES = 8
 _HELD = 0.5  # of the prior: a parameter that keeps more of it was not observed
 _WANTED = 0.005  # relative uncertainty
 _TURNED, _SPREAD = 12, 20.0  # equations, and their condition, with which counts show scale and null
+_CONTRADICTS = 100.0  # condition with which motion tells whether counts read 0 without force
 _BLOCK = 16  # windows, of 8 s: what is left out together
 
 
@@ -124,13 +125,20 @@ def _nominal(rows: Sequence[_Rows], unit: str, gravity: float) -> tuple[float, F
         return si_factor(unit, "accel"), np.zeros(3)
     acting = np.concatenate([np.einsum("nij,ni->nj", -r.design[:, :, 9:12], r.wanted) for r in rows]) / gravity
     design = np.column_stack((acting, np.ones(len(acting))))
-    if len(acting) >= _TURNED and scaled_condition(design)[1] < _SPREAD:
-        found = np.linalg.lstsq(design, np.concatenate([r.forces for r in rows]), rcond=None)[0]
-        return gravity / float(np.linalg.svd(found[:3])[1].mean()), found[3]
+    condition = scaled_condition(design)[1] if len(acting) >= _TURNED else np.inf
+    by_motion = np.linalg.lstsq(design, np.concatenate([r.forces for r in rows]), rcond=None)[0]
+    size = float(np.linalg.svd(by_motion[:3])[1].mean())
+    if condition < _SPREAD:
+        return gravity / size, by_motion[3]
     rests = np.concatenate([r.forces[r.first < 0] for r in rows])
     if not len(rests):
         raise NotObservable("reference: wanted a rest for the scale of accelerometers in counts, got none", rests=0)
-    return gravity / float(np.linalg.norm(rests, axis=1).mean()), np.zeros(3)
+    at_rest = float(np.linalg.norm(rests, axis=1).mean())
+    if condition < _CONTRADICTS and not 0.5 < at_rest / size < 2.0:  # the codes do not read 0 without force
+        raise NotObservable(
+            "reference: accelerometers in counts were turned too little for their scale. Tilt them more."
+        )
+    return gravity / at_rest, np.zeros(3)
 
 
 # ---- equations

@@ -204,11 +204,13 @@ def _tested(answer: "Answer") -> str:
 
 
 def _sessions(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
-    rows = list[tuple[str, ...]]()
+    rows, device = list[tuple[str, ...]](), outcome.study.typical_unit()
     for row in task.sessions:
         enough = [f"{target:g}" for target in outcome.study.target_deg if row.quantile_deg <= target]
         about = (row.session.name, f"{row.session.length_min:.0f}", row.session.instruments)
         failed = f"{row.failed} of {outcome.subjects}" if row.failed else "none"
+        if not row.session.suits(device):
+            failed = "not for readings in counts"
         if row.failed == outcome.subjects:
             rows.append((*about, *("–",) * 7, failed))
             continue

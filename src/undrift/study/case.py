@@ -11,18 +11,21 @@ One kind of error may be switched off. It is zeroed and not removed, so that all
 
 import zlib
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.correction.correct import correct_whole
+from undrift.errors import Implausible
 from undrift.model import Calibration
-from undrift.orientation import OrientSettings, orient_unchecked, sagittal_pitch
+from undrift.orientation import GRAVITY_WITHIN, OrientSettings, orient_unchecked, sagittal_pitch
 from undrift.record import Record, Still
 from undrift.sim.device.effects import BUTTERWORTH, LowPass, Sampling, SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
+from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import Task
 from undrift.study.recorded import SAMPLE_RATE_HZ, RecordedTask
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -127,6 +130,13 @@ class Case:
     moving: slice  # samples of the motion
 
 
+@lru_cache(maxsize=8)
+def true_motion(performed: Task | RecordedTask) -> Motion:
+    """Return the motion of a task at the sample rate of a study."""
+    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    return performed.at(time, STANDARD_GRAVITY)
+
+
 def make_case(
     device: DeviceModel,
     performed: Task | RecordedTask,
@@ -136,8 +146,7 @@ def make_case(
     aligned: bool = True,
 ) -> Case:
     """Simulate a trial of a device that is worn at a board temperature, degC."""
-    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
-    motion = performed.at(time, STANDARD_GRAVITY)
+    motion = true_motion(performed)
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=WORN_S).record
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
     pitch = sagittal_pitch(motion.q_nb)
@@ -165,10 +174,16 @@ def _delayed(pitch: FloatArray, samples: float) -> FloatArray:
 
 
 def pitch_errors_deg(case: Case, calibration: Calibration, offset: OffsetRule) -> tuple[float, float, float]:
-    """Return the errors of the pitch over the motion, deg: rms aligned, rms in real time, largest aligned."""
+    """Return the errors of the pitch over the motion, deg: rms aligned, rms in real time, largest aligned.
+
+    Raises Implausible if the calibrated accelerometers do not measure gravity at rest.
+    """
     record = correct_whole(case.record, calibration, policy="hold", threads=1).record
     if offset != "none" and record.gyro is not None:
         record = _minus_offset(record, case.still, offset, calibration)
+    length = float(np.linalg.norm(np.nanmean(np.asarray(record.accel)[case.still.start : case.still.stop], axis=0)))
+    if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
+        raise Implausible(f"trial: the corrected specific force at rest is {length:.3g} m/s2. Calibrate again.")
     pitch = orient_unchecked(record, case.still, OrientSettings(offset="none")).pitch
     aligned, now = ((pitch - true + np.pi) % (2.0 * np.pi) - np.pi for true in (case.pitch, case.pitch_now))
     aligned, now = aligned[case.moving], now[case.moving]

@@ -32,7 +32,7 @@ class SessionErrors:
     mean_deg: float
     interval_deg: tuple[float, float]  # 95 % interval of the mean
     quantile_deg: float  # 95 % of devices stay below
-    single_deg: tuple[float, float]  # 95 % of single devices lie within
+    single_deg: tuple[float, float]  # 95 % of further devices lie within; n - 1 of n + 1 with fewer than 39
     real_time_deg: float  # mean error against the true pitch of now
     failed: int  # devices that the session could not calibrate
     against_best: PairedDifference | None  # this session against the one with the least mean; None for that one
@@ -120,7 +120,9 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         valid, both = np.isfinite(errors), np.isfinite(errors) & np.isfinite(columns[best])
         mean, interval = mean_interval(errors[valid])
         nan = float("nan")
-        low, high, quantile = np.quantile(errors[valid], (*ENDS, QUANTILE)).tolist() if valid.any() else (nan, nan, nan)
+        # the k-th of n errors is the quantile k / (n + 1) of a further device, so that few devices promise no less than they can
+        ends = (*ENDS, QUANTILE)
+        low, high, quantile = np.quantile(errors[valid], ends, method="weibull").tolist() if valid.any() else (nan,) * 3
         decision = None
         if session.name != best and both.sum() >= MIN_PEOPLE:
             tests = len(study.sessions) - 1
@@ -212,7 +214,7 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
             rise = run.excursion_k if run.excursion_k in _STATED_RISES else float("inf")
             by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
     sensitivity = tuple(
-        (rise, offset, name, float(np.quantile(errors, QUANTILE)))
+        (rise, offset, name, float(np.quantile(errors, QUANTILE, method="weibull")))
         for (rise, offset, name), errors in sorted(by_rise.items())
     )
     return StudyOutcome(

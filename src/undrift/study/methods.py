@@ -23,7 +23,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.reference import ReferenceSettings
-from undrift.errors import UndriftError
+from undrift.errors import AlignmentError, CalibrationError, NotObservable
 from undrift.fit.least_squares import fit_forward, triad_from_forward
 from undrift.model import Calibration, TriadModel
 from undrift.record import Record, Reference
@@ -32,11 +32,10 @@ from undrift.sim.device.presets import preset_grade
 from undrift.sim.device.simulate import draw_streams, simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration
 from undrift.sim.motion.poses import OpticsSettings, disturbed
-from undrift.sim.motion.tasks import draw_task
 from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
 from undrift.study.plan import NOTE_BENCH, Study
 from undrift.study.run import perform
-from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, calibrate_by
+from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, calibrate_by, free_motion
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import mean_interval
 
@@ -145,25 +144,21 @@ def _data_sheet(device: DeviceModel, kind: str, rest: Record | None = None) -> C
 
 
 def _by_poses(
-    rival: Literal["optics", "robot arm"], device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
+    rival: Literal["optics", "robot arm"], device: DeviceModel, streams: Callable[[str], np.random.Generator]
 ) -> Calibration:
     """Turn the device for a minute in front of the reference, twice, and fit it to the poses."""
     records, references = list[Record](), list[Reference]()
     for turn in ("first", "second"):
-        rng = streams(f"{rival} {turn}")
-        performed = draw_task("free", rng=rng)
-        time = np.arange(round(performed.duration_s * RATE_HZ)) / RATE_HZ
-        motion = performed.at(time, STANDARD_GRAVITY)
-        records.append(simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S).record)
-        q_nb, position = disturbed(
-            motion.q_nb, performed.position(time), streams=draw_streams(rng), settings=POSES[rival]
-        )
-        references.append(Reference(time=time, q_nb=q_nb, position=position, moving=motion.moving))
+        performed, record = free_motion(device, streams, f"{rival} {turn}")
+        motion = performed.at(record.time, STANDARD_GRAVITY)
+        camera = draw_streams(streams(f"{rival} {turn} poses"))
+        q_nb, position = disturbed(motion.q_nb, performed.position(record.time), streams=camera, settings=POSES[rival])
+        records.append(record)
+        references.append(Reference(time=record.time, q_nb=q_nb, position=position, moving=motion.moving))
     fitted = calibrate_to_references(records, references, settings=ReferenceSettings(mounting="one"))
-    sheet = _data_sheet(device, kind)
-    return replace(
-        fitted, gyro=fitted.gyro or sheet.gyro, accel=fitted.accel or sheet.accel, reference_temp_c=ROOM_TEMP_C
-    )
+    if fitted.accel is None:
+        raise NotObservable(f"{rival}: the motion does not determine the accelerometers.")
+    return replace(fitted, reference_temp_c=ROOM_TEMP_C)
 
 
 # ---- the table
@@ -176,7 +171,7 @@ def calibrate_rival(
     if rival == "data sheet":
         return _data_sheet(device, kind)
     if rival in ("optics", "robot arm"):
-        return _by_poses(rival, device, kind, streams)
+        return _by_poses(rival, device, streams)
     return _by_known_forces(rival, device, kind, streams)
 
 
@@ -192,13 +187,17 @@ def _one_device(study: Study, number: int) -> list[tuple[str, list[float], float
     ]
     rows = []
     for method in (*OWN, *RIVALS):
+        session = SESSIONS.get(method)
+        if session is not None and not session.suits(device):
+            rows.append((method, [float("nan")] * len(cases), float("nan")))
+            continue
         try:
-            if method in SESSIONS:
-                calibration = calibrate_by(SESSIONS[method], device, errors=study.bench, streams=streams)
+            if session is not None:
+                calibration = calibrate_by(session, device, errors=study.bench, streams=streams)
             else:
                 calibration = calibrate_rival(method, device, study.device, streams)  # type: ignore[arg-type]
             errors = [pitch_errors_deg(case, calibration, study.offset)[0] for case in cases]
-        except UndriftError:
+        except (CalibrationError, AlignmentError):
             rows.append((method, [float("nan")] * len(cases), float("nan")))
             continue
         rows.append((method, errors, _tilt_deg(calibration.accel, truth.accel)))

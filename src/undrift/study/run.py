@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.errors import InputError, UndriftError
+from undrift.errors import CalibrationError, InputError
 from undrift.model import Calibration
 from undrift.sim.motion.tasks import Subject, Task, cohort, draw_task
 from undrift.study.case import (
@@ -32,7 +32,13 @@ from undrift.study.case import (
 )
 from undrift.study.plan import Study, StudyTask
 from undrift.study.recorded import RecordedTask, read_motion
-from undrift.study.sessions import ROOM_TEMP_C, CalibrationSession, calibrate_by, calibrate_by_means
+from undrift.study.sessions import (
+    ROOM_TEMP_C,
+    CalibrationSession,
+    add_tables,
+    calibrate_before_soaks,
+    calibrate_by_means,
+)
 from undrift.validation.agreement import mean_interval
 
 # ---- executors
@@ -112,23 +118,34 @@ class _Device:
         self.model = unit if without is None else device_without(unit, without)
         self.aligned = without != "delay"
         self._calibrations: dict[str, Calibration | None] = {}
+        self._before_soaks: dict[CalibrationSession, Calibration] = {}
+        self._performed: dict[str, list[Task | RecordedTask]] = {}
 
     def calibration(self, session: CalibrationSession) -> Calibration | None:
         """Calibrate the device with a session; return None if the session cannot calibrate it."""
         if session.name not in self._calibrations:
-            study = self.study
-            streams = partial(stream, study.seed, study.group, "bench", self.number)
-            try:
-                device = with_cutoff(self.model, None)
-                how: dict[str, Any] = {"errors": study.bench, "streams": streams, "fit": study.fit}
-                self._calibrations[session.name] = (
-                    calibrate_by_means(session.protocol, device, **how)
-                    if session.by_means and session.protocol
-                    else calibrate_by(session, device, **how)
-                )
-            except UndriftError:
-                self._calibrations[session.name] = None
+            self._calibrations[session.name] = None
+            if session.suits(self.model):
+                with suppress(CalibrationError):
+                    self._calibrations[session.name] = self._calibrate(session)
         return self._calibrations[session.name]
+
+    def _calibrate(self, session: CalibrationSession) -> Calibration:
+        study, device = self.study, with_cutoff(self.model, None)
+        streams = partial(stream, study.seed, study.group, "bench", self.number)
+        how: dict[str, Any] = {"errors": study.bench, "streams": streams, "fit": study.fit}
+        if session.by_means and session.protocol:
+            return calibrate_by_means(session.protocol, device, **how)
+        part = session.at_one_temperature
+        if part not in self._before_soaks:
+            self._before_soaks[part] = calibrate_before_soaks(part, device, **how)
+        return add_tables(session, self._before_soaks[part], device, **how)
+
+    def perform(self, task: StudyTask) -> list[Task | RecordedTask]:
+        """Return the trials of the device's person."""
+        if task.key not in self._performed:
+            self._performed[task.key] = perform(self.study, task, self.number)
+        return self._performed[task.key]
 
     def runs(
         self,
@@ -153,14 +170,14 @@ class _Device:
                 rng=stream(study.seed, study.group, "noise", task.name, self.number, place),
                 aligned=self.aligned,
             )
-            for place, performed in enumerate(perform(study, task, self.number))
+            for place, performed in enumerate(self.perform(task))
         ]
         for session in sessions:
             calibration = self.calibration(session)
             for offset in offsets or (study.offset,):
                 errors = np.full(3, np.nan)
                 if calibration is not None:
-                    with suppress(UndriftError):  # a tilt that cannot be found counts as a failed calibration
+                    with suppress(CalibrationError):  # such as accelerometers that do not measure gravity
                         errors = np.mean([pitch_errors_deg(case, calibration, offset) for case in cases], axis=0)
                 yield Run(
                     task=task.key, subject=self.number, session=session.name, excursion_k=rise, offset=offset, role=role,

@@ -32,7 +32,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.motion.tasks import draw_task
+from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.sessions import simulate_session
 from undrift.sim.table_sessions import (
     FACE,
@@ -47,7 +47,7 @@ from undrift.sim.table_sessions import (
     turned_about,
 )
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 ROOM_TEMP_C = 25.0
 WARM_C = 12.5  # worn temperature above the room, K: between the note's 10 and 15
@@ -56,6 +56,7 @@ SAMPLE_RATE_HZ = 50.0  # of a session: the fits take means over seconds
 HAND_AXIS = 2.0 * RADIAN_PER_DEGREE  # [assumed] axis of a turn by hand, each direction across it
 HAND_FACE = 0.5 * RADIAN_PER_DEGREE  # [assumed] face of a case on a table
 MOTION_RECORDINGS = 4  # of half a minute each
+MOTION_RATE_HZ = 100.0
 KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
 
 Kind = Literal["hand", "poses", "motion", "table"]
@@ -83,6 +84,17 @@ class CalibrationSession:
         kinds: dict[str, BenchKind] = {"hand": "ferraris", "poses": "multi_position"}
         motion = bench_motion(kinds[self.kind], rng=np.random.default_rng(0))
         return float(motion.time[-1]) / 60.0 + (WARMING_MIN if self.warm else 0.0)
+
+    @property
+    def at_one_temperature(self) -> "CalibrationSession":
+        """The part of the session before its soaks; sessions with the same rates share it."""
+        if self.protocol is None:
+            return self
+        return replace(self, name="", protocol=replace(self.protocol, name="", temperatures_c=()))
+
+    def suits(self, device: DeviceModel) -> bool:
+        """Return False for motion alone if readings are counts or volts: motion cannot determine a gain."""
+        return self.kind != "motion" or (is_physical(device.gyro.unit) and is_physical(device.accel.unit))
 
     @property
     def instruments(self) -> str:
@@ -165,22 +177,42 @@ def calibrate_by(
 
     ``streams`` returns the generator of a name. Raises CalibrationError if the session cannot calibrate the device.
     """
+    calibration = calibrate_before_soaks(session, device, errors=errors, streams=streams, fit=fit)
+    return add_tables(session, calibration, device, errors=errors, streams=streams, fit=fit)
+
+
+def calibrate_before_soaks(
+    session: CalibrationSession, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
+) -> Calibration:
+    """Record the part of a session at one temperature, and fit it."""
     temp_c = ROOM_TEMP_C + WARM_C * session.warm
     if session.kind == "motion":
         return calibrate_from_motion(
-            [_motion_by_hand(device, streams(f"motion {k}"), temp_c) for k in range(MOTION_RECORDINGS)]
+            [free_motion(device, streams, f"motion {k}", temp_c)[1] for k in range(MOTION_RECORDINGS)]
         )
     mode: Literal["paper"] | None = "paper" if fit == "paper" and session.kind == "table" else None
-    settings = _bench(session, errors)
     kinds: dict[Kind, BenchKind] = {"hand": "ferraris", "poses": "multi_position", "table": "bench", "motion": "bench"}
     recorded = simulate_session(
-        kinds[session.kind], device, rng=streams("bench"), settings=settings, temp_c=temp_c, power_on_s=SETTLED_S
-    )
-    calibration = calibrate(recorded, mode=mode)
+        kinds[session.kind], device, rng=streams("bench"), settings=_bench(session, errors), temp_c=temp_c,
+        power_on_s=SETTLED_S,
+    )  # fmt: skip
+    return calibrate(recorded, mode=mode)
+
+
+def add_tables(
+    session: CalibrationSession,
+    calibration: Calibration,
+    device: DeviceModel,
+    *,
+    errors: BenchErrors,
+    streams: Streams,
+    fit: Fit = "product",
+) -> Calibration:
+    """Record the soaks of a session, and fit the tables over temperature; a session without soaks has none."""
     protocol = session.protocol
     if protocol is None or not protocol.temperatures_c:
         return calibration
-    thermal = ThermalSettings(bench=settings, set_points_c=protocol.temperatures_c)
+    thermal = ThermalSettings(bench=_bench(session, errors), set_points_c=protocol.temperatures_c)
     soaks = simulate_thermal_session("soak", device, rng=streams("chamber"), settings=thermal)
     choices = DriftSettings()
     if fit == "paper":
@@ -247,9 +279,17 @@ def calibrate_by_means(
     )
 
 
-def _motion_by_hand(device: DeviceModel, rng: np.random.Generator, temp_c: float) -> Record:
-    performed = draw_task("free", rng=rng)
-    time = np.arange(round(performed.duration_s * 100.0)) / 100.0
-    return simulate_device(
-        device, performed.at(time, STANDARD_GRAVITY), rng=rng, temp_c=temp_c, power_on_s=SETTLED_S
-    ).record
+PACES = (1.0, 0.7, 0.5, 0.35, 0.25)
+
+
+def free_motion(device: DeviceModel, streams: Streams, name: str, temp_c: float = ROOM_TEMP_C) -> tuple[Task, Record]:
+    """Return a minute of turns about all axes and its readings, at the first of ``PACES`` that stays within the range."""
+    for pace in PACES:
+        rng = streams(name)
+        performed = draw_task("free", rng=rng, pace=pace)
+        time = np.arange(round(performed.duration_s * MOTION_RATE_HZ)) / MOTION_RATE_HZ
+        motion = performed.at(time, STANDARD_GRAVITY)
+        simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=SETTLED_S)
+        if not (simulated.gyro.saturated.any() or simulated.accel.saturated.any()):
+            break
+    return performed, simulated.record

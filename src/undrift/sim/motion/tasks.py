@@ -413,13 +413,20 @@ MOST_DRAWS = 1000  # of a performance within the bound of its category
 LOUDEST = 1.385
 
 
-def draw_task(name: TaskName, *, rng: np.random.Generator, subject: Subject | None = None, rest_s: float = 6.0) -> Task:
+def draw_task(
+    name: TaskName,
+    *,
+    rng: np.random.Generator,
+    subject: Subject | None = None,
+    rest_s: float = 6.0,
+    pace: float = 1.0,
+) -> Task:
     """Draw one performance of a task."""
     if name not in get_args(TaskName):
         raise InputError(f"task: wanted one of {', '.join(get_args(TaskName))}, got '{name}'; name one of them")
     who = Performance(draw_streams(rng).of(name), subject)
     if name == "free":
-        return _free(who.draw, rest_s)
+        return _free(who.draw, rest_s, pace)
     perform, most_dps = {
         "sit_to_stand": (_sit_to_stand, who.category.most_dps[0]),
         "step": (_step, who.category.most_dps[1]),
@@ -540,18 +547,18 @@ def _posturography(who: Performance, rest_s: float) -> Task:
     )
 
 
-def _free(draw: np.random.Generator, rest_s: float) -> Task:
-    span = (rest_s, rest_s + 60.0)
+def _free(draw: np.random.Generator, rest_s: float, pace: float) -> Task:
+    span, band_hz = (rest_s, rest_s + 60.0), (0.1 * pace, 0.9 * pace)
     return Task(
         name="free",
         duration_s=span[1] + rest_s,
         moving_s=span,
-        roll=_waves(draw, 6, 12.0 * DEGREE, (0.1, 0.9), span),
-        pitch=_waves(draw, 6, 12.0 * DEGREE, (0.1, 0.9), span),
-        yaw=_waves(draw, 6, 15.0 * DEGREE, (0.1, 0.9), span),
-        forward=_waves(draw, 4, 0.05, (0.2, 0.9), span),
-        left=_waves(draw, 4, 0.05, (0.2, 0.9), span),
-        up=_waves(draw, 4, 0.03, (0.2, 0.9), span),
+        roll=_waves(draw, 6, 12.0 * DEGREE, band_hz, span),
+        pitch=_waves(draw, 6, 12.0 * DEGREE, band_hz, span),
+        yaw=_waves(draw, 6, 15.0 * DEGREE, band_hz, span),
+        forward=_waves(draw, 4, 0.05, (0.2, 0.9 * pace), span),
+        left=_waves(draw, 4, 0.05, (0.2, 0.9 * pace), span),
+        up=_waves(draw, 4, 0.03, (0.2, 0.9 * pace), span),
     )
 
 

@@ -1,0 +1,103 @@
+"""Promised against delivered: errors of new devices on the simulated rig, and the interval of a single device that a study prints.
+
+``python -m benchmarks.promised [--devices 30] [--new 8]`` prints a row per session: the interval, the delivered errors,
+and the number of errors inside. About 95 % should lie inside: n - 1 of n + 1 for n devices, from 39 devices on 95 %.
+"""
+
+import argparse
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from undrift.calibration.calibrate import calibrate
+from undrift.drift.fit import fit_drift
+from undrift.io.session import read_session
+from undrift.model import Calibration
+from undrift.programme import ProgrammeSettings, programme_of
+from undrift.rig.chamber import ChamberSetup
+from undrift.rig.folder import RunFolder
+from undrift.rig.run import RigBench, run_programme
+from undrift.rig.simulated import SimulatedBench, SimulatedSettings
+from undrift.sim.device.model import DeviceModel
+from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
+from undrift.study.judge import SessionErrors, judge_sessions
+from undrift.study.plan import Study, StudyTask
+from undrift.study.run import executor, perform, run_study
+from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
+from undrift.study.virtual_bench import AIR, SETTLE_S, SOAK
+from undrift.units import STANDARD_GRAVITY
+
+NAMES = ("three rates", "note rates", "two set-points")
+NEW = 1000  # number of the first device that the study does not have
+
+
+def study_of(devices: int) -> Study:
+    """Return a study of a sit-to-stand with the three sessions."""
+    sessions = tuple(SESSIONS[name] for name in NAMES)
+    return Study(tasks=(StudyTask(name="sit_to_stand"),), sessions=sessions, subjects=devices, subjects_max=devices)
+
+
+def promise(study: Study) -> dict[str, SessionErrors]:
+    """Return what a study states of each session."""
+    with executor() as spread:
+        runs = run_study(study, spread)
+    return {row.session.name: row for row in judge_sessions(study, runs, study.tasks[0])}
+
+
+def calibrate_on_rig(name: str, device: DeviceModel, folder: Path) -> Calibration:
+    """Return the calibration that a run of the session's protocol on the simulated rig gives."""
+    protocol = SESSIONS[name].protocol
+    assert protocol is not None
+    protocol = replace(protocol, name="run", faces_at="room", soak_c_per_min=0.5, board_lag_s=AIR.board_lag_s)
+    programme = programme_of(
+        protocol, ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
+    )
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
+    with RunFolder(folder, protocol) as opened:
+        chamber = bench.chamber if protocol.temperatures_c else None
+        connected = RigBench(
+            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
+        )
+        run_programme(
+            programme,
+            connected,
+            opened,
+            report=lambda progress: None,
+            serial=device.serial,
+            gravity_m_s2=STANDARD_GRAVITY,
+        )
+    session = read_session(folder)
+    calibration = calibrate(session)
+    return fit_drift((session,), calibration).calibration if protocol.temperatures_c else calibration
+
+
+def deliver(study: Study, name: str, number: int, folder: Path) -> float:
+    """Return the error of the pitch of a device that was calibrated on the rig and worn by a person, deg."""
+    device = with_cutoff(study.unit(number), None)
+    calibration = calibrate_on_rig(name, device, folder)
+    (performed,) = perform(study, study.tasks[0], number)
+    rise = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
+    case = make_case(device, performed, temp_c=ROOM_TEMP_C + rise, rng=stream(study.seed, "promised", number))
+    return pitch_errors_deg(case, calibration, study.offset)[0]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--devices", type=int, default=30)
+    parser.add_argument("--new", type=int, default=8)
+    given = parser.parse_args()
+    study = study_of(given.devices)
+    promised = promise(study)
+    for name in NAMES:
+        low, high = promised[name].single_deg
+        with tempfile.TemporaryDirectory() as folder:
+            errors = [deliver(study, name, NEW + k, Path(folder) / f"run-{k}") for k in range(given.new)]
+        inside = sum(low <= error <= high for error in errors)
+        listed = ", ".join(f"{error:.3f}" for error in errors)
+        print(f"{name}: promised {low:.3f} to {high:.3f} deg, inside {inside} of {len(errors)}: {listed}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
