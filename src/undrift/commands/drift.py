@@ -255,17 +255,12 @@ def offset_title(name: str, summary: "TriadSummary") -> str:
 
 
 def scale_rows(fit: "DriftFit") -> list[dict[str, str]]:
-    """Return a row for each axis: thermal sensitivity of the scale factor, and asymmetry."""
-    scale, asymmetry = None if fit.choice is None else fit.choice.scale, fit.asymmetry
-    if scale is None and asymmetry is None:
+    """Return a row for each axis: thermal sensitivity of the scale factor."""
+    scale = None if fit.choice is None else fit.choice.scale
+    if scale is None:
         return []
-    thermal = asymmetric = ["not seen"] * 3
-    if scale is not None:
-        thermal = list(map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty))
-    if asymmetry is not None:
-        asymmetric = list(map(plus_minus, 100.0 * asymmetry.mean, 100.0 * asymmetry.mean_uncertainty))
-    rows = zip("xyz", thermal, asymmetric, strict=True)
-    return [{"axis": a, "scale factor (% per degC)": t, "asymmetry (%)": s} for a, t, s in rows]
+    rows = zip("xyz", map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty), strict=True)
+    return [{"axis": axis, "scale factor (% per degC)": thermal} for axis, thermal in rows]
 
 
 def choice_rows(alternatives: "Alternatives") -> list[dict[str, str]]:

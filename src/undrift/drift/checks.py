@@ -414,12 +414,6 @@ def temperature_verdict(temperatures: tuple[Temperature, ...]) -> Verdict:
     return Verdict.of(*(item for temperature in temperatures for item in temperature.findings))
 
 
-def without_figures(verdict: Verdict) -> Verdict:
-    """Return a verdict without the findings that tables of the page and the terminal show."""
-    shown = ("drift.scale", "drift.accel_scale")
-    return replace(verdict, findings=tuple(item for item in verdict.findings if item.code not in shown))
-
-
 def lag_verdict(lag: LagFit | None, subtracted_s: float) -> Verdict:
     """Return the findings on the thermometer's lag."""
     # No lag explains the loop: nothing to separate

@@ -38,10 +38,10 @@ from undrift.base.summary import Shown
 from undrift.calibration.session import ROOM_C, in_one_unit
 from undrift.drift import checks, observe, rate_steps
 from undrift.drift import temperature as thermometer
-from undrift.drift.accel import AccelDriftFit, fit_accel_drift, with_accel
+from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import ObserveSettings, RateSteps, RestBlocks
 from undrift.drift.offset import StaticFit, StaticSettings, TriadDrift, far_from_data, felt_by_gyro, fit_static
-from undrift.drift.rate_steps import Asymmetry, DynamicFit, ScaleFit, Steps
+from undrift.drift.rate_steps import DynamicFit, ScaleFit, Steps
 from undrift.drift.temperature import LagFit, Temperature, TemperatureSettings
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
@@ -191,8 +191,6 @@ class DriftFit(Shown):
         Matrix and dynamic drift; None without rate steps at two soaks.
     accel : AccelDriftFit or None
         Accelerometers from poses; None without poses at two temperatures.
-    asymmetry : Asymmetry or None
-        Of the scale factors for the two ways round; None without rate steps.
     lag : LagFit or None
         Of the thermometer; None where it was stated.
     rests : RestBlocks
@@ -213,7 +211,6 @@ class DriftFit(Shown):
     static: StaticFit
     choice: Choice | None
     accel: AccelDriftFit | None
-    asymmetry: Asymmetry | None
     lag: LagFit | None
     rests: RestBlocks
     steps: RateSteps
@@ -304,7 +301,7 @@ def fit_drift(
     gyro = checks.summarise_gyro(static, device)
     of_offsets = checks.with_set_points(checks.static_verdict(static, accel), wide, rests, device)
     of_sweep = checks.single_sweep_verdict(gyro, rests, together, warm_up_fitted=static.table.warm_up is not None)
-    of_accel = checks.poses_verdict(accel, device).also(checks.without_figures(accel.verdict) if accel else Verdict())
+    of_accel = checks.poses_verdict(accel, device).also(accel.verdict if accel else Verdict())
     of_sweep = of_sweep.also(checks.set_point_verdict(sessions))
     verdict = (
         agrees.also(checks.temperature_verdict(together)).also(of_choice).also(of_offsets).also(of_rests).also(of_poses)
@@ -315,7 +312,6 @@ def fit_drift(
         static=static,
         choice=choice,
         accel=accel,
-        asymmetry=rate_steps.scale_asymmetry(steps, device, static=wide.table) if len(steps) and device.gyro else None,
         lag=lag,
         rests=rests,
         steps=steps,
@@ -415,7 +411,7 @@ def _chosen(
         try:
             choice = choose_tables(steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests)
             choice = choice if settings.tables == "auto" else _requested(choice, settings.tables)
-            return choice, checks.without_figures(choice.verdict)
+            return choice, choice.verdict
         except NotObservable as error:
             why = finding("drift.tables_not_observable", "warn", problem=str(error))
     if settings.tables not in ("auto", "none"):
@@ -453,8 +449,22 @@ def _tables(
     static: StaticFit, choice: Choice | None, accel: AccelDriftFit | None, lags_s: tuple[float, float]
 ) -> DriftTables:
     scale, dynamic = (None, None) if choice is None else (choice.scale_drift, choice.dynamic_drift)
-    tables = DriftTables(static=static.table, scale=scale, dynamic=dynamic, lag_s=lags_s[0], lag_smooth_s=lags_s[1])
-    return tables if accel is None else with_accel(tables, accel)
+    offsets = static.table
+    if accel is not None:
+        offsets = replace(
+            offsets,
+            accel_offset=accel.offset,
+            accel_uncertainty=accel.offset_uncertainty,
+            accel_extrapolated=accel.extrapolated,
+            accel_visit=None,
+        )
+        scale = replace(
+            scale or ScaleDrift(temp_c=accel.temp_c),
+            accel_matrix=accel.matrix,
+            accel_uncertainty=accel.matrix_uncertainty,
+            accel_extrapolated=accel.extrapolated,
+        )
+    return DriftTables(static=offsets, scale=scale, dynamic=dynamic, lag_s=lags_s[0], lag_smooth_s=lags_s[1])
 
 
 def _calibrated(

@@ -1,4 +1,4 @@
-"""What rate steps at several soaks show: the matrix over temperature, asymmetry, and the dynamic drift that is left.
+"""What rate steps at several soaks show: the matrix over temperature, and the dynamic drift that is left.
 
 Matrix over temperature, that is thermal scale factor and cross-axis.
 At one soak, after the offset table is subtracted, each sensor i reads ::
@@ -13,10 +13,6 @@ curve (fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M.
 
 K is the best straight line over the imposed rates. What bends belongs to the dynamic table; so the noise is what a line, a
 parabola and a cubic leave.
-
-Scale factor asymmetry (IEEE Std 528): at each soak and axis, o the offset of the mounting::
-
-    u = o + S+ max(w, 0) + S- min(w, 0)        asymmetry = 2 (S+ - S-) / (S+ + S-)
 
 Dynamic drift is the rate-dependent error after offset(T) and matrix, per axis, as a table over measured rate and temperature.
 
@@ -57,7 +53,6 @@ from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDri
 from undrift.units import si_factor
 
 _BENT = 8  # rows of a mounting from which a parabola and a cubic differ from noise
-_OWN = 0.9  # share of the turning rate from which a row counts for one axis alone
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # of the largest difference between two poses, or of gravity
 _SAME_RATE = 0.01  # of the greatest: rates of one mounting nearer to each other are one, and imposed rates one node
@@ -115,18 +110,6 @@ class ScaleFit:
     verdict: Verdict
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Asymmetry:
-    """Scale factor asymmetry of three gyroscopes at S soaks."""
-
-    temp_c: FloatArray  # (S,), degC, increasing
-    value: FloatArray  # (S, 3), 1; NaN where an axis did not turn both ways at two rates each
-    uncertainty: FloatArray  # (S, 3), standard uncertainty
-    mean: FloatArray  # (3,), over the soaks, weighted; their scatter beyond the stated noise counts
-    mean_uncertainty: FloatArray  # (3,)
-    verdict: Verdict
-
-
 def fit_scale(
     steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, temp_c: FloatArray
 ) -> ScaleFit:
@@ -147,7 +130,7 @@ def fit_scale(
         gyro_uncertainty=uncertainty * to_out,
         gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
     )
-    verdict = _verdict(soaks, slope, doubt).also(clean.verdict)
+    verdict = _verdict(soaks).also(clean.verdict)
     return ScaleFit(drift=drift, soaks=soaks, percent_per_k=slope, percent_per_k_uncertainty=doubt, verdict=verdict)
 
 
@@ -266,64 +249,16 @@ def _sensitivity(soaks: SoakMatrices, reference_temp_c: float) -> tuple[FloatArr
     return slope, doubt
 
 
-def _verdict(soaks: SoakMatrices, slope: FloatArray, doubt: FloatArray) -> Verdict:
+def _verdict(soaks: SoakMatrices) -> Verdict:
+    """Return which axes turned at too few temperatures."""
     findings, count = [], soaks.seen.sum(axis=0)
-    for axis, n, s, u in zip(AXES, count, slope, doubt, strict=True):
+    for axis, n in zip(AXES, count, strict=True):
         if n < 2:
             findings.append(finding("drift.scale_not_observable", "warn", axis=axis, soaks=n))
-        else:
-            findings.append(finding("drift.scale", "info", axis=axis, percent_per_k=s, expanded_percent_per_k=2.0 * u))
-    two = tuple(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
-    return Verdict.of(*findings, *([finding("drift.scale_two_temperatures", "warn", axes=two)] if two else []))
-
-
-# ---- scale factor asymmetry
-
-
-def scale_asymmetry(steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None = None) -> Asymmetry:
-    """Compare the scale factors of the two ways round at each soak."""
-    clean = steps_of(steps)
-    reading = clean.gyro - offset_at(clean.temp_c, calibration, static)
-    numbers = np.unique(clean.soak)
-    temps = np.array([clean.temp_c[clean.soak == s].mean() for s in numbers])
-    order = np.argsort(temps, kind="stable")
-    value, doubt = np.full((len(numbers), 3), np.nan), np.full((len(numbers), 3), np.nan)
-    main = np.abs(clean.rate_b) > _OWN * np.linalg.norm(clean.rate_b, axis=1, keepdims=True)
-    for k, s in enumerate(numbers[order]):
-        for axis in range(3):
-            rows = np.flatnonzero((clean.soak == s) & main[:, axis])
-            of_axis = clean.rate_b[rows, axis], reading[rows, axis], clean.gyro_variance[rows, axis]
-            value[k, axis], doubt[k, axis] = _asymmetry_of(*of_axis)
-    mean, mean_doubt = np.full(3, np.nan), np.full(3, np.nan)
-    for axis, have in enumerate(np.isfinite(value).T):
-        y, v = value[have, axis], doubt[have, axis] ** 2
-        if len(y):
-            spread = v + excess_variance(y - np.average(y, weights=1.0 / v), v, len(y) - 1)
-            mean[axis], mean_doubt[axis] = np.average(y, weights=1.0 / spread), np.sqrt(1.0 / (1.0 / spread).sum())
-    unseen = tuple(axis for axis, a in zip(AXES, mean, strict=True) if np.isnan(a))
-    findings = [finding("drift.asymmetry_not_observable", "warn", axes=unseen)] if unseen else []
-    findings += [
-        finding("drift.asymmetry", "info", axis=axis, percent=100.0 * a, expanded_percent=200.0 * u)
-        for axis, a, u in zip(AXES, mean, mean_doubt, strict=True)
-        if abs(a) > 3.0 * u
-    ]
-    verdict, temp_c = Verdict.of(*findings).also(clean.verdict), temps[order]
-    return Asymmetry(
-        temp_c=temp_c, value=value, uncertainty=doubt, mean=mean, mean_uncertainty=mean_doubt, verdict=verdict
-    )
-
-
-def _asymmetry_of(rate: FloatArray, reading: FloatArray, variance: FloatArray) -> tuple[float, float]:
-    """Return the asymmetry of one axis at one soak and its standard uncertainty; NaN where it does not show."""
-    if len(np.unique(rate[rate > 0.0])) < 2 or len(np.unique(rate[rate < 0.0])) < 2:
-        return float("nan"), float("nan")
-    z = rate / np.abs(rate).max()
-    design = np.column_stack((np.ones_like(z), np.maximum(z, 0.0), np.minimum(z, 0.0)))
-    full = np.column_stack((design, z**2, z**3)) if len(z) > 7 else design  # curvature is no noise
-    (_, plus, minus), inverse = _weighted(design, reading, variance, full)
-    total = plus + minus
-    slope = np.array([0.0, 4.0 * minus, -4.0 * plus]) / total**2
-    return float(2.0 * (plus - minus) / total), float(np.sqrt(slope @ inverse @ slope))
+    two = ", ".join(axis for axis, n in zip(AXES, count, strict=True) if n == 2)
+    if two:
+        findings.append(finding("drift.two_temperatures", "warn", what=f"scale factor {two}"))
+    return Verdict.of(*findings)
 
 
 # ---- rate steps made ready: usable rows, soaks and mountings by number
@@ -657,7 +592,7 @@ def _dynamic_verdict(points: list[SurfacePoints | None]) -> Verdict:
         if len(np.unique(data.soak)) == 2:
             two.append(axis)
     if two:
-        findings.append(finding("drift.dynamic_two_temperatures", "warn", axes=two))
+        findings.append(finding("drift.two_temperatures", "warn", what=f"dynamic drift {', '.join(two)}"))
     return Verdict.of(*findings)
 
 
