@@ -14,7 +14,7 @@ from undrift.arrays import FloatArray
 from undrift.drift.observe import RestBlocks, observe_rests
 from undrift.drift.offset import StaticFit, cooling, fit_static, variance_of_mean
 from undrift.errors import NotObservable
-from undrift.model import Calibration
+from undrift.model import Calibration, Verdict
 from undrift.record import Session, Still
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
@@ -83,12 +83,15 @@ def _add_left_out(fit: StaticFit, left: RestBlocks, branch: float, calibration: 
     node = int(np.abs(fit.table.temp_c - left.temp_c.mean()).argmin())
     noise = variance_of_mean(left.gyro, np.nan_to_num(left.gyro_variance), left.gyro_step_error)
     error, variance = left.gyro.mean(axis=0) - found.offset[node], found.uncertainty[node] ** 2 + noise
-    loop = found.curve.loop
-    if loop is not None:  # the branch is known, so that the half-width is no uncertainty
-        error = error - branch * loop.half
-        variance = variance - loop.half**2 + loop.uncertainty**2
+    if found.hysteresis is not None and found.hysteresis_uncertainty is not None:
+        # the branch is known, so that the half-width is no uncertainty
+        error = error - branch * found.hysteresis
+        variance = variance - found.hysteresis**2 + found.hysteresis_uncertainty**2
     per_raw = 1.0 / (DPS * calibration.gyro.scale_factor)
-    tally.add(fit.verdict, offset=(error * per_raw, np.sqrt(variance) * per_raw))
+    judged = [
+        item for item in fit.verdict.findings if item.code != "drift.hysteresis_unknown"
+    ]  # a course up knows none
+    tally.add(Verdict.of(*judged), offset=(error * per_raw, np.sqrt(variance) * per_raw))
 
 
 def _soaks(

@@ -633,16 +633,12 @@ class RateTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SetPointMeans:
-    """What a table of means states beside its readings: a row is the mean over a set-point, not a sample; N rows."""
+    """Properties of means over set-points: each row of the record is a mean, not a sample; N rows."""
 
-    count: Annotated[FloatArray, Shape("n")]  # Readings in each mean; NaN where not stated
-    rate_b: Annotated[FloatArray, Shape("n", 3)]  # Imposed rate, rad/s; 0 at rest
-    # Standard uncertainty of the mean, in the unit of the triad; NaN where not stated
+    rate_b: Annotated[FloatArray, Shape("n", 3)]  # imposed rate, rad/s; 0 at rest
+    # standard uncertainty of the mean, in the unit of the record; NaN if unknown
     gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
     accel_uncertainty: Annotated[FloatArray, Shape("n", 3)]
-    gyro_unit: str
-    accel_unit: str
-    from_spread: bool = False  # Whether uncertainties are spread over the root of the count: noise taken as white
 
     def __post_init__(self) -> None:
         freeze(self)

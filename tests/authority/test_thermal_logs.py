@@ -71,7 +71,7 @@ def test_the_slopes_of_a_warm_up_are_those_of_its_ten_second_means(warm_up):
     np.testing.assert_allclose(1e3 * fit.accel.slope, [0.276, -0.094, -1.79], atol=0.15)
     assert fit.table.accel_offset is None
     assert any("calibrate six faces" in reason for reason in fit.verdict.reasons)
-    assert "drift.one_session" in {item.code for item in fit.verdict.findings}
+    assert "drift.turn_on_unknown" in {item.code for item in fit.verdict.findings}
 
 
 def split_by(record, seconds):
@@ -87,7 +87,7 @@ def left(record, seconds, parity, nodes):
     taught = thermal(record, stills=tuple(stretches[parity::2]))
     fit = fit_static(blocks_of(taught), nodes=nodes, settings=G_UNIT)
     judged = blocks_of(thermal(record, stills=tuple(stretches[1 - parity :: 2])))
-    accel = fit.accel.curve.curve.at(nodes).value
+    accel = fit.accel.curve.at(nodes).value
 
     def at(table):
         return np.column_stack([np.interp(judged.temp_c, nodes, column) for column in table.T])
@@ -197,7 +197,7 @@ def left_out(blocks, group, settings=G_UNIT):
             (fit.accel, out.accel, out.accel_variance, out.accel_step_error),
         ):
             if triad is not None:
-                errors.append(y.mean(axis=0) - triad.curve.curve.at(nodes).value[node])
+                errors.append(y.mean(axis=0) - triad.curve.at(nodes).value[node])
                 noise = variance_of_mean(y, np.nan_to_num(variance), step)
                 stated.append(np.sqrt(triad.uncertainty[node] ** 2 + noise))
     shape = (len(np.unique(group)), -1)

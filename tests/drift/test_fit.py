@@ -14,21 +14,19 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
-from undrift.commands.drift import choice_rows, drift_summary
+from undrift.commands.drift import drift_summary
 from undrift.correction.correct import correct, correct_checked
-from undrift.drift import fit as procedure_module
-from undrift.drift.checks import static_verdict, verdict_before
 from undrift.drift.fit import (
     ALTERNATIVES,
     DriftSettings,
     _accelerometers,
-    _requested,
     choose_tables,
     fit_drift,
-    widened,
+    table_nodes,
 )
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import StaticSettings
+from undrift.drift.verdict import verdict_before
 from undrift.errors import InputError, NotObservable
 from undrift.export.constants import pair_at
 from undrift.report.page import write_page
@@ -82,7 +80,8 @@ def fit(session):
 
 def test_soaks_up_and_down_are_good_and_every_table_covers_what_the_offsets_cover(fit):
     assert fit.choice.verdict.status == "good", fit.choice.verdict.reasons
-    assert static_verdict(replace(fit.static, accel=None), None).status == "good"
+    doubts = {item.code for item in fit.static.verdict.findings if item.level != "info"}
+    assert doubts == {"drift.accel_one_pose"}
     assert fit.verdict.status == "marginal"  # the accelerometers alone: of one pose, over 57 degC
     assert fit.static.accel.mostly_unknown_scale
     drift = fit.calibration.drift
@@ -160,8 +159,8 @@ def test_sessions_over_days_state_how_far_the_offset_moves_between_switch_ons():
     assert (stated > turn_on).all()
     assert (stated < 2.0 * turn_on).all()
     assert (stated > 5.0 * np.degrees(one.gyro_summary.usual_uncertainty)).all()
-    assert "drift.one_session" in {item.code for item in one.verdict.findings}
-    assert "drift.one_session" not in {item.code for item in six.verdict.findings}
+    assert "drift.turn_on_unknown" in {item.code for item in one.verdict.findings}
+    assert "drift.turn_on_unknown" not in {item.code for item in six.verdict.findings}
 
 
 def test_a_warm_up_is_fitted_where_it_is_asked_for():
@@ -190,22 +189,12 @@ def test_tables_that_are_requested_are_taken_and_the_choice_is_reported(session)
     assert (drift.dynamic.temp_c[0], drift.dynamic.temp_c[-1]) == (drift.static.temp_c[0], drift.static.temp_c[-1])
     assert drift.dynamic.extrapolated[0].all()
     assert taken.calibration.drift.scale is None or taken.calibration.drift.scale.gyro_matrix is None
-    assert any(
-        reason.startswith("Tables requested: dynamic: cross-validation selects") for reason in taken.verdict.reasons
-    )
+    assert any("Tables requested: dynamic" in reason for reason in taken.verdict.reasons)
     none = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="none"))
     assert none.calibration.drift.dynamic is None
     assert none.choice.alternatives.chosen == "none"
-    with pytest.raises(NotObservable, match="wanted scale, got sessions that do not show them: Gyroscope scale over"):
+    with pytest.raises(NotObservable, match="scale was requested"):
         fit_drift([warmed(80)], CALIBRATION, settings=DriftSettings(tables="scale"))
-
-
-def test_a_table_that_cannot_be_fitted_is_not_passed_over(session, fit, monkeypatch):
-    partial = replace(fit.choice, scale=None)
-    monkeypatch.setattr(procedure_module, "choose_tables", lambda *_, **__: partial)
-    message = "wanted scale, got sessions that do not show them: .*scale cannot be fitted to these steps; turn about each axis"
-    with pytest.raises(NotObservable, match=message):
-        fit_drift([session], CALIBRATION, settings=DriftSettings(tables="scale"))
 
 
 def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
@@ -229,7 +218,7 @@ def test_six_faces_at_each_soak_determine_the_accelerometers_and_one_pose_is_not
     assert fit.accel is None
     assert six.accel_summary.in_table
     of_accel = [item.code for item in fit.verdict.findings if item.code.startswith("drift.accel_")]
-    assert sorted(of_accel) == ["drift.accel_one_pose", "drift.accel_poses_not_observable"]
+    assert sorted(of_accel) == ["drift.accel_not_observable", "drift.accel_one_pose"]
     assert "drift.accel_one_pose" not in {item.code for item in six.verdict.findings}
 
 
@@ -275,7 +264,7 @@ def test_the_nodes_are_those_asked_for_or_what_was_seen(session):
     seen = fit_drift([warmed(80)], CALIBRATION).calibration.drift.static.temp_c
     assert seen[0] > 11.0
     assert seen[-1] < 35.0
-    with pytest.raises(InputError, match="wanted a range that the step divides, got 20 to 70 degC by 3"):
+    with pytest.raises(InputError, match="the step must divide the range"):
         fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(20.0, 70.0), step_c=3.0))
 
 
@@ -299,10 +288,10 @@ def narrow(record):
 @pytest.mark.parametrize(
     ("temp_c", "error", "message"),
     [
-        (lambda record: None, InputError, r"wanted a column .* or set-points .* got neither"),
-        (constant, NotObservable, r"wanted temperatures that differ, got 25\.00 degC throughout"),
-        (narrow, NotObservable, r"wanted a span of 2 degC or more, got 1\.6"),
-        (lambda record: np.full(len(record), np.nan), InputError, r"got 0 of \d+ \(the others NaN\)"),
+        (lambda record: None, InputError, r"neither a column"),
+        (constant, NotObservable, r"constant"),
+        (narrow, NotObservable, r"span 1\.6"),
+        (lambda record: np.full(len(record), np.nan), InputError, r"only 0 of \d+"),
     ],
 )
 def test_a_temperature_that_tells_nothing_is_refused(temp_c, error, message):
@@ -312,11 +301,11 @@ def test_a_temperature_that_tells_nothing_is_refused(temp_c, error, message):
 
 
 def test_what_does_not_belong_together_is_refused(session):
-    with pytest.raises(InputError, match="wanted a session or more, got none"):
+    with pytest.raises(InputError, match="no session"):
         fit_drift([], CALIBRATION)
-    with pytest.raises(InputError, match="of one device, got other, enc03j"):
+    with pytest.raises(InputError, match="different devices"):
         fit_drift([replace(session, serial="other")], CALIBRATION)
-    with pytest.raises(InputError, match="wanted a lag of 0 s or more, got -1"):
+    with pytest.raises(InputError, match="0 s or more, got -1"):
         fit_drift([session], CALIBRATION, settings=DriftSettings(lag_s=-1.0))
 
 
@@ -326,15 +315,14 @@ def test_a_range_asked_for_cuts_the_tables_and_changes_neither_their_values_nor_
     assert asked.choice.alternatives.chosen == fit.choice.alternatives.chosen
     for cut, whole, value in (
         (asked.calibration.drift.static, fit.calibration.drift.static, "gyro_offset"),
-        (asked.choice.scale.drift, fit.choice.scale.drift, "gyro_matrix"),
-        (asked.choice.both.drift, fit.choice.both.drift, "error"),
+        (asked.calibration.drift.scale, fit.calibration.drift.scale, "gyro_matrix"),
     ):
         assert (cut.temp_c[0], cut.temp_c[-1]) == (41.0, 53.5)
         found, held = getattr(cut, value).reshape(len(cut.temp_c), -1), getattr(whole, value)
         wanted = [np.interp(cut.temp_c, whole.temp_c, column) for column in held.reshape(len(whole.temp_c), -1).T]
         # nodes are summed from another end, and linear between: rounding alone
         np.testing.assert_allclose(found, np.array(wanted).T, rtol=1e-9, atol=1e-12)
-    assert not any(item.code == "drift.nodes_extrapolated" for item in asked.static.verdict.findings)
+    assert not any(item.code == "drift.nodes_extrapolated" for item in asked.verdict.findings)
     np.testing.assert_array_equal(asked.gyro_summary.temp_c, asked.calibration.drift.static.temp_c)
 
 
@@ -394,17 +382,6 @@ def test_a_device_gets_the_tables_that_it_needs(name, changes, devices):
         # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
         # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
         assert table.left_out_rms_dps[ALTERNATIVES.index(name)] < 1.25 * 0.008
-        assert np.isfinite(table.soak_rms_dps).all()
-        assert np.isfinite(table.rate_rms_dps).all()
-
-
-def test_two_soaks_are_selected_by_rates_alone_with_a_finding():
-    choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0]))
-    assert np.isnan(choice.alternatives.soak_rms_dps).all()
-    assert choice.alternatives.chosen == "scale"
-    assert "drift.tables_by_rates" in {item.code for item in choice.verdict.findings}
-    counts = ("held_out", "soaks", "set_points")
-    assert [choice.alternatives.why.values[name] for name in counts] == [0, 2, 2]
 
 
 def test_soaks_of_one_set_point_are_counted_once_as_set_points():
@@ -412,14 +389,14 @@ def test_soaks_of_one_set_point_are_counted_once_as_set_points():
     choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 35.0, 45.0, 45.3, 34.8, 25.1]))
     counts = ("held_out", "soaks", "set_points")
     assert [choice.alternatives.why.values[name] for name in counts] == [2, 6, 3]
-    assert "(2 of 6 soaks at 3 set-points, and rates, held out)" in choice.alternatives.reason
+    assert "(2 of 6 soaks at 3 set-points left out in turn)" in choice.alternatives.reason
     two = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0, 45.3, 25.1]))
     assert [two.alternatives.why.values[name] for name in counts] == [0, 4, 2]
-    assert any("soaks at 2 set-points" in reason for reason in two.verdict.reasons)
+    assert "drift.tables_unjudged" in {item.code for item in two.verdict.findings}
 
 
 def test_one_soak_is_refused_with_its_temperature():
-    with pytest.raises(NotObservable, match=r"wanted rate steps at two soaks or more, got one at 25\.0 degC"):
+    with pytest.raises(NotObservable, match=r"two soaks or more, got 1"):
         chosen(device(0), temps=np.array([25.0]))
 
 
@@ -427,7 +404,7 @@ def test_soaks_that_turned_different_axes_are_refused():
     made = device(0)
     steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW)
     axis = np.abs(steps.rate_b).argmax(axis=1)
-    with pytest.raises(NotObservable, match="wanted an axis turned at two rates at two soaks, got 36 steps at 2 soaks"):
+    with pytest.raises(NotObservable, match="36 steps at 2 soaks"):
         chosen(made, steps=steps.taken(axis == steps.soak))
 
 
@@ -443,12 +420,12 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
 
 def test_a_missing_table_has_its_reason():
     choice, _ = one_way(0, TEMPS)
-    assert choice.scale is not None
-    assert choice.dynamic is None
-    (why,) = [item for item in choice.verdict.findings if item.code == "drift.dynamic_not_fitted"]
-    assert "dynamic drift: wanted" in why.text
-    with pytest.raises(NotObservable, match="dynamic drift: wanted"):
-        _requested(choice, "dynamic")
+    assert choice.fits.scale is not None
+    assert choice.fits.dynamic is None
+    (why,) = [item for item in choice.verdict.findings if item.code == "drift.tables_not_observable"]
+    assert "dynamic drift: no axis" in why.text
+    with pytest.raises(NotObservable, match="dynamic drift: no axis"):
+        one_way(0, TEMPS, tables="dynamic")
 
 
 def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
@@ -457,7 +434,7 @@ def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
     found, verdict = _accelerometers(fit.rests, CALIBRATION, nodes)
     (why,) = verdict.findings
     assert found is None
-    assert why.code == "drift.accel_poses_not_observable"
+    assert why.code == "drift.accel_not_observable"
     assert "Rest on all six faces at three temperatures" in why.text
 
 
@@ -465,13 +442,13 @@ def test_the_dynamic_table_spans_what_the_matrix_table_spans():
     made = device(0)
     steps = computed(made, TEMPS[1:-1], np.random.default_rng(1), rates=FEW, noise_dps=0.008)
     choice = chosen(made, steps=steps)
-    for fit in (choice.dynamic, choice.both):
+    for fit in (choice.fits.dynamic, choice.fits.both):
         assert np.array_equal(fit.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
         assert fit.drift.extrapolated[[0, -1]].all()
     assert choice.scale.drift.gyro_extrapolated[[0, -1]].all()
 
 
-def one_way(seed, temps, *, scatter_dps=0.0):
+def one_way(seed, temps, *, scatter_dps=0.0, tables="auto"):
     """One rate one way round about each axis at each soak, a rest before each, and a scale 0.5 % and 8 ppm/degC off."""
     rng = np.random.default_rng(seed)
     made = device(seed, thermal_scale=ThermalScale(per_k=np.full((1, 3), 8e-6)), rate_drift=None, g_sensitivity=None)
@@ -492,7 +469,8 @@ def one_way(seed, temps, *, scatter_dps=0.0):
         gyro_variance=resting.gyro_variance, accel_variance=np.full((n, 3), 1e-4),
     )  # fmt: skip
     table = true_tables(made, NODES, np.radians([-90.0, 90.0]))
-    return choose_tables(steps, kept, static=table.static, temp_c=NODES, rests=rests), table.scale.gyro_matrix
+    choice = choose_tables(steps, kept, static=table.static, temp_c=NODES, rests=rests, tables=tables)
+    return choice, table.scale.gyro_matrix
 
 
 def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_recovers_it():
@@ -522,29 +500,12 @@ def test_one_rate_at_two_soaks_cannot_be_judged_and_keeps_the_line_with_a_findin
     assert choice.verdict.status == "marginal"
 
 
-def test_nothing_is_called_held_out_that_was_fitted():
-    fitted, _ = one_way(0, np.array([25.0, 45.0]))
-    table = fitted.alternatives
-    assert np.isnan(table.left_out_rms_dps).all()
-    assert np.isfinite(table.fitted_rms_dps[:2]).all()
-    assert "fitted, nothing could be held out (2 set-points)" in table.reason
-    assert "nothing held out" in [row["held out (deg/s rms)"] for row in choice_rows(table)]
-    asked = _requested(fitted, "scale")
-    assert asked.alternatives.why.level == "warn"
-    assert "fitted, nothing could be held out" in asked.alternatives.reason
-    assert asked.verdict.status == "marginal"
-    soaks, _ = one_way(0, TEMPS)  # one rate: no rate can be left out
-    assert "(5 of 7 soaks at 7 set-points held out)" in soaks.alternatives.reason
-    rates = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0]))
-    assert "(rates held out)" in rates.alternatives.reason
-
-
 def test_nodes_go_on_at_their_step_until_they_span_what_was_seen():
-    nodes = np.linspace(40.0, 50.0, 21)
-    wide = widened(nodes, (38.9, 51.0))
+    wide, inside = table_nodes(np.array([38.9, 51.0]), DriftSettings(range_c=(40.0, 50.0)))
     np.testing.assert_allclose(wide, np.arange(38.5, 51.1, 0.5))
-    np.testing.assert_array_equal(wide[3:24], nodes)
-    np.testing.assert_array_equal(widened(nodes, (41.0, 50.0)), nodes)
+    np.testing.assert_array_equal(wide[inside], np.linspace(40.0, 50.0, 21))
+    wide, inside = table_nodes(np.array([41.0, 50.0]), DriftSettings(range_c=(40.0, 50.0)))
+    np.testing.assert_array_equal(wide, wide[inside])
 
 
 def test_accelerometers_alone_get_their_tables():

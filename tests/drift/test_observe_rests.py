@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from undrift.drift.observe import ObserveSettings, observe_rests, observe_steps
+from undrift.drift.observe import observe_rests, observe_steps
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session, Still, Turn
 
@@ -25,8 +25,8 @@ def session(*records, **pieces):
     return Session(kind="thermal", serial="A", gravity_m_s2=9.81, records=records, **pieces)
 
 
-def rests(made, **settings):
-    return observe_rests([made], temperatures=[[r.temp_c for r in made.records]], settings=ObserveSettings(**settings))
+def rests(made):
+    return observe_rests([made], temperatures=[[r.temp_c for r in made.records]])
 
 
 def test_a_log_that_never_moves_is_one_rest_of_ten_second_blocks():

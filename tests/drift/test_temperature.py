@@ -73,7 +73,7 @@ def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
         worst < limit
     )  # a tenth of a coarse step; of fine ones what the mean of 30 s leaves of noise and of the steep start
     assert found.step_c == pytest.approx(step)
-    assert [seen.code for seen in found.findings] == ["drift.temperature_steps"] * (step >= 0.5)
+    assert found.findings == ()
 
 
 def test_a_soak_between_ramps_keeps_its_level_within_half_a_step():
@@ -101,9 +101,10 @@ def test_the_step_of_a_column_is_found():
 # ---- plausibility ---------------------------------------------------------------------------------------------------------------
 
 
-def seen_in(raw, code, words, **kwargs):
-    found = trusted_temperature(session(raw, **kwargs), 0)
-    assert any(seen.code == code and words in seen.text for seen in found.findings), found.findings
+def seen_in(raw, code, *, stills=(), **values):
+    found = trusted_temperature(session(raw, stills=stills), 0)
+    (seen,) = [seen for seen in found.findings if seen.code == code]
+    assert {name: seen.values[name] for name in values} == values
     return found
 
 
@@ -116,8 +117,7 @@ def test_a_good_column_gives_no_finding():
 def test_a_column_that_stays_and_then_jumps_is_stale_there():
     raw = np.round(WARM_UP * 8.0) / 8.0
     raw[3000:9000] = raw[3000]
-    words = f"{raw[3000]:.2f} degC for 605 s from 295.3 s, then a jump of 5.25 K"
-    found = seen_in(raw, "drift.temperature_stale", words)
+    found = seen_in(raw, "drift.temperature_left_out", spikes=0, missing=0)
     assert np.isnan(found.temp_c[4000:8000]).all()
     assert np.abs(found.temp_c[9100:] - WARM_UP[9100:]).max() < 0.1
 
@@ -125,27 +125,20 @@ def test_a_column_that_stays_and_then_jumps_is_stale_there():
 def test_a_noisy_column_that_freezes_is_stale_without_a_jump():
     raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     raw[-2000:] = raw[-2000]
-    seen_in(raw, "drift.temperature_stale", "for 200 s")
-
-
-def test_a_board_does_not_jump():
-    raw = WARM_UP + np.where(TIME > 1000.0, 4.0, 0.0) + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
-    words = "by up to 3.97 K, faster than a board changes, first at 1000.1 s (1 such)"
-    seen_in(raw, "drift.temperature_jumps", words)
+    seen_in(raw, "drift.temperature_left_out", stale=1999)
 
 
 def test_single_wild_readings_are_left_out():
     raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     raw[[500, 9000]] += 30.0
-    found = seen_in(raw, "drift.temperature_spikes", "2 temperature spikes left out: the first at 50 s")
+    found = seen_in(raw, "drift.temperature_left_out", spikes=2)
     assert np.abs(found.temp_c - WARM_UP).max() < 0.1
 
 
 def test_short_gaps_are_bridged_and_long_ones_stay():
     raw = WARM_UP.copy()
     raw[1000:1050] = raw[5000:7000] = raw[-5:] = np.nan
-    words = "2055 temperature readings missing: 50 interpolated in gaps of up to 10 s, 2005 left out"
-    found = seen_in(raw, "drift.temperature_gaps", words)
+    found = seen_in(raw, "drift.temperature_left_out", missing=2055, interpolated=50)
     assert np.abs(found.temp_c[1000:1050] - WARM_UP[1000:1050]).max() < 0.05
     assert np.isnan(found.temp_c[5000:7000]).all()
     assert np.isnan(found.temp_c[-5:]).all()
@@ -153,7 +146,7 @@ def test_short_gaps_are_bridged_and_long_ones_stay():
 
 def test_a_column_that_denies_its_set_point_is_implausible():
     still = (Still(start=20000, stop=24000, temp_c=20.0),)
-    seen_in(WARM_UP, "drift.temperature_off_set_point", "the column reads 28.", stills=still)
+    seen_in(WARM_UP, "drift.temperature_off_set_point", set_point_c=20.0, stills=still)
 
 
 def test_set_points_stand_in_for_a_column():
@@ -162,7 +155,6 @@ def test_set_points_stand_in_for_a_column():
     assert (found.source, found.uncertainty_c, found.step_c, found.noise_c) == ("set-points", 0.5, 0.0, 0.0)
     assert (found.temp_c[:100] == 20.0).all()
     assert np.isnan(found.temp_c[100:200]).all()
-    assert (found.findings[0].code, found.findings[0].values["pieces"]) == ("drift.temperature_set_points", 2)
 
 
 # ---- refusals -------------------------------------------------------------------------------------------------------------
@@ -174,20 +166,20 @@ def test_set_points_stand_in_for_a_column():
         (
             None,
             InputError,
-            r"temperature of recording 0: wanted a column \(columns.temp\) or set-points .* got neither",
+            r"neither a column \(columns.temp\) nor a set-point",
         ),
-        (np.full(len(TIME), np.nan), InputError, "wanted readings in 50 % of the rows or more, got 0 of 24000"),
-        (np.where(TIME < 500.0, WARM_UP, np.nan), InputError, "got 5000 of 24000"),
+        (np.full(len(TIME), np.nan), InputError, "only 0 of 24000"),
+        (np.where(TIME < 500.0, WARM_UP, np.nan), InputError, "only 5000 of 24000"),
         (
             np.full(len(TIME), 25.0),
             NotObservable,
-            r"wanted temperatures that differ, got 25.00 degC throughout \(constant\)",
+            r"25.00 to 25.00\) \(constant\)",
         ),
-        (WARM_UP * 0.1, NotObservable, r"wanted a span of 2 degC or more, got 1.\d"),
+        (WARM_UP * 0.1, NotObservable, r"span 1.\d degC"),
         (
             WARM_UP + 100.0,
             InputError,
-            r"wanted -40 to 125 degC of a board, got 125 degC at 841.2 s \(15588 such\); check units.temp",
+            r"125 degC at 841.2 s \(15588 such\)",
         ),
     ],
 )
@@ -199,7 +191,7 @@ def test_what_no_thermal_fit_can_use_is_refused(raw, kind, words):
 def test_noise_is_no_span():
     raw = 25.0 + np.random.default_rng(0).normal(0.0, 0.5, len(TIME))
     assert np.ptp(raw) > 3.0
-    with pytest.raises(NotObservable, match=r"wanted a span of 2 degC or more, got 0\."):
+    with pytest.raises(NotObservable, match=r"span 0\."):
         check_span([trusted_temperature(session(raw), 0)])
 
 
@@ -210,13 +202,8 @@ def test_recordings_at_several_temperatures_are_one_span():
     assert check_span(found) == pytest.approx(10.0)
     with pytest.raises(NotObservable, match="constant"):
         check_span(found[:1])
-    with pytest.raises(NotObservable, match="wanted a recording with a known temperature, got none"):
+    with pytest.raises(NotObservable, match="no recording has a known temperature"):
         check_span([replace(found[0], temp_c=np.full(3, np.nan))])
-
-
-def test_a_recording_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match="wanted recording 0 to 0, got 1"):
-        trusted_temperature(session(WARM_UP), 1)
 
 
 # ---- real recordings: the SOURCE.md in the folder of each names origin and licence -----------------------------------------
@@ -274,11 +261,7 @@ def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
         f"{wanted:.2f} within 0.1: quantiles 1 and 99 % of the raw columns",
     )
     assert check_span(found) == pytest.approx(wanted, abs=0.1)
-    assert any(
-        seen.code == "drift.temperature_jumps" and "by up to 2.0" in seen.text and "first at 0." in seen.text
-        for seen in found[0].findings
-    )  # its first ten rows are 2 K warmer
-    with pytest.raises(NotObservable, match=r"wanted a span of 2 degC or more, got 0\.\d+ \(13\.0"):
+    with pytest.raises(NotObservable, match=r"span 0\.\d+ degC \(13\.0"):
         check_span(found[1:])
 
 
@@ -297,7 +280,7 @@ def test_a_worn_sensor_without_a_thermometer_is_refused():
     columns = ColumnMap(accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
                         sample_rate_hz=100.0)  # fmt: skip
     record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
-    with pytest.raises(InputError, match="got neither; map the thermometer's column or state temp_c"):
+    with pytest.raises(InputError, match="neither a column"):
         trusted_temperature(of(record), 0)
 
 
@@ -452,11 +435,9 @@ def two_ramps(**kwargs):
 @pytest.mark.parametrize("loop", [0.0, 0.05, -0.05])
 def test_a_loop_that_does_not_depend_on_speed_is_not_taken_for_lag(loop):
     found = estimate_lag(two_ramps(loop=loop))
-    assert found.observable
     assert found.findings == ()
     assert abs(found.lag_s - 30.0) < 4.0 * found.uncertainty_s
     assert found.uncertainty_s < 2.0
-    assert found.misfit[found.lags_s.searchsorted(found.lag_s)] < 2.0
 
 
 def test_the_uncertainty_is_what_the_estimates_scatter():
@@ -471,41 +452,30 @@ def test_without_lag_none_is_found():
     assert found.lag_s < 4.0 * found.uncertainty_s
 
 
-def test_soaks_show_no_lag():
-    found = estimate_lag(blocks(np.repeat(np.arange(20.0, 60.0, 5.0), 40), lag_s=3.0))
-    assert not found.observable
-    assert found.lag_s == 0.0
-    assert np.isinf(found.uncertainty_s)
+@pytest.mark.parametrize(
+    ("temp", "words"),
+    [
+        (np.repeat(np.arange(20.0, 60.0, 5.0), 40), "blocks of rest change"),  # soaks
+        (10.0 + 18.0 * (1.0 - np.exp(-STEP_S * np.arange(200) / 500.0)), "at one speed"),  # a warm-up
+        (np.linspace(20.0, 30.0, 10), "24 are needed"),
+    ],
+)
+def test_soaks_or_a_warm_up_do_not_determine_a_lag(temp, words):
+    found = estimate_lag(blocks(temp, lag_s=3.0))
+    assert (found.lag_s, found.uncertainty_s) == (0.0, np.inf)
     (why,) = found.findings
-    assert why.code == "drift.lag_few_blocks"
-    assert why.values["count"] < why.values["wanted"] == 24
-    assert "blocks of rest change by over 0.1 degC/min" in why.text
-
-
-def test_a_warm_up_alone_shows_no_lag():
-    time = STEP_S * np.arange(200)
-    found = estimate_lag(blocks(10.0 + 18.0 * (1.0 - np.exp(-time / 500.0))))
-    assert not found.observable
-    (why,) = found.findings
-    assert why.code == "drift.lag_one_way"
-    assert why.text.endswith("also cool through the same temperatures")
+    assert why.code == "drift.lag_not_observable"
+    assert words in why.text
 
 
 def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
     found = estimate_lag(blocks(there_and_back(1.0)))
-    assert not found.observable
+    assert np.isinf(found.uncertainty_s)
     assert found.lag_s == pytest.approx(30.0, abs=3.0)
-    assert [why.code for why in found.findings] == ["drift.lag_or_hysteresis"]
-    assert found.findings[0].values["lag_s"] == found.lag_s
+    assert "the same loop as hysteresis" in found.findings[0].text
 
 
 def test_a_lag_beyond_the_search_is_not_observable():
     found = estimate_lag(two_ramps(), longest_s=20.0)
-    assert not found.observable
-    assert [why.code for why in found.findings] == ["drift.lag_unbounded"]
-    assert found.findings[0].values["longest_s"] == 20.0
-
-
-def test_a_few_blocks_show_no_lag():
-    (why,) = estimate_lag(blocks(np.linspace(20.0, 30.0, 10))).findings
-    assert (why.code, why.values["wanted"]) == ("drift.lag_few_blocks", 24)
+    assert np.isinf(found.uncertainty_s)
+    assert "any lag up to 20 s" in found.findings[0].text

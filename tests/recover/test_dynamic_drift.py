@@ -16,7 +16,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
 from undrift.drift.fit import choose_tables
 from undrift.drift.observe import RestBlocks
-from undrift.drift.rate_steps import DynamicFit, fit_dynamic, fit_scale
+from undrift.drift.rates import DynamicFit, fit_dynamic, fit_scale, prepared
 from undrift.fit.curve import not_a_knot
 from undrift.model import Calibration, DriftTables, StaticDrift
 from undrift.sim.device.effects import Scale, SensorChain, Thermometer
@@ -146,14 +146,17 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
         rng = np.random.default_rng(100 + seed)
         # The matrix on a device of straight lines: on a bent one the best line over the grid is no single truth.
         fit = fit_scale(
-            computed(straight, SOAKS, rng, rates=GRID[1::2]), true_calibration(straight), static=static, temp_c=NODES
+            prepared(computed(straight, SOAKS, rng, rates=GRID[1::2]), true_calibration(straight), static=static),
+            true_calibration(straight),
+            temp_c=NODES,
         )
         truth = true_tables(straight, NODES, np.array([-1.0, 1.0])).scale
         z_scale.append((fit.drift.gyro_matrix - truth.gyro_matrix) / fit.drift.gyro_uncertainty)
         if seed % 3:
             continue
         steps = computed(device, SOAKS, rng, rates=GRID[1::2])
-        dynamic = fit_dynamic(steps, true_calibration(device), static=static, scale=None)
+        made = true_calibration(device)
+        dynamic = fit_dynamic(prepared(steps, made, static=static), made)
         seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
         for axis in range(3):
             off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)

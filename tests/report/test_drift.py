@@ -9,8 +9,8 @@ from matplotlib.colors import to_hex
 from testkit.pictures import cut_texts
 from undrift.base.summary import plus_minus
 from undrift.commands.drift import choice_rows, offset_rows, offset_title, shown_unit
-from undrift.drift.checks import ScaleSummary, TriadSummary
 from undrift.drift.fit import Alternatives
+from undrift.drift.verdict import ScaleSummary, TriadSummary
 from undrift.findings import finding
 from undrift.model import DynamicDrift
 from undrift.report.drift import draw_alternatives, draw_dynamic, draw_offsets, draw_scale

@@ -20,8 +20,8 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.drift.checks import TriadSummary
     from undrift.drift.fit import Alternatives, DriftFit, DriftSettings
+    from undrift.drift.verdict import TriadSummary
     from undrift.model import Calibration
     from undrift.record import Session
     from undrift.validation.table_worth import TableWorth
@@ -132,7 +132,7 @@ def _fitted(
 
 
 def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> Iterator[str]:
-    from undrift.drift.checks import verdict_before
+    from undrift.drift.verdict import verdict_before
 
     drift = fit.calibration.drift
     if drift is not None and drift.lag_s > 0.0:

@@ -17,7 +17,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.norm import WEAKEST, NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import bins_of, near_data
-from undrift.drift.rate_steps import MATRIX_GAP_C
+from undrift.drift.rates import MATRIX_GAP_C
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.curve import fit_curve
@@ -99,7 +99,8 @@ def _by_temperature(
                 fits.append((rests.temp_c[groups == group].mean(), *_symmetric(fit)))
         if len(fits) >= 2 and fits[-1][0] - fits[0][0] > _COVERED * np.ptp(rests.temp_c):
             free = np.arange(9) if count == _FULL else _ON_AXES
-            return free, rests.temp_c, *(np.array(column) for column in zip(*fits, strict=True))
+            temps, values, variances = (np.array(column) for column in zip(*fits, strict=True))
+            return free, rests.temp_c, temps, values, variances
     raise NotObservable(
         f"accelerometers over temperature: {len(np.unique(rests.pose))} poses over {np.ptp(rests.temp_c):.1f} degC do not "
         "determine offset and sensitivity at two temperatures. Rest on all six faces at three temperatures.",

@@ -23,7 +23,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_variance, restored
 from undrift.calibration.dwells import dwell_means
 from undrift.calibration.plausibility import axis_vectors
@@ -31,12 +31,16 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.least_squares import block_size
 from undrift.model import Calibration, TriadModel, Verdict
-from undrift.record import Record, Session, SetPointMeans, Still, Turn
+from undrift.record import Record, Session, Still, Turn
 from undrift.segments import StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
 
+BLOCK_S = 10.0  # length of a block of rest: shorter follows a fast ramp, longer averages more noise
+RAMP_S = 60.0  # stretch over which the slope of the temperature is taken
+SETTLE_S = 0.3  # start of each dwell that is discarded
+SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
 _SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
 _STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which varies within a soak, K
 _EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
@@ -46,16 +50,6 @@ _LEAST_SHARE = 0.5  # of a block's samples that have to be there
 _JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is an outlier
 _RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
 _GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObserveSettings:
-    """How a thermal session is cut up."""
-
-    block_s: float = 10.0  # length of a block of rest, s; shorter follows a fast ramp, longer averages more noise
-    ramp_s: float = 60.0  # stretch over which the slope of the temperature is taken, s
-    settle_s: float = 0.3  # start of each dwell that is discarded, s
-    soak_c: float = 1.5  # a dwell further than this from the first one of its soak begins another soak, degC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,9 +102,7 @@ class RateSteps(StretchMeans):
     rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
 
 
-def observe_rests(
-    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
-) -> RestBlocks:
+def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) -> RestBlocks:
     """Gather the rests of thermal sessions into blocks."""
     parts: list[RestBlocks] = []
     poses = 0
@@ -128,9 +120,7 @@ def observe_rests(
         for still, pose, mounting in zip(stills, (poses + numbers).tolist(), mountings.tolist(), strict=True):
             k = still.recording
             begin_s, record = float(begins_s[k]), session.records[k]
-            blocks = rest_blocks(
-                record, temps[k], still, steps[k], settings, begin_s=begin_s, session=number, pose=pose
-            )
+            blocks = rest_blocks(record, temps[k], still, steps[k], begin_s=begin_s, session=number, pose=pose)
             parts.append(replace(blocks, mounting=np.full(len(blocks), mounting, np.int64)))
         poses = max(poses + int(numbers.max()), int(mountings.max())) + 1
     if not any(len(part) for part in parts):
@@ -141,9 +131,7 @@ def observe_rests(
     return parts[0].followed_by(parts[1:])
 
 
-def observe_steps(
-    sessions: Sequence[Session], *, temperatures: Temperatures, settings: ObserveSettings = ObserveSettings()
-) -> RateSteps:
+def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates of thermal sessions."""
     none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
     steps = RateSteps(
@@ -154,7 +142,7 @@ def observe_steps(
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         _check_lengths(session, temps)
         if session.means:
-            parts.append(set_point_steps(session, temps, number=number, first_soak=soaks, soak_c=settings.soak_c))
+            parts.append(set_point_steps(session, temps, number=number, first_soak=soaks))
             soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
             continue
         turns = [
@@ -164,7 +152,7 @@ def observe_steps(
         ]
         if turns:
             turns.sort(key=lambda t: (t.recording, t.start))
-            parts.append(_steps(session, turns, temps, settings, session_number=number, first_soak=soaks))
+            parts.append(_steps(session, turns, temps, session_number=number, first_soak=soaks))
             soaks = int(parts[-1].soak.max()) + 1
     return steps.followed_by(parts)
 
@@ -271,7 +259,6 @@ def rest_blocks(
     temp_c: FloatArray,
     still: Still,
     steps: tuple[FloatArray, FloatArray],
-    settings: ObserveSettings,
     *,
     begin_s: float,
     session: int,
@@ -280,7 +267,7 @@ def rest_blocks(
     """Return the blocks of one rest; steps: the least between readings of each sensor, raw unit, over the recording."""
     inside = slice(still.start, still.stop)
     time, temp = record.time[inside], temp_c[inside]
-    edges = _edges(time, settings.block_s)
+    edges = _edges(time, BLOCK_S)
     count, size = len(edges) - 1, block_size(record.sample_rate_hz)
     gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, steps[0])
     accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, steps[1])
@@ -297,7 +284,7 @@ def rest_blocks(
         time=middle - record.time[0] + begin_s,
         power_on_s=middle - record.time[0],
         temp_c=temps,
-        ramp_c_per_min=np.array([_slope(time, temp, at, settings.ramp_s) for at in middle]),
+        ramp_c_per_min=np.array([_slope(time, temp, at, RAMP_S) for at in middle]),
         gyro=gyro,
         accel=accel,
         gyro_variance=gyro_variance,
@@ -318,59 +305,50 @@ def _edges(time: FloatArray, block_s: float) -> IntArray:
 def _means(
     readings: FloatArray | None, inside: slice, edges: IntArray, size: int, step: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean, its variance and its step error of each block, shape (B, 3); NaN where too many samples are missing."""
+    """Return mean, its variance and its step error of each block, shape (B, 3); NaN if too many samples are missing."""
     means = np.full((len(edges) - 1, 3), np.nan)
     if readings is None:
         return means, means.copy(), np.zeros_like(means)
-    blocks = [readings[inside][start:stop] for start, stop in pairwise(edges)]
-    counts = np.zeros(len(blocks))
-    square, pairs = np.zeros(3), 0
-    own_variance: list[FloatArray] = []
-    for k, (block, good) in enumerate(zip(blocks, _clean(blocks), strict=True)):
-        if good.mean() < _LEAST_SHARE:
+    counts, square, pairs = np.zeros(len(means)), np.zeros(3), 0
+    scatter: list[FloatArray] = []
+    for k, (start, stop) in enumerate(pairwise(edges)):
+        block = _clean(readings[inside][start:stop])
+        if len(block) < _LEAST_SHARE * (stop - start):
             continue
-        block = block[good]
         means[k], counts[k] = block.mean(axis=0), len(block)
-        own_variance.append(block.var(axis=0))
+        scatter.append(block.var(axis=0))
         own = min(size, max(1, len(block) // 2))
-        steps = np.diff(block[: len(block) // own * own].reshape(-1, own, 3).mean(axis=1), axis=0)
-        square += (steps**2).sum(axis=0) * own
-        pairs += len(steps)
-    if not own_variance:
+        halves = block[: len(block) // own * own].reshape(-1, own, 3).mean(axis=1)
+        square += (np.diff(halves, axis=0) ** 2).sum(axis=0) * own
+        pairs += len(halves) - 1
+    if not scatter:
         return means, means.copy(), np.zeros_like(means)
     variance = square / (2.0 * pairs) if pairs else np.full(3, np.nan)  # of a sample with the noise of a half second
-    seen = np.isfinite(means)
-    error = np.sqrt(code_variance(step, np.mean(own_variance, axis=0)))
+    error, seen = np.sqrt(code_variance(step, np.mean(scatter, axis=0))), np.isfinite(means)
     return means, np.where(seen, variance / np.maximum(counts, 1.0)[:, None], np.nan), np.where(seen, error, np.nan)
 
 
-def _clean(blocks: list[FloatArray]) -> list[BoolArray]:
-    """Return which samples of each block, (n, 3), are readings and no outliers, (n,)."""
-    good: list[BoolArray] = [np.asarray(np.isfinite(part).all(axis=1)) for part in blocks]
-    alike: dict[int, list[int]] = {}  # blocks with as many readings are judged at once
-    for k, finite in enumerate(good):
-        alike.setdefault(int(finite.sum()), []).append(k)
-    for count, members in alike.items():
-        if count:
-            parts = np.array([blocks[k][good[k]] for k in members])
-            off = np.abs(parts - np.median(parts, axis=1, keepdims=True))
-            deviation = np.maximum(ROBUST * np.median(off, axis=1), _step(parts))
-            for k, inside in zip(members, (off <= FAR * deviation[:, None]).all(axis=2), strict=True):
-                good[k][good[k]] = inside
-    return good
+def _clean(block: FloatArray) -> FloatArray:
+    """Return the samples of a block, (n, 3), that are readings and no outliers."""
+    block = block[np.isfinite(block).all(axis=1)]
+    if not len(block):
+        return block
+    off = np.abs(block - np.median(block, axis=0))
+    deviation = np.maximum(ROBUST * np.median(off, axis=0), _step(block))
+    return block[(off <= FAR * deviation).all(axis=1)]
 
 
 def _record_step(values: FloatArray | None) -> FloatArray:
     return np.zeros(3) if values is None else _step(values[np.isfinite(values).all(axis=1)])
 
 
-def _step(part: FloatArray) -> FloatArray:
-    """Return the least step between readings of each axis, (..., n, 3) -> (..., 3); 0 where all are equal.
+def _step(values: FloatArray) -> FloatArray:
+    """Return the least step between readings of each axis, (n, 3) -> (3,); 0 if all are equal.
 
     A converter whose noise is below one code has no median deviation.
     """
-    steps = np.diff(np.sort(part, axis=-2), axis=-2)
-    least = np.where(steps > 0.0, steps, np.inf).min(axis=-2, initial=np.inf)
+    steps = np.diff(np.sort(values, axis=0), axis=0)
+    least = np.where(steps > 0.0, steps, np.inf).min(axis=0, initial=np.inf)
     return np.where(np.isfinite(least), least, 0.0)
 
 
@@ -392,12 +370,11 @@ def _steps(
     session: Session,
     turns: list[Turn],
     temps: Sequence[FloatArray],
-    settings: ObserveSettings,
     *,
     session_number: int,
     first_soak: int,
 ) -> RateSteps:
-    dwells = dwell_means(session.records, turns, settle_s=settings.settle_s)
+    dwells = dwell_means(session.records, turns, settle_s=SETTLE_S)
     count = len(turns)
     temp, accel = np.zeros(count), np.full((count, 3), np.nan)
     for k, turn in enumerate(turns):
@@ -414,7 +391,7 @@ def _steps(
     stated = np.array([np.nan if turn.temp_c is None else turn.temp_c for turn in turns])
     return RateSteps(
         session=np.full(count, session_number, np.int64),
-        soak=first_soak + _soaks(temp, settings.soak_c, stated),
+        soak=first_soak + _soaks(temp, stated),
         time=dwells.time if dwells.time is not None else np.zeros(count),
         temp_c=temp,
         rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
@@ -424,11 +401,11 @@ def _steps(
     )
 
 
-def _soaks(temp_c: FloatArray, apart_c: float, stated_c: FloatArray | None = None) -> IntArray:
+def _soaks(temp_c: FloatArray, stated_c: FloatArray | None = None) -> IntArray:
     """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
     numbers, first = np.zeros(len(temp_c), np.int64), 0
     for k in range(1, len(temp_c)):
-        apart = abs(temp_c[k] - temp_c[first]) - apart_c
+        apart = abs(temp_c[k] - temp_c[first]) - SOAK_C
         stated = np.nan if stated_c is None else abs(stated_c[k] - stated_c[first]) - _STATED_C
         another = bool((apart if np.isnan(stated) else stated) > 0.0)
         first = k if another else first
@@ -436,44 +413,45 @@ def _soaks(temp_c: FloatArray, apart_c: float, stated_c: FloatArray | None = Non
     return numbers
 
 
-# ---- tables of set-points: rows that are means already, as chamber software writes them
+# ---- means over set-points: a row at rest is a block of rest, a row with an imposed rate a dwell
 #
-# A row at rest becomes a block of rest, a row with an imposed rate a dwell. What a row states counts as its uncertainty; where it
-# states none, the usual one of the others does, and where no row does, the resolution of the readings, q / sqrt(12): what
-# differs from row to row beyond that is found by the fits from the scatter about the curves.
+# Without a stated uncertainty, rows have the usual one of the others, or one step of the readings, q / sqrt(12). The fits determine
+# the scatter beyond that.
 
 
 def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
     """Return the rows at rest of a session of set-points."""
-    parts, shown = list[RestBlocks](), list[FloatArray | None]()
+    parts, forces = list[RestBlocks](), list[FloatArray]()
     for k, (record, means, temp_c) in enumerate(zip(session.records, session.means, temps, strict=True)):
         rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temp_c))
         columns = _columns(session, k, temp_c, rows, number)
-        count = len(rows)
-        pose = np.array([first_pose + _pose_among(shown, own) for own in columns["accel"]], np.int64)
+        pose = np.full(len(rows), first_pose, np.int64)
+        for row, force in enumerate(columns["accel"]):
+            if np.isfinite(force).all():
+                alike = [i for i, other in enumerate(forces) if _lie_alike(other, force)]
+                forces += [] if alike else [force]
+                pose[row] += alike[0] if alike else len(forces) - 1
         parts.append(
             RestBlocks(
                 **columns,
                 pose=pose,
                 mounting=pose,
                 power_on_s=record.time[rows] - record.time[0],
-                ramp_c_per_min=np.zeros(count),
-                accel_variance=_readings(record, means, "accel")[1][rows],
-                gyro_step_error=np.zeros((count, 3)),
-                accel_step_error=np.zeros((count, 3)),
+                ramp_c_per_min=np.zeros(len(rows)),
+                accel_variance=_stated_variance(record.accel, means.accel_uncertainty)[rows],
+                gyro_step_error=np.zeros((len(rows), 3)),
+                accel_step_error=np.zeros((len(rows), 3)),
             )
         )
     return parts[0].followed_by(parts[1:])
 
 
-def set_point_steps(
-    session: Session, temps: Sequence[FloatArray], *, number: int, first_soak: int, soak_c: float
-) -> RateSteps:
+def set_point_steps(session: Session, temps: Sequence[FloatArray], *, number: int, first_soak: int) -> RateSteps:
     """Return the rows with an imposed rate of a session of set-points."""
     parts = list[RateSteps]()
     for k, (means, temp_c) in enumerate(zip(session.means, temps, strict=True)):
         known = np.flatnonzero(np.isfinite(temp_c))
-        soak, turning = _soaks(temp_c[known], soak_c), (means.rate_b[known] != 0.0).any(axis=1)
+        soak, turning = _soaks(temp_c[known]), (means.rate_b[known] != 0.0).any(axis=1)
         rows = known[turning]
         columns = _columns(session, k, temp_c, rows, number)
         parts.append(RateSteps(**columns, soak=first_soak + soak[turning], rate_b=means.rate_b[rows]))
@@ -482,34 +460,28 @@ def set_point_steps(
 
 
 def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray, number: int) -> dict[str, Any]:
-    """Return what rows of a table of set-points have in common, at rest and turning."""
+    """Return what rows of set-points have in common, at rest and turning; NaN for a triad that they do not have."""
     record, means = session.records[k], session.means[k]
-    gyro, variance = _readings(record, means, "rate")
+    nothing = np.full((len(record), 3), np.nan)
     return {
         "session": np.full(len(rows), number, np.int64),
         "time": record.time[rows] - record.time[0] + session.begins_s[k],
         "temp_c": temp_c[rows],
-        "gyro": gyro[rows],
-        "accel": _readings(record, means, "accel")[0][rows],
-        "gyro_variance": variance[rows],
+        "gyro": (nothing if record.gyro is None else record.gyro)[rows],
+        "accel": (nothing if record.accel is None else record.accel)[rows],
+        "gyro_variance": _stated_variance(record.gyro, means.gyro_uncertainty)[rows],
     }
 
 
-def _readings(record: Record, means: SetPointMeans, quantity: Quantity) -> tuple[FloatArray, FloatArray]:
-    """Return the means of one triad and their variance, (N, 3), in the record's unit; NaN where the table has no such triad."""
-    gyro = quantity == "rate"
-    values, unit = (record.gyro, record.gyro_unit) if gyro else (record.accel, record.accel_unit)
-    if values is None:
-        nothing = np.full((len(record), 3), np.nan)
-        return nothing, nothing
-    stated, own = (means.gyro_uncertainty, means.gyro_unit) if gyro else (means.accel_uncertainty, means.accel_unit)
-    factor = 1.0 if own == unit or not is_physical(own) else si_factor(own, quantity) / si_factor(unit, quantity)
-    known = (stated * factor) ** 2
-    usual = [
-        float(np.median(v[np.isfinite(v)])) if np.isfinite(v).any() else _resolution(x)
-        for v, x in zip(known.T, values.T, strict=True)
-    ]
-    return values, np.where(np.isfinite(known), known, np.array(usual))
+def _stated_variance(values: FloatArray | None, uncertainty: FloatArray) -> FloatArray:
+    """Return the variance of rows of means (N, 3); the median of the others, or that of one step, for rows without one."""
+    variance = uncertainty**2
+    if values is not None:
+        for axis, column in enumerate(variance.T):
+            known = column[np.isfinite(column)]
+            usual = np.median(known) if len(known) else _resolution(values[:, axis])
+            variance[:, axis] = np.where(np.isfinite(column), column, usual)
+    return np.asarray(variance)
 
 
 def _resolution(values: FloatArray) -> float:
@@ -525,24 +497,25 @@ def _resolution(values: FloatArray) -> float:
     return step**2 / 12.0
 
 
-def _pose_among(shown: list[FloatArray | None], accel: FloatArray) -> int:
-    """Return which of the poses shown so far a mean specific force (3,) is, a new one where it is none of them."""
-    own = accel if np.isfinite(accel).all() else None
-    for number, other in enumerate(shown):
-        if _lie_alike(other, own):
-            return number
-    shown.append(own)
-    return len(shown) - 1
-
-
 # ---- sessions made ready
 
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
     """Return a session in the units that a calibration reads, with the half steps of truncated codes put back."""
-    return replace(
-        session, records=tuple(_prepared(record, k, calibration) for k, record in enumerate(session.records))
-    )
+    records = tuple(_prepared(record, k, calibration) for k, record in enumerate(session.records))
+    means = [
+        replace(
+            means,
+            gyro_uncertainty=means.gyro_uncertainty * _unit_ratio(old.gyro_unit, new.gyro_unit, "rate"),
+            accel_uncertainty=means.accel_uncertainty * _unit_ratio(old.accel_unit, new.accel_unit, "accel"),
+        )
+        for means, old, new in zip(session.means, session.records, records, strict=bool(session.means))
+    ]
+    return replace(session, records=records, means=tuple(means))
+
+
+def _unit_ratio(old: str, new: str, quantity: Quantity) -> float:
+    return 1.0 if old == new else si_factor(old, quantity) / si_factor(new, quantity)
 
 
 def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
@@ -683,32 +656,21 @@ def check_once(sessions: Sequence[Session]) -> None:
     """Refuse data that were given twice, as one file or as equal readings: they would make the uncertainty too small."""
     first = dict[str, str]()
     for number, session in enumerate(sessions):
-        hashes = {digest: (_called(number, name), "the same file") for name, digest in _files(session)}
+        files = [
+            (name, digest) for name, digest in session.inputs if not name.endswith(".toml")
+        ]  # settings may be equal
+        digests = {digest: name for name, digest in files}
         for k, record in enumerate(session.records):
             readings = np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
-            if (
-                len(readings) > 1 and (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any()
-            ):  # not a stuck sensor
+            stuck = len(readings) < 2 or not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any()
+            if not stuck:
                 digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
-                hashes[digest] = _called(number, _name(session, k)), f"all {len(readings)} readings are equal"
-        for digest, (name, equality) in hashes.items():
+                digests[digest] = files[k][0] if len(files) == len(session.records) else f"recording {k}"
+        for digest, name in digests.items():
+            name = f"session {number + 1} ({name})"
             if digest in first:
                 raise InputError(
-                    f"drift: the same data are in {first[digest]} and {name} ({equality}). Leave one out: the same data twice "
-                    "would make the uncertainty too small."
+                    f"drift: the same data are in {first[digest]} and {name}. Leave one out: the same data twice would make the "
+                    "uncertainty too small."
                 )
-        first |= {digest: name for digest, (name, _) in hashes.items()}
-
-
-def _files(session: Session) -> list[tuple[str, str]]:
-    """Return name and sha256 of the recordings; what describes a session may well be equal in two."""
-    return [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
-
-
-def _name(session: Session, recording: int) -> str:
-    files = _files(session)
-    return files[recording][0] if len(files) == len(session.records) else f"recording {recording}"
-
-
-def _called(session: int, name: str) -> str:
-    return f"session {session + 1} ({name})"
+        first |= {digest: f"session {number + 1} ({name})" for digest, name in digests.items()}

@@ -2,23 +2,23 @@
 
     gyroscopes       y = u - K G a                             u mean reading, K = M^-1; a g-sensitivity is not an offset
     accelerometers   y = u in one pose;  offset(T) = offset(T_ref) + y(T) - y(T_ref)
-    both             y = f(T) + h c + A exp(-t / tau) + d_s + P_pose + u + e
+    both             y = f(T) + h c + A exp(-t / tau) + d_s + v + r + e
 
-f      a smooth curve (fit/curve.py) through the means of the cells. A cell holds the blocks of one session and one visit within a
-       narrow range of temperature, so that the hot end of a warm-up counts no more than its degrees
-u      flicker noise, of the size that the blocks within the rests show, and what one visit to a temperature adds beyond it: one
-       variance about the curve, axes pooled
+f      a smooth curve (fit/curve.py) through the means of the cells. A cell holds the blocks of one visit within a narrow range of
+       temperature, so that the hot end of a warm-up counts no more than its degrees
+v      deviation of one visit to a temperature: flicker noise over time, one variance about the curve
+r      deviation of one rest, from the rests of a cell: other poses, hysteresis, a device that moved
 h      half-width of the hysteresis: c = +1 while cooling, -1 while warming, and in between over ``CROSSED_C`` after a turn
 A, tau warm-up, t since power-on. It differs from f only if time and temperature differ: in a soak, or in several warm-ups
 d_s    shift of session s; its variance counts for a future session
-P      what a pose adds, from cells with several poses
+e      noise of the means, and what the steps of a converter leave
 
 T_ref and offset(T_ref) are those of the calibration. One pose cannot separate a change of scale along gravity from a change of
 offset: 0.02 %/K * |T - T_ref| of what gravity reads counts as uncertainty. The uncertainty of a node is that of a future visit:
-noise, visit, curve between and beyond the temperatures seen, half-width of the hysteresis, poses and sessions.
+the curve between and beyond the temperatures seen, visit, rest, half-width of the hysteresis and session.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,19 +41,22 @@ MOST_OF_SPAN = 0.8  # share of a pose's range that one mounting must have seen f
 # ---- cells
 CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell; cells are widened until there are about as many
 STEP_C = 2.0  # between blocks: a larger step begins another visit
-HELD_C = 0.5  # a soak stays within this of its mean
-SOAK_LENGTH, LEAST_SOAKS = 3.0, 5  # lower quartiles of a stretch; temperatures from which a log is one of soaks
+SLOW, STILL, LEAST_SOAKS = (
+    0.25,
+    0.05,
+    5,
+)  # shares of a log's fast ramps; temperatures from which a log is one of soaks [assumed]
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
 PAIRED = 30  # blocks of a cell that its correlation is taken from
 RESTS_APART_S = 60.0
-LEAST_JUDGED = 5  # blocks of a cell and pose: fewer do not show which one is wrong
+LEAST_JUDGED = 5  # blocks of a rest: fewer do not determine which one is wrong
 AXES_ALIKE = 2.0  # degrees of freedom by which the axes of a triad are taken to be alike [assumed]
 GROUPS = 20  # groups of neighbouring cells that are left out in turn, at most
 LEAST_LEFT_OUT, CHANCE = 5, 1e-3  # groups that are judged by; chance of a false finding
 SHARED_C = 1.0  # sessions with cells nearer than this share a temperature
+DISAGREE = 2.0  # times the noise of a rest: scatter of rests that is reported
 # ---- hysteresis
-# K; the temperature must change by START_C before it has a direction, and by TURN_C the other way before it has another
-START_C = TURN_C = 1.0
+TURN_C = 1.0  # K; the temperature must change by this much before it has a direction, or another one
 CROSSED_C = 4.0  # after a turn the loop is crossed over this much of temperature
 OVERLAP_C = 3.0  # range that both directions must have seen
 # ---- warm-up
@@ -81,93 +84,30 @@ class Offsets:
     variance: FloatArray  # (n, 3), variance by noise, raw unit squared
     step_error: FloatArray | None  # (n, 3), what the converter's steps leave in each, raw unit
     common_variance: FloatArray  # (3,), variance of what all of them have in common, raw unit squared
-    findings: tuple[Finding, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestScatter:
-    """Scatter between the rests of one cell beyond their noise, raw unit."""
-
-    pose: FloatArray  # (3,), standard deviation from pose to pose
-    rest: FloatArray  # (3,), from rest to rest of one pose
-    known: FloatArray  # (3,), standard deviation of one rest by noise
-    poses: int
-    rests: int
-    pose_covariance: FloatArray  # (3, n, n), covariance of the cells by poses
-    rest_variance: FloatArray  # (n, 3), variance of each cell by rests
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cells:
-    """Means of the blocks of one session, visit and temperature, n cells."""
+    """Means of the blocks of one visit and temperature, n cells."""
 
     session: IntArray  # (n,)
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n, 3), raw unit
-    variance: FloatArray  # (n, 3), by noise, steps and rests
+    variance: FloatArray  # (n, 3), by noise, steps and rests, raw unit squared
     regressors: FloatArray  # (n, p)
-    flicker: (
-        FloatArray  # (3, n, n), covariance from flicker noise (size from the blocks within cells), raw unit squared
-    )
-    correlation: FloatArray  # (n, n), of what visits add beyond it, mean diagonal 1
+    correlation: FloatArray  # (n, n), of the deviations of visits, mean diagonal 1
     groups: IntArray  # (n,), neighbours in temperature
-    scatter: RestScatter | None  # None if no cell has two rests
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HysteresisLoop:
-    """Half-width of the hysteresis: offset while cooling minus offset while warming, over two."""
-
-    half: FloatArray  # (3,), raw unit
-    uncertainty: FloatArray  # (3,), standard uncertainty
+    rest: FloatArray  # (3,), standard deviation from rest to rest beyond their noise, raw unit
+    rest_noise: FloatArray  # (3,), standard deviation of one rest by noise, raw unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnOn:
-    """Scatter between sessions, raw unit."""
+    """Scatter between sessions, raw unit; NaN if the sessions share no temperatures."""
 
-    sessions: int
-    shift: FloatArray  # (s, 3), each session against those that share its temperatures; NaN if none does
-    variance: FloatArray = field(
-        default_factory=lambda: np.full(3, np.nan)
-    )  # (3,), between sessions; NaN if not observable
-    future_variance: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), for a future session
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OffsetCurve:
-    """A fitted curve and the effects with it."""
-
-    curve: Curve
-    cells: Cells
-    loop: HysteresisLoop | None  # None if the temperature went one way only
-    warm_up: WarmUp | None
-    turn_on: TurnOn | None  # None for one session
-    findings: tuple[Finding, ...]
-
-    @property
-    def visit_variance(self) -> FloatArray:
-        """Variance that a future visit and its rest add, (3,), raw unit squared."""
-        flicker = np.diagonal(self.cells.flicker, axis1=1, axis2=2).mean(axis=1)
-        rest = 0.0 if self.cells.scatter is None else self.cells.scatter.rest**2
-        return np.asarray(flicker + self.curve.visit_deviation**2 + rest)
-
-    def through_set_points(self, nodes: FloatArray) -> NodeValues:
-        """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
-        cells, order = self.cells, np.argsort(self.cells.temp_c, kind="stable")
-        residual = cells.value - cells.regressors @ self.curve.coefficient
-        variance = cells.variance + np.diagonal(cells.flicker, axis1=1, axis2=2).T + self.curve.visit_deviation**2
-        rows = np.split(order, np.flatnonzero(np.diff(bins_of(cells.temp_c[order], 1.0))) + 1)
-        spline = not_a_knot(
-            np.array([cells.temp_c[r].mean() for r in rows]),
-            np.array([residual[r].mean(axis=0) for r in rows]),
-            np.array([variance[r].sum(axis=0) / len(r) ** 2 for r in rows]),
-            nodes,
-        )
-        if cells.scatter is None:
-            return spline
-        poses = np.diagonal(cells.scatter.pose_covariance, axis1=1, axis2=2).mean(axis=1)  # shared by all set-points
-        return replace(spline, covariance=spline.covariance + poses[:, None, None])
+    shift: FloatArray  # (s, 3), each session against those that share its temperatures
+    variance: FloatArray  # (3,), between sessions
+    future_variance: FloatArray  # (3,), for a future session; 0 if not observable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,9 +121,15 @@ class TriadDrift:
     slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
     span_c: tuple[float, float]  # least and greatest temperature seen, degC
-    curve: OffsetCurve
+    curve: Curve
+    cells: Cells
     offsets: Offsets
+    turn_on: TurnOn | None  # None for one session
+    hysteresis: FloatArray | None = None  # (3,), half-width; None if the temperature went one way only
+    hysteresis_uncertainty: FloatArray | None = None  # (3,)
+    warm_up: WarmUp | None = None
     unknown_scale: FloatArray | None = None  # (n, 3), part of ``uncertainty`` for a change of scale along gravity
+    findings: tuple[Finding, ...] = ()
 
     @property
     def curve_uncertainty(self) -> FloatArray:
@@ -221,14 +167,21 @@ def fit_static(
     findings, gyro, accel = list[Finding](), None, None
     rates = gyro_offsets(blocks, calibration)
     if rates is not None:
-        gyro = _triad(rates, nodes, settings)
-        findings += [*rates.findings, *gyro.curve.findings, *_triad_findings("gyroscope", gyro)]
-    forces = accel_offsets(blocks, calibration, settings.accel_unit)
-    if isinstance(forces, Finding):
-        findings.append(forces)
-    else:
-        accel, own = _accel(forces, nodes, calibration, settings)
-        findings += [*forces.findings, *own] if accel else own
+        gyro = _fit_triad(rates, nodes, settings)
+        findings += gyro.findings
+        if calibration is None or calibration.gyro is None or calibration.gyro.g_sensitivity is None:
+            findings.append(finding("drift.g_unknown", "info"))
+    try:
+        accel = _fit_accel(blocks, nodes, calibration, settings)
+        missing = "" if accel.offset is not None else _NO_TABLE
+        findings.append(_one_pose(blocks, accel))
+    except NotObservable as error:
+        missing = str(error)
+    except Implausible as error:
+        findings.append(finding("drift.accel_gravity", "warn", problem=str(error)))
+        missing = ""
+    if missing:
+        findings.append(finding("drift.accel_not_observable", "info", problem=missing))
     if gyro is None and accel is None:
         raise NotObservable(
             "static drift: expected readings at two temperatures or more, got none; "
@@ -240,14 +193,29 @@ def fit_static(
         if triad is not None and triad.offset is not None
         for name in ("offset", "uncertainty", "extrapolated", "visit")
     }
-    loop = None if gyro is None else gyro.curve.loop
     table = StaticDrift(
         temp_c=nodes,
         **columns,
-        gyro_hysteresis=None if loop is None else loop.half,
-        warm_up=None if gyro is None else gyro.curve.warm_up,
+        gyro_hysteresis=None if gyro is None else gyro.hysteresis,
+        warm_up=None if gyro is None else gyro.warm_up,
     )
     return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*findings))
+
+
+_NO_TABLE = (
+    "only the change over temperature is known. Calibrate six faces with a temperature column: the calibration must have "
+    "accelerometers and a reference temperature."
+)
+
+
+def _one_pose(blocks: RestBlocks, accel: TriadDrift) -> Finding:
+    return finding(
+        "drift.accel_one_pose",
+        "warn" if accel.mostly_unknown_scale else "info",
+        poses=len(np.unique(blocks.pose)),
+        span_c=accel.span_c[1] - accel.span_c[0],
+        percent_per_c=100.0 * UNKNOWN_SCALE_PER_K,
+    )
 
 
 # ---- offset readings
@@ -259,57 +227,50 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
     if not len(blocks):
         return None
     model, force = None if calibration is None else calibration.gyro, specific_force(blocks, calibration)
-    common, findings = np.zeros(3), list[Finding]()
-    if model is None or model.g_sensitivity is None or force is None:
-        findings.append(finding("drift.g_unknown", "info"))
-    elif G_NAMES[0] in model.parameters:  # uncertainty of the g-sensitivity, at the mean specific force
+    common = np.zeros(3)
+    if model is not None and model.g_sensitivity is not None and force is not None and G_NAMES[0] in model.parameters:
         start, k, mean = model.parameters.index(G_NAMES[0]), model.forward_matrix, force.mean(axis=0)
         of_g = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
-        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, of_g)
+        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, of_g)  # at the mean specific force
     return Offsets(
         blocks=blocks,
         value=blocks.gyro - felt_by_gyro(blocks, calibration),
         variance=known_variance(blocks.gyro_variance),
         step_error=blocks.gyro_step_error,
         common_variance=common,
-        findings=tuple(findings),
     )
 
 
-def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets | Finding:
-    """Return the accelerometers' readings in the pose that saw the widest range of temperature, if possible of one mounting."""
+def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets:
+    """Return the accelerometers' readings in the pose that saw the widest range of temperature, if possible of one mounting.
+
+    Raises ``NotObservable`` without readings and ``Implausible`` if they cannot be gravity.
+    """
     blocks = blocks.taken(np.isfinite(blocks.accel).all(axis=1))
     if not len(blocks):
-        return finding("drift.accel_no_readings", "info")
+        raise NotObservable("no readings. Map the accel columns.")
     force = specific_force(blocks, calibration)
     if force is None and is_physical(accel_unit):
         force = blocks.accel * si_factor(accel_unit, "accel")
     if force is not None:
-        try:
-            check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
-        except Implausible as error:
-            return finding("drift.accel_gravity", "warn", problem=str(error))
-    poses = len(np.unique(blocks.pose))
-    chosen, span = _widest(blocks, blocks.pose)
-    if chosen.mounting is not None:  # a face mounted again is not level as before: its tilt would count as temperature
-        mounted, seen = _widest(chosen, chosen.mounting)
-        chosen, span = (mounted, seen) if seen >= MOST_OF_SPAN * span else (chosen, span)
-    percent = 100.0 * UNKNOWN_SCALE_PER_K
+        check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
+    blocks = _widest(blocks, blocks.pose, 0.0)
+    if blocks.mounting is not None:  # a face mounted again is not level as before: its tilt would count as temperature
+        blocks = _widest(blocks, blocks.mounting, MOST_OF_SPAN * float(np.ptp(blocks.temp_c)))
     return Offsets(
-        blocks=chosen,
-        value=np.array(chosen.accel),
-        variance=known_variance(chosen.accel_variance),
-        step_error=chosen.accel_step_error,
+        blocks=blocks,
+        value=np.array(blocks.accel),
+        variance=known_variance(blocks.accel_variance),
+        step_error=blocks.accel_step_error,
         common_variance=np.zeros(3),
-        findings=(finding("drift.accel_one_pose", "info", poses=poses, span_c=span, percent_per_c=percent),),
     )
 
 
-def _widest(blocks: RestBlocks, number: IntArray) -> tuple[RestBlocks, float]:
-    """Return the blocks of the number that saw the widest range of temperature, and this range, degC."""
-    spans = {n: float(np.ptp(blocks.temp_c[number == n])) for n in np.unique(number)}
-    widest = max(spans, key=lambda n: spans[n])
-    return blocks.taken(number == widest), spans[widest]
+def _widest(blocks: RestBlocks, number: IntArray, least_c: float) -> RestBlocks:
+    """Return the blocks of the number that saw the widest range of temperature; all blocks if that is below ``least_c``."""
+    widest = max(np.unique(number).tolist(), key=lambda k: float(np.ptp(blocks.temp_c[number == k])))
+    chosen = blocks.taken(number == widest)
+    return chosen if np.ptp(chosen.temp_c) >= least_c else blocks
 
 
 def known_variance(variance: FloatArray) -> FloatArray:
@@ -337,63 +298,84 @@ def felt_by_gyro(blocks: RestBlocks, calibration: Calibration | None) -> FloatAr
 # ---- one triad
 
 
-def _triad(
+@determined("offset over temperature")
+def _fit_triad(
     offsets: Offsets,
     nodes: FloatArray,
     settings: StaticSettings,
     reference: tuple[float, TriadModel] | None = None,
 ) -> TriadDrift:
     """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
-    fit = fit_offset_curve(offsets, warm_up=settings.warm_up)
-    temp_c, n = offsets.blocks.temp_c, len(nodes)
+    blocks, findings = offsets.blocks, list[Finding]()
+    direction, tau = cooling(blocks), None
+    has_loop = both_ways(blocks, direction)
+    if not has_loop:
+        findings.append(finding("drift.hysteresis_unknown", "warn", overlap_c=OVERLAP_C))
+    if settings.warm_up:
+        try:
+            tau = warm_up_time(blocks, offsets.value)
+        except NotObservable as error:
+            findings.append(finding("drift.warm_up_not_observable", "info", problem=str(error)))
+    columns = ([direction] if has_loop else []) + ([] if tau is None else [np.exp(-blocks.power_on_s / tau)])
+    regressors = np.array(columns).reshape(-1, len(blocks)).T
+    cells = cells_of(offsets, regressors, direction * has_loop, chunk_s=np.inf if tau is None else CHUNK_S)
+    turn_on = between_sessions(cells)
+    if turn_on is None or not np.isfinite(turn_on.variance).all():
+        findings.append(finding("drift.turn_on_unknown", "info", sessions=len(np.unique(cells.session))))
+    if (cells.rest > DISAGREE * cells.rest_noise).any():
+        findings.append(
+            finding("drift.rests_disagree", "info", ratio=cells.rest / np.maximum(cells.rest_noise, 1e-300))
+        )
+    curve = _curve_through(cells, turn_on)
+    findings += _left_out_findings(curve, cells)
+
+    # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference
+    temp_c, n = blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, SLOPE_POINTS))
-    at = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
-    at_nodes = fit.through_set_points(at) if settings.not_a_knot else fit.curve.at(at)
-    variances = np.diagonal(at_nodes.covariance, axis1=1, axis2=2).T
-    value, variance = at_nodes.value[:n], variances[:n]
+    points = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
+    at = _through_set_points(cells, curve, points) if settings.not_a_knot else curve.at(points)
+    variances = at.uncertainty**2
+    value, variance = at.value[:n], variances[:n]
     if reference is not None:  # the last point: its error is shared by both ends of the difference
         model = reference[1]
-        value = model.offset + at_nodes.value[:n] - at_nodes.value[-1]
-        variance = variance + variances[-1] - 2.0 * at_nodes.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
-    future = offsets.common_variance + fit.visit_variance
-    if fit.turn_on is not None:
-        future = future + fit.turn_on.future_variance
-    if fit.loop is not None:
-        future = future + fit.loop.half**2
-    temps, rows = inside - inside.mean(), slice(n, n + SLOPE_POINTS)
-    weight = temps / (temps @ temps)
-    slope_variance = np.einsum("i,kij,j->k", weight, at_nodes.covariance[:, rows, rows], weight)
+        value = model.offset + value - at.value[-1]
+        variance = variance + variances[-1] - 2.0 * at.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
+    rows, weight = slice(n, n + SLOPE_POINTS), (inside - inside.mean()) / ((inside - inside.mean()) ** 2).sum()
+    slope_variance = np.einsum("i,kij,j->k", weight, at.covariance[:, rows, rows], weight)
+    visit = np.sqrt(curve.visit_deviation**2 + cells.rest**2)
+    half = curve.coefficient[0] if has_loop else np.zeros(3)
+    future = offsets.common_variance + visit**2 + half**2 + (0.0 if turn_on is None else turn_on.future_variance)
     return TriadDrift(
         offset=value,
         uncertainty=np.sqrt(np.maximum(variance, 0.0) + future),
-        visit=np.sqrt(fit.visit_variance),
+        visit=visit,
         extrapolated=~near_data(nodes, temp_c, gap_c=GAP_C),
-        slope=np.asarray(weight @ at_nodes.value[rows]),
+        slope=np.asarray(weight @ at.value[rows]),
         slope_uncertainty=np.sqrt(np.maximum(slope_variance, 0.0)),
         span_c=(float(temp_c.min()), float(temp_c.max())),
-        curve=fit,
+        curve=curve,
+        cells=cells,
         offsets=offsets,
+        turn_on=turn_on,
+        hysteresis=half if has_loop else None,
+        hysteresis_uncertainty=curve.coefficient_uncertainty[0] if has_loop else None,
+        warm_up=None if tau is None else warm_up_table(tau, curve.coefficient[-1]),
+        findings=tuple(findings),
     )
 
 
-def _accel(
-    offsets: Offsets, nodes: FloatArray, calibration: Calibration | None, settings: StaticSettings
-) -> tuple[TriadDrift | None, list[Finding]]:
+def _fit_accel(
+    blocks: RestBlocks, nodes: FloatArray, calibration: Calibration | None, settings: StaticSettings
+) -> TriadDrift:
+    offsets = accel_offsets(blocks, calibration, settings.accel_unit)
     model = None if calibration is None else calibration.accel
-    reference = calibration.reference_temp_c if calibration is not None else float("nan")
-    anchor = None if model is None or not np.isfinite(reference) else (reference, model)
-    try:
-        triad = _triad(offsets, nodes, settings, anchor)
-    except NotObservable as error:
-        return None, [finding("drift.accel_not_observable", "info", problem=str(error))]
-    if model is None:
-        return replace(triad, offset=None), [finding("drift.accel_uncalibrated", "info")]
-    if anchor is None:
-        return replace(triad, offset=None), [finding("drift.accel_no_reference", "info")]
-    gravity = triad.curve.curve.at(np.array([reference])).value[0] - model.offset
-    unknown = UNKNOWN_SCALE_PER_K * np.abs(nodes - reference)[:, None] * np.abs(gravity)
-    triad = replace(triad, uncertainty=np.hypot(triad.uncertainty, unknown), unknown_scale=unknown)
-    return triad, _triad_findings("accelerometer", triad)
+    reference_c = np.nan if calibration is None else calibration.reference_temp_c
+    if model is None or not np.isfinite(reference_c):
+        return replace(_fit_triad(offsets, nodes, settings), offset=None)
+    triad = _fit_triad(offsets, nodes, settings, (reference_c, model))
+    gravity = triad.curve.at(np.array([reference_c])).value[0] - model.offset
+    unknown = UNKNOWN_SCALE_PER_K * np.abs(nodes - reference_c)[:, None] * np.abs(gravity)
+    return replace(triad, uncertainty=np.hypot(triad.uncertainty, unknown), unknown_scale=unknown)
 
 
 def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArray:
@@ -402,81 +384,31 @@ def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArr
     return np.asarray(nearest <= np.where((nodes < temp_c.min()) | (nodes > temp_c.max()), EDGE_C, gap_c))
 
 
-def far_from_data(sensor: str, triad: TriadDrift) -> list[Finding]:
-    """Return the finding on nodes without data nearby."""
-    count, nodes, (low, high) = int(triad.extrapolated.sum()), len(triad.extrapolated), triad.span_c
-    if not count:
-        return []
-    return [
-        finding("drift.nodes_extrapolated", "info", sensor=sensor, count=count, nodes=nodes, low_c=low, high_c=high)
-    ]
-
-
-def _triad_findings(sensor: str, triad: TriadDrift) -> list[Finding]:
-    loop = triad.curve.loop
-    if loop is None:
-        return far_from_data(sensor, triad)
-    size = {"half_width": loop.half, "uncertainty": loop.uncertainty}
-    return [*far_from_data(sensor, triad), finding("drift.hysteresis", "info", sensor=sensor, **size)]
-
-
-@determined("offset over temperature")
-def fit_offset_curve(offsets: Offsets, *, warm_up: bool) -> OffsetCurve:
-    """Fit offset over temperature, with hysteresis, warm-up and the shifts of sessions."""
-    blocks, findings = offsets.blocks, list[Finding]()
-    direction = cooling(blocks)
-    has_loop = both_ways(blocks, direction)
-    if not has_loop:
-        findings.append(finding("drift.hysteresis_unknown", "info", overlap_c=OVERLAP_C))
-    tau = None
-    if warm_up:
-        try:
-            tau = warm_up_time(blocks, offsets.value)
-        except NotObservable as error:
-            percent = 100.0 * (1.0 - float(error.numbers["share"]))  # type: ignore[arg-type]
-            findings.append(finding("drift.warm_up_not_observable", "info", percent=percent))
-    regressors = [direction] if has_loop else []
-    regressors += [] if tau is None else [np.exp(-blocks.power_on_s / tau)]
-    cells = cells_of(
-        offsets,
-        regressors=np.array(regressors).reshape(-1, len(blocks)).T,
-        direction=direction if has_loop else np.zeros(len(blocks)),
-        chunk_s=np.inf if tau is None else CHUNK_S,
-    )
-    turn_on = between_sessions(cells) if len(np.unique(cells.session)) > 1 else None
-    if turn_on is None:
-        findings.append(finding("drift.one_session", "info"))
-    elif not np.isfinite(turn_on.variance).all():
-        findings.append(finding("drift.sessions_apart", "info", sessions=turn_on.sessions))
-    curve = _curve_through(cells, turn_on)
-    findings += _left_out_findings(curve, cells)
-    return OffsetCurve(
-        curve=curve,
-        cells=cells,
-        loop=HysteresisLoop(half=curve.coefficient[0], uncertainty=curve.coefficient_uncertainty[0])
-        if has_loop
-        else None,
-        warm_up=None if tau is None else warm_up_table(tau, curve.coefficient[-1]),
-        turn_on=turn_on,
-        findings=tuple(findings),
-    )
-
-
 def _curve_through(cells: Cells, turn_on: TurnOn | None, shifts: FloatArray | None = None) -> Curve:
-    """Fit the curve with the regressors of the cells, and with shifts of sessions (n, f) if they are to be found."""
-    shared = cells.flicker
-    if cells.scatter is not None:
-        shared = shared + cells.scatter.pose_covariance
-    if turn_on is not None:
-        together = cells.session[:, None] == cells.session
-        shared = shared + np.nan_to_num(turn_on.variance)[:, None, None] * together
+    """Fit the curve with the regressors of the cells, and with shifts of sessions (n, f) if they are to be determined."""
+    together = (cells.session[:, None] == cells.session).astype(float)
+    between = np.zeros(3) if turn_on is None else np.nan_to_num(turn_on.variance)
     return fit_curve(
         cells.temp_c,
         cells.value,
         cells.variance,
         regressors=cells.regressors if shifts is None else np.column_stack((shifts, cells.regressors)),
         correlation=cells.correlation,
-        shared=shared,
+        shared=between[:, None, None] * together,
+    )
+
+
+def _through_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues:
+    """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
+    residual = cells.value - cells.regressors @ curve.coefficient
+    variance = cells.variance + curve.visit_deviation**2
+    bins = bins_of(cells.temp_c, 1.0)
+    rows = [np.flatnonzero(bins == k) for k in np.unique(bins)]
+    return not_a_knot(
+        np.array([cells.temp_c[r].mean() for r in rows]),
+        np.array([residual[r].mean(axis=0) for r in rows]),
+        np.array([variance[r].sum(axis=0) / len(r) ** 2 for r in rows]),
+        nodes,
     )
 
 
@@ -493,41 +425,38 @@ def _left_out_findings(curve: Curve, cells: Cells) -> list[Finding]:
 # ---- cells
 
 
-def cells_of(offsets: Offsets, *, regressors: FloatArray, direction: FloatArray, chunk_s: float) -> Cells:
-    """Average blocks of one session, visit, direction (n,) and temperature; regressors (n, p) are averaged with them.
+def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *, chunk_s: float) -> Cells:
+    """Average blocks of one visit, direction (n,) and temperature; regressors (n, p) are averaged with them.
 
     Cells are cut where the time since power-on passes ``chunk_s``, twice and four times this, and so on.
     """
-    blocks, value = offsets.blocks, offsets.value
-    chunk = np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
-    visit = visits_of(blocks)
+    blocks = offsets.blocks
+    visit, chunk = visits_of(blocks), np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
     used = np.flatnonzero(visit >= 0)
     parts = split_by(used, visit[used], np.round(direction[used]), chunk[used])
+    parts = [rows[np.argsort(blocks.temp_c[rows], kind="stable")] for rows in parts]
     width = max(CELL_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / MOST_CELLS)
-    members = [
-        rows[_near_others(value[rows], blocks.pose[rows])] for part in parts for rows in _binned(blocks, part, width)
-    ]
+    members = [rows for part in parts for rows in split_by(part, bins_of(blocks.temp_c[part], width))]
     members.sort(key=lambda rows: float(blocks.temp_c[rows].mean()))
+    rests = [_rests_of(offsets, rows) for rows in members]
+    members = [np.concatenate(part) for part in rests]
     temp_c = np.array([blocks.temp_c[rows].mean() for rows in members])
-    means = np.array([value[rows].mean(axis=0) for rows in members])
+    means = np.array([offsets.value[rows].mean(axis=0) for rows in members])
     about = temp_c - temp_c.mean()
     slope = np.asarray(about @ means / max(float(about @ about), 1e-9))
-    level = value - slope * blocks.temp_c[:, None]  # the usual slope within a cell is subtracted
-    rests, cell = rests_of(blocks, members)
-    wander = _flicker_variance(offsets, rests, level)
-    scatter = scatter_of_rests(offsets, rests, cell, level, wander)
+    rest, rest_noise = _scatter_of_rests(offsets, rests, offsets.value - slope * blocks.temp_c[:, None])
+    share = np.array([sum(len(rows) ** 2 for rows in part) / sum(map(len, part)) ** 2 for part in rests])
     correlation, of_cell = flicker_correlation(blocks, members), visit[[rows[0] for rows in members]]
-    variance = np.array([_variance_of_cell(offsets, rows) for rows in members])
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
         value=means,
-        variance=variance if scatter is None else variance + scatter.rest_variance,
+        variance=np.array([_variance_of_cell(offsets, rows) for rows in members]) + share[:, None] * rest**2,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        flicker=wander[:, None, None] * correlation,
         correlation=correlation * (of_cell[:, None] == of_cell) / np.diag(correlation).mean(),
         groups=bins_of(temp_c, max(1.5 * width, float(np.ptp(temp_c)) / GROUPS)),
-        scatter=scatter,
+        rest=rest,
+        rest_noise=rest_noise,
     )
 
 
@@ -547,20 +476,36 @@ def bins_of(temp_c: FloatArray, width: float) -> IntArray:
     return bins
 
 
-def _binned(blocks: RestBlocks, rows: IntArray, width: float) -> list[IntArray]:
-    rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-    return np.split(rows, np.flatnonzero(np.diff(bins_of(blocks.temp_c[rows], width))) + 1)
+def visits_of(blocks: RestBlocks) -> IntArray:
+    """Return which visit each block belongs to, (n,): a step of temperature, or another session, begins another one.
+
+    A log through soaks has one visit at each soak, and -1 on the ramps between: a ramp would carry the deviation of one visit over
+    to the next.
+    """
+    ramp = np.abs(blocks.ramp_c_per_min)
+    fast = float(np.quantile(ramp, 0.9))
+    slow = ramp <= SLOW * fast
+    soaks = np.count_nonzero(np.diff(np.sort(blocks.temp_c[slow])) > STEP_C) + 1
+    if np.median(ramp[slow]) >= STILL * fast or soaks < LEAST_SOAKS:  # one ramp, or soaks only
+        slow = np.ones(len(blocks), bool)
+    order = np.lexsort((blocks.time, blocks.session))
+    order = order[slow[order]]
+    step = (np.abs(np.diff(blocks.temp_c[order])) > STEP_C) | (np.diff(blocks.session[order]) != 0)
+    visit = np.full(len(blocks), -1, np.int64)
+    visit[order] = np.concatenate(([0], np.cumsum(step)))
+    return visit
 
 
-def _near_others(value: FloatArray, pose: IntArray) -> BoolArray:
-    """Return True for blocks of a cell near the others of their pose; a whole pose that differs is not an outlier."""
-    good = np.ones(len(value), bool)
-    for rows in split_by(np.arange(len(value)), pose):
-        off = np.abs(value[rows] - np.median(value[rows], axis=0))
-        near = (off <= FAR * ROBUST * np.median(off, axis=0)).all(axis=1)
-        if len(rows) >= LEAST_JUDGED and near.mean() > 0.5:
-            good[rows] = near
-    return good
+def _rests_of(offsets: Offsets, rows: IntArray) -> list[IntArray]:
+    """Return the blocks of each rest of a cell: of one pose, without a pause; blocks far from the others of a rest are left out."""
+    blocks, rests = offsets.blocks, list[IntArray]()
+    for part in split_by(rows, blocks.pose[rows]):
+        part = part[np.argsort(blocks.time[part], kind="stable")]
+        for rest in np.split(part, np.flatnonzero(np.diff(blocks.time[part]) > RESTS_APART_S) + 1):
+            off = np.abs(offsets.value[rest] - np.median(offsets.value[rest], axis=0))
+            near = (off <= FAR * ROBUST * np.median(off, axis=0)).all(axis=1)
+            rests.append(rest[near] if len(rest) >= LEAST_JUDGED and near.mean() > 0.5 else rest)
+    return rests
 
 
 def _variance_of_cell(offsets: Offsets, rows: IntArray) -> FloatArray:
@@ -578,185 +523,78 @@ def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatA
     return np.asarray(noise + left**2 / (1.0 + np.where(left > 0.0, steps, 0.0)))
 
 
-def visits_of(blocks: RestBlocks) -> IntArray:
-    """Return which visit each block belongs to, (n,): a step of temperature begins another; -1 on ramps between many soaks."""
-    order = np.lexsort((blocks.time, blocks.session))
-    step = (np.abs(np.diff(blocks.temp_c[order])) > STEP_C) | (np.diff(blocks.session[order]) != 0)
-    number, count = np.empty(len(blocks), np.int64), 0
-    for rows in np.split(order, np.flatnonzero(step) + 1):
-        soaks = _soaks_of(blocks.time[rows], blocks.temp_c[rows])
-        number[rows] = np.where(soaks < 0, -1, soaks + count)
-        count += int(soaks.max()) + 1
-    return number
+def _scatter_of_rests(
+    offsets: Offsets, rests: list[list[IntArray]], level: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviation between the rests of a cell beyond their noise, and that noise, (3,) each.
 
-
-def _soaks_of(time: FloatArray, temp_c: FloatArray) -> IntArray:
-    """Return which soak each block of one log belongs to, (n,), -1 between soaks; all 0 if the soaks are few.
-
-    A soak stays near its mean for three times as long as the log usually does.
+    Of n rests in a cell, with mean levels m and noise variances v: sum (m - mean)^2 = (n - 1) s^2 + (1 - 1/n) sum v. The axes of a
+    triad are alike, so s^2 is drawn towards their mean.
     """
-    starts, total = [0], 0.0
-    for k, temp in enumerate(temp_c.tolist()):
-        if k > starts[-1] and abs(temp - total / (k - starts[-1])) > HELD_C:
-            starts.append(k)
-            total = 0.0
-        total += temp
-    stretch = np.repeat(np.arange(len(starts)), np.diff([*starts, len(time)]))
-    length = np.bincount(stretch, np.gradient(time)) if len(time) > 1 else np.zeros(1)
-    middle = np.array([np.median(part) for part in np.split(temp_c, starts[1:])])
-    held = length >= SOAK_LENGTH * np.quantile(length, 0.25)
-    if np.count_nonzero(np.diff(np.sort(middle[held])) > STEP_C) < LEAST_SOAKS - 1:
-        return np.zeros(len(time), np.int64)
-    begins = held & ~np.append(False, held[:-1] & (np.abs(np.diff(middle)) <= STEP_C))
-    soak = np.where(held, np.cumsum(begins) - 1, -1)[stretch]
-    return np.where(np.abs(temp_c - middle[stretch]) <= 0.5 * HELD_C, soak, -1)
-
-
-def flicker(lag_s: FloatArray) -> FloatArray:
-    """Return the correlation of flicker noise over time: a sum of first-order processes of equal variance."""
-    return np.asarray(np.mean([np.exp(-np.abs(lag_s) / tau) for tau in FLICKER_S], axis=0))
+    square, noise, freedom, known = np.zeros(3), np.zeros(3), 0, list[FloatArray]()
+    for part in rests:
+        means = np.array([level[rows].mean(axis=0) for rows in part])
+        variance = np.array([_variance_of_cell(offsets, rows) for rows in part])
+        known.append(variance.mean(axis=0))
+        square += ((means - means.mean(axis=0)) ** 2).sum(axis=0)
+        noise += (1.0 - 1.0 / len(part)) * variance.sum(axis=0)
+        freedom += len(part) - 1
+    rest = np.maximum(square - noise, 0.0) / max(freedom, 1)
+    rest = (freedom * rest + AXES_ALIKE * rest.mean()) / (freedom + AXES_ALIKE) * student_factor(freedom + AXES_ALIKE)
+    return np.sqrt(rest), np.sqrt(np.mean(known, axis=0))
 
 
 def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
-    """Return the mean correlation of the blocks of two cells, (n, n); 0 between sessions.
+    """Return the mean correlation of the blocks of two cells, (n, n), as flicker noise has it over time; 0 between sessions.
 
-    The offset wanders as flicker noise does.
+    Flicker noise is a sum of first-order processes of equal variance.
     """
     sampled = [rows[np.linspace(0, len(rows) - 1, min(len(rows), PAIRED)).astype(int)] for rows in members]
     starts = np.concatenate(([0], np.cumsum([len(rows) for rows in sampled])))
     time, session = blocks.time[np.concatenate(sampled)], blocks.session[[rows[0] for rows in members]]
     correlation = np.zeros((len(members), len(members)))
     for k in range(len(members)):
-        lag = np.abs(time[starts[k] : starts[k + 1], None] - time[None, :])
-        correlation[k] = np.add.reduceat(flicker(lag).mean(axis=0), starts[:-1]) / np.diff(starts)
+        lag_s = np.abs(time[starts[k] : starts[k + 1], None] - time[None, :])
+        flicker = np.mean([np.exp(-lag_s / tau).mean(axis=0) for tau in FLICKER_S], axis=0)
+        correlation[k] = np.add.reduceat(flicker, starts[:-1]) / np.diff(starts)
     correlation *= session[:, None] == session
     return 0.5 * (correlation + correlation.T)
-
-
-def _flicker_variance(offsets: Offsets, rests: list[IntArray], level: FloatArray) -> FloatArray:
-    """Return the variance of flicker noise, (3,), from the scatter of the blocks of each rest; at least what chance hides.
-
-    E(scatter) = noise + variance n / (n - 1) (1 - c)          n blocks, c their mean correlation
-    """
-    rests = [rows for rows in rests if len(rows) > 1]
-    if not rests:
-        return np.zeros(3)
-    freedom = np.array([len(rows) - 1.0 for rows in rests]) / sum(len(rows) - 1.0 for rows in rests)
-    scatter = freedom @ [level[rows].var(axis=0, ddof=1) for rows in rests]
-    noise = freedom @ [offsets.variance[rows].mean(axis=0) for rows in rests]
-    share = freedom @ [
-        len(rows) / (len(rows) - 1.0) * (1.0 - flicker(np.subtract.outer(*[offsets.blocks.time[rows]] * 2)).mean())
-        for rows in rests
-    ]
-    hidden = noise * np.sqrt(2.0 / sum(len(rows) - 1.0 for rows in rests))
-    return np.asarray(np.maximum(scatter - noise, hidden) / max(share, 1e-9))
-
-
-def rests_of(blocks: RestBlocks, members: list[IntArray]) -> tuple[list[IntArray], IntArray]:
-    """Return the blocks of each rest of one cell and pose, and the cell of each rest."""
-    rests, cell = list[IntArray](), list[int]()
-    for k, rows in enumerate(members):
-        for part in split_by(rows, blocks.pose[rows]):
-            part = part[np.argsort(blocks.time[part], kind="stable")]
-            runs = np.split(part, np.flatnonzero(np.diff(blocks.time[part]) > RESTS_APART_S) + 1)
-            rests, cell = rests + runs, cell + [k] * len(runs)
-    return rests, np.array(cell)
-
-
-def scatter_of_rests(
-    offsets: Offsets, rests: list[IntArray], cell: IntArray, level: FloatArray, wander: FloatArray
-) -> RestScatter | None:
-    """Compare the rests of each cell: effects of poses, and scatter from rest to rest; None if no cell has two rests.
-
-    m_r = m_cell + P_pose + E_r + noise          mean m_r of each rest, from ``level`` (n, 3); flicker of variance ``wander`` (3,)
-    """
-    blocks = offsets.blocks
-    poses = np.unique(blocks.pose)
-    in_pose = (blocks.pose[[rows[0] for rows in rests]][:, None] == poses).astype(float)
-    in_cell = (cell[:, None] == np.arange(cell.max() + 1)).astype(float)
-    mean = np.array([level[rows].mean(axis=0) for rows in rests])
-    noise = wander + [offsets.variance[rows].mean(axis=0) / len(rows) for rows in rests]
-    centre = np.eye(len(rests)) - in_cell @ (in_cell / in_cell.sum(axis=0)).T
-    effects = centre @ in_pose
-    inverse, compared = np.linalg.pinv(effects, rcond=1e-6), int(np.linalg.matrix_rank(effects, tol=1e-6))
-    freedom = len(rests) - int(cell.max()) - 1 - compared
-    if compared + freedom < 1:
-        return None
-    rest: FloatArray = np.zeros(3)
-    pose: FloatArray = np.zeros(3)
-    if freedom > 0:
-        residual = centre - (effects @ inverse if compared else 0.0)
-        rest = _axes_alike(((residual @ mean) ** 2).sum(axis=0) - (residual**2 @ noise).sum(axis=0), freedom, freedom)
-    if compared > 0:
-        gain = inverse @ centre
-        square = ((gain @ mean) ** 2).sum(axis=0) - (gain**2 @ (noise + rest)).sum(axis=0)
-        pose = _axes_alike(square, compared, float(((gain @ in_pose) ** 2).sum()))
-    share = np.array([len(rows) for rows in rests], float)[:, None] * in_cell
-    share /= share.sum(axis=0)
-    by_pose = share.T @ in_pose
-    return RestScatter(
-        pose=np.sqrt(pose),
-        rest=np.sqrt(rest),
-        known=np.sqrt(noise.mean(axis=0)),
-        poses=len(poses),
-        rests=len(rests),
-        pose_covariance=(pose * student_factor(compared + AXES_ALIKE))[:, None, None] * (by_pose @ by_pose.T),
-        rest_variance=(share**2).sum(axis=0)[:, None] * rest * student_factor(freedom + AXES_ALIKE),
-    )
-
-
-def _axes_alike(square: FloatArray, freedom: int, size: float) -> FloatArray:
-    """Return variances of the three axes, (3,), from excess squares, drawn towards their mean: sensors of one triad are alike."""
-    variance = np.maximum(square, 0.0) / size
-    return np.asarray((freedom * variance + AXES_ALIKE * variance.mean()) / (freedom + AXES_ALIKE))
 
 
 # ---- scatter between switch-ons
 
 
-def between_sessions(cells: Cells) -> TurnOn:
-    """Return how much the offset moves between sessions: their shifts, and the variance that these show (Paule and Mandel).
+def between_sessions(cells: Cells) -> TurnOn | None:
+    """Return how much the offset moves between sessions that share temperatures; None for one session.
 
-    The variance is at least that of the shifts: sessions that agree by chance do not prove that nothing moves.
+    Their shifts sum to zero; the variance is that which these show (Paule and Mandel), and at least their own: sessions that agree
+    by chance do not prove that nothing moves.
     """
-    numbers = np.unique(cells.session)
-    contrasts = _shift_contrasts(cells, numbers)
-    free = contrasts.shape[1]
-    unknown = TurnOn(sessions=len(numbers), shift=np.full((len(numbers), 3), np.nan))
-    if free == 0:
-        return unknown
-    try:
-        curve = _curve_through(cells, None, (cells.session[:, None] == numbers) @ contrasts)
-    except NotObservable:
-        return unknown
-    part = np.abs(contrasts)
-    seen = np.asarray(part.any(axis=1))
-    shift = np.where(seen[:, None], contrasts @ curve.coefficient[:free], np.nan)
-    known = part[seen] @ curve.coefficient_uncertainty[:free] ** 2 / part[seen].sum(axis=1, keepdims=True)
-    excess = np.array([excess_variance(shift[seen, axis], known[:, axis], free) for axis in range(3)])
-    variance = np.maximum(excess, known.mean(axis=0))
-    return TurnOn(
-        sessions=len(numbers), shift=shift, variance=variance, future_variance=student_factor(free) * variance
-    )
-
-
-def _shift_contrasts(cells: Cells, numbers: IntArray) -> FloatArray:
-    """Return the contrasts that make the shifts of s sessions, (s, f): in each group that shares temperatures they sum to zero.
-
-    A session that shares no temperature with another has a row of zeros.
-    """
-    from scipy.linalg import block_diag
     from scipy.sparse.csgraph import connected_components
 
+    numbers = np.unique(cells.session)
+    if len(numbers) < 2:
+        return None
     temps = [cells.temp_c[cells.session == number] for number in numbers]
-    tied = [[np.abs(one[:, None] - two).min() <= SHARED_C for two in temps] for one in temps]
-    count, group = connected_components(np.array(tied))
-    sizes = np.bincount(group, minlength=count)
-    contrasts = np.zeros((len(numbers), len(numbers) - count))
-    contrasts[np.argsort(group, kind="stable")] = block_diag(
-        *(np.vstack((np.eye(n - 1), -np.ones(n - 1))) for n in sizes)
-    )
-    return contrasts
+    tied = [[np.abs(first[:, None] - second).min() <= SHARED_C for second in temps] for first in temps]
+    group = connected_components(np.array(tied))[1]
+    sharing = np.flatnonzero(group == np.bincount(group).argmax())
+    free, shift = len(sharing) - 1, np.full((len(numbers), 3), np.nan)
+    unknown = TurnOn(shift=shift, variance=np.full(3, np.nan), future_variance=np.zeros(3))
+    contrasts = np.zeros((len(numbers), free))
+    contrasts[sharing] = np.vstack((np.eye(free), -np.ones(free)))
+    try:
+        curve = _curve_through(cells, None, (cells.session[:, None] == numbers) @ contrasts) if free else None
+    except NotObservable:
+        curve = None
+    if curve is None:
+        return unknown
+    shift[sharing] = contrasts[sharing] @ curve.coefficient[:free]
+    known = curve.coefficient_uncertainty[:free] ** 2
+    known = np.vstack((known, known.mean(axis=0)))
+    excess = np.array([excess_variance(shift[sharing, axis], known[:, axis], free) for axis in range(3)])
+    variance = np.maximum(excess, known.mean(axis=0))
+    return TurnOn(shift=shift, variance=variance, future_variance=student_factor(free) * variance)
 
 
 # ---- hysteresis: which way the temperature went
@@ -776,14 +614,10 @@ def _direction(temp_c: list[float]) -> FloatArray:
     way, turned, low, high = 0, False, temp_c[0], temp_c[0]
     for k, temp in enumerate(temp_c):
         low, high = min(low, temp), max(high, temp)
-        if way == 0 and temp - low >= START_C:
-            way, high = 1, temp
-        elif way == 0 and high - temp >= START_C:
-            way, low = -1, temp
-        elif way == 1 and high - temp > TURN_C:
-            way, low, turned = -1, temp, True
-        elif way == -1 and temp - low > TURN_C:
-            way, high, turned = 1, temp, True
+        if way <= 0 and temp - low > TURN_C:
+            way, high, turned = 1, temp, way != 0
+        elif way >= 0 and high - temp > TURN_C:
+            way, low, turned = -1, temp, way != 0
         back, gone = (high - temp, temp - low) if way == 1 else (temp - low, high - temp)  # from the last extreme
         crossed = 2.0 * back / CROSSED_C
         lacking = 2.0 - 2.0 * gone / CROSSED_C if turned else 0.0  # since the turn before

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.arrays import BoolArray, FloatArray
-    from undrift.drift.checks import ScaleSummary, TriadSummary
     from undrift.drift.fit import Alternatives, DriftFit
+    from undrift.drift.verdict import ScaleSummary, TriadSummary
     from undrift.model import DynamicDrift
 
 # ---- pictures

@@ -8,7 +8,7 @@ import pytest
 from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading
 from undrift.drift.observe import RestBlocks
-from undrift.drift.rate_steps import fit_dynamic, measured_rate, rests_of, steps_of
+from undrift.drift.rates import fit_dynamic, measured_rate, prepared
 from undrift.errors import NotObservable
 from undrift.sim.device.effects import RateDrift
 from undrift.sim.device.presets import random_device_of
@@ -31,7 +31,8 @@ def fitted(made, temps=TEMPS, noise_dps=1e-5, steps=None, rests=None, **kept):
     if steps is None:
         steps = computed(made, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
     table = true_tables(made, NODES, np.radians([-90.0, 90.0])).static
-    return fit_dynamic(steps, true_calibration(made), static=table, scale=None, rests=rests)
+    calibration = true_calibration(made)
+    return fit_dynamic(prepared(steps, calibration, static=table, rests=rests), calibration)
 
 
 def resting(made, temps, faces=(0, 1, 2)):
@@ -98,16 +99,14 @@ def test_what_another_axis_turns_into_this_one_is_left_to_the_matrix():
     assert np.degrees(np.abs(fit.drift.error[..., 0])[~fit.drift.extrapolated]).max() < 0.005
 
 
-def test_rests_that_lay_as_the_device_turned_are_found_by_their_pose():
-    made = device()
-    steps = steps_of(computed(made, TEMPS, np.random.default_rng(1), rates=FEW))
-    rests = resting(made, TEMPS)
-    block, of = rests_of(steps, rests)
-    assert np.array_equal(block, np.arange(3 * len(TEMPS)))
-    assert np.array_equal(np.abs(steps.rate_b[of]).argmax(axis=1), np.tile([0, 1, 2], len(TEMPS)))
-    other = replace(rests, accel=-rests.accel)
-    assert not len(rests_of(steps, other)[0])
-    assert not len(rests_of(replace(steps, accel=np.full_like(steps.accel, np.nan)), rests)[0])
+def test_rests_of_a_mounting_are_those_in_its_pose():
+    made, rests = device(), resting(device(), TEMPS)
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW)
+    ready = prepared(steps, true_calibration(made), static=None, rests=rests)
+    assert ready.zero.shape == (3 * len(TEMPS), 3)
+    assert np.isfinite(ready.zero).all()
+    other = prepared(steps, true_calibration(made), static=None, rests=replace(rests, accel=-rests.accel))
+    assert np.isnan(other.zero).all()
 
 
 def test_rests_pin_the_offset_where_rates_have_one_sign():
@@ -133,7 +132,7 @@ def test_an_axis_that_was_not_turned_has_zeros_and_no_uncertainty():
 
 
 def test_one_soak_is_refused_with_its_temperature():
-    with pytest.raises(NotObservable, match=r"got 54 steps at 1 soaks, 25\.0 to 25\.0 degC"):
+    with pytest.raises(NotObservable, match=r"54 steps at 1 soaks, 25\.0 to 25\.0 degC"):
         fitted(device(), temps=np.array([25.0]))
 
 
@@ -156,7 +155,8 @@ def test_the_measured_rate_is_the_table_offset_and_the_matrix():
     made = device(rate_drift=None, g_sensitivity=None)
     steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW, noise_dps=1e-9)
     table = true_tables(made, TEMPS[:2], np.radians([-90.0, 90.0]))
-    w = measured_rate(steps.gyro, steps.temp_c, true_calibration(made), static=table.static, scale=table.scale)
+    ready = prepared(steps, true_calibration(made), static=table.static)
+    w = measured_rate(ready.reading, steps.temp_c, true_calibration(made), table.scale)
     assert np.abs(w - steps.rate_b).max() < 1e-9
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from testkit.rate_steps import GRAVITY, reading
 from undrift.drift.accel import fit_accel_drift
-from undrift.drift.checks import offsets_verdict, poses_verdict
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.observe import RestBlocks
+from undrift.drift.verdict import offsets_verdict, poses_verdict
 from undrift.errors import Implausible
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
@@ -103,7 +103,7 @@ def with_table_uncertainty(static, dps):
         (6.0, 1.5, "marginal", "drift.offset_differs"),  # four standard uncertainties
         (15.0, 3.0, "marginal", "drift.offset_differs"),  # five: too few for bad
         (15.0, 1.0, "bad", "drift.offset_differs"),
-        (6.0, 3.0, "good", "drift.offset_unclear"),
+        (6.0, 3.0, "good", ""),  # two
         (1.0, 0.1, "good", ""),  # ten, and no more than a switch-on makes
         (1.0, 3.0, "good", ""),
     ],
@@ -142,15 +142,15 @@ def six_faces(scale, shift_mg):
     [
         (1.0, 0.0, "good", ""),
         (1.005, 30.0, "good", ""),
-        (1.02, 0.0, "marginal", r"matrix differs from the calibration: -1\.9\S*, .* % in xx \(wanted 1 %\)"),
-        (1.10, 0.0, "bad", r"matrix differs from the calibration: -9\.\S*, "),
+        (1.02, 0.0, "marginal", r"-1\.9\d* % in xx"),
+        (1.10, 0.0, "bad", r"-9\.\d* % in xx"),
         (
             1.0,
             80.0,
             "marginal",
-            r"offset differs from the calibration: \+(79|80|81)\S*, .* mg \(\+- \S+, .*\) on x, y, z",
+            r"offset \+(79|80|81)\S*, .* mg on x, y, z",
         ),
-        (1.0, 400.0, "bad", r"on x, y, z at \S+ degC \(wanted 50 mg\)"),
+        (1.0, 400.0, "bad", r"offset \+39\d"),
     ],
 )
 def test_accelerometers_from_poses_are_compared_with_the_calibration(scale, shift_mg, status, words):

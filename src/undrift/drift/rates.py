@@ -1,0 +1,558 @@
+"""Matrix and dynamic drift over temperature, from rate steps at several soaks.
+
+Offsets of the static table are subtracted first. A mounting is a stretch of one soak in which the device turned about one direction
+of its case. At one soak each sensor i reads ::
+
+    u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        j the axes that were turned, m the mounting
+
+d is the offset that the table leaves (hysteresis, warm-up, g-sensitivity). It is fitted if a mounting has two rates or more. With
+one rate, the mean reading of the rests of the same soak is its zero, or the table if there are none. An axis that no soak turned
+keeps its column of K from the calibration, and has no uncertainty. Each K_ij(T) goes through a smooth curve (fit/curve.py), and
+``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates; the dynamic table holds what bends.
+
+Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
+for w the measured rate about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
+product of cubic splines, goes through the steps of all soaks, and through the rests in the same pose at rate zero::
+
+    r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
+    minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
+
+The smoothness (s_w, s_T) predicts soaks that are left out best, or rates if there are only two soaks. A group g that is left out
+of a linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted again [1]_. The covariance is that of the
+smoothness prior [2]_, and the variances v include the excess of the residuals over those stated.
+
+References
+----------
+.. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 31, 1979, 377-403.
+.. [2] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
+from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.offset import bins_of, near_data
+from undrift.errors import InputError, NotObservable
+from undrift.findings import Finding, finding
+from undrift.fit.curve import Cubics, fit_curve
+from undrift.fit.equations import inverse_jacobian
+from undrift.fit.least_squares import determined, excess_variance
+from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
+from undrift.units import si_factor
+
+STEP_C = 5.0  # between the nodes of the dynamic table
+MATRIX_GAP_C = (
+    10.0  # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
+)
+_SAME_DIRECTION = 0.98  # cosine
+_SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
+_SAME_TEMPERATURE_C = 1.5
+_SAME_RATE = 0.01  # of the greatest: closer rates are one
+_MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
+_NEAR_RATE = 0.02  # of the greatest: a node this far beyond the measured rates still counts as seen
+_LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
+_SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, in spans and in residuals; stiff first
+_MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
+_LEAST = 1e-6  # of the values: less noise is below the resolution of the equations; rad/s if all values are 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """Usable rate steps, n rows, and M mountings."""
+
+    soak: IntArray  # (n,), numbered over all sessions
+    mounting: IntArray  # (n,), numbered over all soaks
+    temp_c: FloatArray  # (n,), degC
+    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
+    along: FloatArray  # (n,), rate along the direction of its mounting, rad/s
+    reading: FloatArray  # (n, 3), offset subtracted; if the mounting has one rate, its zero too, raw unit
+    variance: FloatArray  # (n, 3), raw unit squared
+    one_rate: BoolArray  # (n,), True if the mounting turned at one rate, one way round
+    zero: FloatArray  # (M, 3), mean reading of the rests of each mounting, offset subtracted, raw unit; NaN without
+    zero_variance: FloatArray  # (M, 3)
+    findings: tuple[Finding, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.temp_c)
+
+    def taken(self, rows: BoolArray) -> "Steps":
+        """Return some of the rows; numbers of mountings do not change."""
+        names = ("soak", "mounting", "temp_c", "rate_b", "along", "reading", "variance", "one_rate")
+        columns = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, **columns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SoakMatrices:
+    """The forward matrix at each of S soaks."""
+
+    temp_c: FloatArray  # (S,), mean temperature of the soak's steps, degC, increasing
+    forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis; NaN for an axis that the soak did not turn
+    variance: FloatArray  # (S, 3, 3), of each element, that unit squared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScaleFit:
+    """The matrix over temperature."""
+
+    drift: ScaleDrift  # gyroscope matrices at the nodes
+    soaks: SoakMatrices
+    # (3,), thermal sensitivity of each scale factor, %/K of its value at the reference temperature; NaN if not observable
+    percent_per_k: FloatArray
+    percent_per_k_uncertainty: FloatArray  # (3,), standard uncertainty of that
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DynamicFit:
+    """The table of rate-dependent drift."""
+
+    drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
+    surfaces: tuple["Surface | None", ...]  # of each axis; None if it was not turned
+    verdict: Verdict
+
+
+# ---- rate steps made ready
+
+
+def prepared(
+    steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, rests: RestBlocks | None = None
+) -> Steps:
+    """Return the usable rows of rate steps, without their offsets."""
+    finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
+    usable = steps.taken(finite & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
+    if not len(usable):
+        raise InputError(
+            f"rate steps: none of {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
+        )
+    lost = len(steps) - int(finite.sum())
+    findings = (finding("drift.steps_left_out", "warn", count=lost, steps=len(steps)),) if lost else ()
+    soak = np.unique(np.column_stack((usable.session, usable.soak)), axis=0, return_inverse=True)[1].reshape(-1)
+    direction, along = _directions(usable.rate_b)
+    mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
+    reading = usable.gyro - _offset_at(usable.temp_c, calibration, static)
+    variance = _known(usable.gyro_variance, usable.gyro)
+    zero, zero_variance = np.full((2, mounting.max() + 1, 3), np.nan)
+    one_rate = np.zeros(len(usable), bool)
+    for m in range(len(zero)):
+        rows = np.flatnonzero(mounting == m)
+        one_rate[rows] = np.ptp(along[rows]) < _SAME_RATE * np.abs(along[rows]).max()
+        near, alike = (np.zeros(0, np.int64),) * 2 if rests is None else _rests_of(usable, rows, rests)
+        blocks = near if one_rate[rows[0]] and not len(alike) else alike
+        if rests is None or not len(blocks):
+            continue
+        level = rests.gyro[blocks] - _offset_at(rests.temp_c[blocks], calibration, static)
+        scatter = level.var(axis=0, ddof=1) if len(blocks) > 1 else _known(rests.gyro_variance, rests.gyro)[blocks[0]]
+        zero[m], zero_variance[m] = level.mean(axis=0), scatter / len(blocks)
+        if one_rate[rows[0]]:
+            reading[rows] -= zero[m]
+            variance[rows] += zero_variance[m]
+            zero[m] = np.nan  # counted
+    return Steps(
+        soak=soak,
+        mounting=mounting,
+        temp_c=usable.temp_c,
+        rate_b=usable.rate_b,
+        along=along,
+        reading=reading,
+        variance=variance,
+        one_rate=one_rate,
+        zero=zero,
+        zero_variance=np.maximum(zero_variance, variance.min(axis=0)),
+        findings=findings,
+    )
+
+
+def _rests_of(steps: RateSteps, rows: IntArray, rests: RestBlocks) -> tuple[IntArray, IntArray]:
+    """Return the blocks of rest of the same session and temperature as some steps, and those of them in the same pose."""
+    near = np.abs(rests.temp_c - steps.temp_c[rows].mean()) < _SAME_TEMPERATURE_C
+    near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == steps.session[rows[0]])
+    force = steps.accel[rows].mean(axis=0)
+    alike = near & (np.linalg.norm(rests.accel - force, axis=1) < _SAME_POSE * np.linalg.norm(force))
+    return np.flatnonzero(near), np.flatnonzero(alike)
+
+
+def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return which direction each row turns about, up to its sign, and the rate along it."""
+    axes: list[FloatArray] = []
+    number = np.empty(len(rate_b), dtype=np.int64)
+    for k, rate in enumerate(rate_b):
+        near = [i for i, axis in enumerate(axes) if abs(axis @ rate) > _SAME_DIRECTION * np.linalg.norm(rate)]
+        if not near:
+            axes.append(rate * np.sign(rate[np.abs(rate).argmax()]) / np.linalg.norm(rate))
+        number[k] = near[0] if near else len(axes) - 1
+    signs = np.sign((rate_b * np.array(axes)[number]).sum(axis=1))
+    return number, np.linalg.norm(rate_b, axis=1) * signs
+
+
+def _known(variance: FloatArray, reading: FloatArray) -> FloatArray:
+    """Return variances (n, 3), with the median of the others, or the last digit, for those that are not known."""
+    known = np.where(np.isfinite(variance) & (variance > 0.0), variance, np.nan)
+    middle = np.nanmedian(known, axis=0) if np.isfinite(known).any(axis=0).all() else np.zeros(3)
+    least = (1e-9 * np.maximum(np.nanmax(np.abs(reading), axis=0), 1e-30)) ** 2
+    return np.asarray(np.maximum(np.where(np.isfinite(known), known, middle), least))
+
+
+def gyro_model(calibration: Calibration) -> TriadModel:
+    """Return the gyroscopes' constant model."""
+    if calibration.gyro is None:
+        raise InputError("rate steps: the calibration has no gyroscopes. Calibrate on a rate table first.")
+    return calibration.gyro
+
+
+def _offset_at(temp_c: FloatArray, calibration: Calibration, static: StaticDrift | None) -> FloatArray:
+    """Return the gyroscopes' offset at temperatures (n,), (n, 3): from the table, or the constant."""
+    if static is None or static.gyro_offset is None:
+        return np.tile(gyro_model(calibration).offset, (len(temp_c), 1))
+    return interpolated(temp_c, static.temp_c, static.gyro_offset)
+
+
+def measured_rate(
+    reading: FloatArray, temp_c: FloatArray, calibration: Calibration, scale: ScaleDrift | None
+) -> FloatArray:
+    """Return the rate M(T) y of mean readings without offset, y (n, 3), rad/s."""
+    model = gyro_model(calibration)
+    matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
+    if scale is not None and scale.gyro_matrix is not None:
+        matrix = interpolated(temp_c, scale.temp_c, scale.gyro_matrix)
+    return np.asarray(np.einsum("nij,nj->ni", matrix, reading) * si_factor(model.unit_out, "rate"))
+
+
+# ---- matrix over temperature
+
+
+def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> ScaleFit:
+    """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
+    model, soaks = gyro_model(calibration), soak_matrices(steps, calibration)
+    turned = np.isfinite(soaks.forward[:, 0, :])
+    count = turned.sum(axis=0)
+    if count.max() < 2 or max(float(np.ptp(soaks.temp_c[rows])) for rows in turned.T if rows.any()) <= 0.0:
+        raise NotObservable(
+            f"scale over temperature: expected rate steps at two soaks or more, got {count.max()}. Repeat the steps at another "
+            "temperature, ten degrees or more away.",
+            soaks=int(count.max()),
+        )
+    forward = np.tile(_forward(model), (len(temp_c), 1, 1))
+    variance, percent, percent_uncertainty = np.full(forward.shape, np.nan), np.full(3, np.nan), np.full(3, np.nan)
+    for j in range(3):
+        rows = turned[:, j]
+        if count[j] < 2 or np.ptp(soaks.temp_c[rows]) == 0.0:
+            continue
+        nodes = fit_curve(soaks.temp_c[rows], soaks.forward[rows, :, j], soaks.variance[rows, :, j]).at(temp_c)
+        forward[:, :, j], variance[:, :, j] = nodes.value, nodes.uncertainty**2
+        zero_c = soaks.temp_c[rows].mean()
+        zero_c = calibration.reference_temp_c if np.isfinite(calibration.reference_temp_c) else zero_c
+        line = np.column_stack((np.ones(count[j]), soaks.temp_c[rows] - zero_c))
+        (value, slope), covariance = _weighted(line, soaks.forward[rows, j, j], soaks.variance[rows, j, j])
+        percent[j], percent_uncertainty[j] = 100.0 * slope / value, abs(100.0 / value) * np.sqrt(covariance[1, 1])
+    matrix, unknown = np.linalg.inv(forward), np.isnan(variance)
+    jacobian = np.stack([inverse_jacobian(m) for m in matrix])
+    spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
+    to_out = 1.0 / si_factor(model.unit_out, "rate")
+    findings = [
+        finding("drift.scale_not_observable", "warn", axis=AXES[j], soaks=int(count[j]))
+        for j in np.flatnonzero(count < 2)
+    ]
+    if (count == 2).any():
+        two = ", ".join(AXES[j] for j in np.flatnonzero(count == 2))
+        findings.append(finding("drift.two_temperatures", "warn", what=f"scale factor {two}"))
+    return ScaleFit(
+        drift=ScaleDrift(
+            temp_c=temp_c,
+            gyro_matrix=matrix * to_out,
+            gyro_uncertainty=np.where(unknown, np.nan, spread.reshape(-1, 3, 3)) * to_out,  # column j of M by that of K
+            gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
+        ),
+        soaks=soaks,
+        percent_per_k=percent,
+        percent_per_k_uncertainty=percent_uncertainty,
+        verdict=Verdict.of(*steps.findings, *findings),
+    )
+
+
+def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
+    """Fit the forward matrix at each soak."""
+    numbers = np.unique(steps.soak)
+    temp_c = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
+    constant, forward, variance = _forward(gyro_model(calibration)), *np.full((2, len(numbers), 3, 3), np.nan)
+    order = np.argsort(temp_c, kind="stable")
+    for k, s in enumerate(numbers[order]):
+        rows = steps.soak == s
+        rate, size = steps.rate_b[rows], np.linalg.norm(steps.rate_b[rows], axis=1, keepdims=True)
+        turned = (np.abs(rate) > _MAINLY * size).any(axis=0)
+        reading = steps.reading[rows] - rate[:, ~turned] @ constant[:, ~turned].T
+        free = np.unique(steps.mounting[rows & ~steps.one_rate])  # mountings with an offset of their own
+        offsets = steps.mounting[rows][:, None] == free
+        design = np.column_stack((rate[:, turned] / size.max(), offsets))
+        if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
+            raise NotObservable(
+                f"scale over temperature: {rows.sum()} turns at {temp_c[order[k]]:.1f} degC do not separate the axes. Turn about "
+                "each axis at two rates or more."
+            )
+        for i in range(3):
+            theta, covariance = _weighted(design, reading[:, i], steps.variance[rows, i])
+            forward[k, i, turned] = theta[: turned.sum()] / size.max()
+            variance[k, i, turned] = np.diag(covariance)[: turned.sum()] / size.max() ** 2
+    return SoakMatrices(temp_c=temp_c[order], forward=forward, variance=variance)
+
+
+def _forward(model: TriadModel) -> FloatArray:
+    return np.asarray(model.forward_matrix / si_factor(model.unit_out, "rate"))
+
+
+def _weighted(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return least-squares parameters and their covariance for values y (n,) of variance v (n,), and of their excess."""
+    residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    v = v + excess_variance(residual, v, len(y) - design.shape[1])
+    covariance = np.linalg.inv(design.T @ (design / v[:, None]))
+    return covariance @ (design.T @ (y / v)), covariance
+
+
+# ---- dynamic drift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SurfacePoints:
+    """Residual rates of one axis, n rows."""
+
+    turn_rate: FloatArray  # (n,), measured rate, rad/s; 0 for a rest
+    temp_c: FloatArray  # (n,), degC
+    value: FloatArray  # (n,), measured minus imposed rate, rad/s
+    variance: FloatArray  # (n,), of the value, (rad/s)^2
+    soak: IntArray  # (n,), from 0
+    mounting: IntArray  # (n,), from 0: rows of one number share d
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Surface:
+    """A fitted surface."""
+
+    rate: Cubics
+    temp: Cubics
+    coefficients: FloatArray  # (P,), c in the splines that vanish at rate zero
+    covariance: FloatArray  # (P, P), of c, (rad/s)^2
+    softness: tuple[float, float]  # s_w and s_T, in spans and residuals
+    excess: float  # standard deviation of the residuals beyond the variances stated, rad/s
+    residuals: FloatArray  # (n,), rad/s
+
+    def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
+        """Return e at points (n,), rad/s."""
+        return np.asarray(_design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients)
+
+    def uncertainty(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of e at points (n,), rad/s."""
+        x = _design(self.rate, self.temp, turn_rate, temp_c)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0)))
+
+
+def fit_dynamic(
+    steps: Steps,
+    calibration: Calibration,
+    *,
+    scale: ScaleDrift | None = None,
+    span_c: tuple[float, float] | None = None,
+    like: DynamicFit | None = None,
+) -> DynamicFit:
+    """Fit the dynamic drift of the gyroscopes.
+
+    Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
+    ``span_c``. The smoothness of each surface is chosen by cross-validation, or taken from an earlier fit, ``like``.
+    """
+    points = [_points_of(axis, steps, calibration, scale) for axis in range(3)]
+    turned = [data for data in points if data is not None]
+    if not turned:
+        soaks = len(np.unique(steps.soak))
+        raise NotObservable(
+            f"dynamic drift: no axis turned at two rates and two soaks among {len(steps)} steps at {soaks} soaks, "
+            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the steps at another temperature.",
+            soaks=soaks,
+        )
+    low_c, high_c = span_c or (
+        STEP_C * np.floor(round(float(steps.temp_c.min()), 2) / STEP_C),
+        STEP_C * np.ceil(round(float(steps.temp_c.max()), 2) / STEP_C),
+    )
+    between = STEP_C * np.arange(np.floor(low_c / STEP_C) + 1.0, np.ceil(high_c / STEP_C))
+    temp_c = np.concatenate(([low_c], between, [high_c]))
+    turn_rate = _rate_nodes(steps.along, np.concatenate([data.turn_rate for data in turned]))
+    grid_w, grid_t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
+    shape = (len(temp_c), len(turn_rate))
+    error, uncertainty, marks = np.zeros((*shape, 3)), np.full((*shape, 3), np.nan), np.zeros(shape, bool)
+    surfaces: list[Surface | None] = [None, None, None]
+    findings = list(steps.findings)
+    for axis, data in enumerate(points):
+        if data is None:
+            findings.append(finding("drift.dynamic_not_observable", "warn", axis=AXES[axis]))
+            continue
+        earlier = None if like is None else like.surfaces[axis]
+        surface = surfaces[axis] = fit_surface(
+            data,
+            rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
+            temp_span=(float(low_c), float(high_c)),
+            softness=None if earlier is None else earlier.softness,
+        )
+        error[:, :, axis] = surface.at(grid_w, grid_t).reshape(shape)
+        uncertainty[:, :, axis] = surface.uncertainty(grid_w, grid_t).reshape(shape)
+        marks |= _unseen(data, turn_rate, temp_c)
+        steady = data.turn_rate[data.turn_rate != 0.0]
+        if (steady > 0.0).all() or (steady < 0.0).all():
+            way, other = ("+", "-") if steady[0] > 0.0 else ("-", "+")
+            way, other = way + AXES[axis], other + AXES[axis]
+            findings.append(finding("drift.dynamic_one_way", "warn", axis=AXES[axis], way=way, other=other))
+    two = [AXES[k] for k, data in enumerate(points) if data is not None and data.soak.max() == 1]
+    if two:
+        findings.append(finding("drift.two_temperatures", "warn", what=f"dynamic drift {', '.join(two)}"))
+    drift = DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks)
+    return DynamicFit(drift=drift, surfaces=tuple(surfaces), verdict=Verdict.of(*findings))
+
+
+def _points_of(axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None) -> SurfacePoints | None:
+    """Return the rows of an axis' own rate and the rests of its mountings; None without two soaks and two rates."""
+    own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _MAINLY * np.linalg.norm(steps.rate_b, axis=1))
+    if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
+        return None
+    mountings, first = np.unique(steps.mounting[own], return_index=True)
+    at_rest = np.isfinite(steps.zero[mountings]).all(axis=1)
+    mountings, first = mountings[at_rest], own[first[at_rest]]
+    means_c = np.array([steps.temp_c[steps.mounting == m].mean() for m in mountings])
+    temp_c = np.concatenate((steps.temp_c[own], means_c))
+    reading = np.concatenate((steps.reading[own], steps.zero[mountings]))
+    variance = np.concatenate((steps.variance[own], steps.zero_variance[mountings]))
+    rate = measured_rate(reading, temp_c, calibration, scale)[:, axis]
+    row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # of M
+    rows = np.concatenate((own, first))
+    return SurfacePoints(
+        turn_rate=np.concatenate((rate[: len(own)], np.zeros(len(first)))),
+        temp_c=temp_c,
+        value=rate - np.concatenate((steps.rate_b[own, axis], np.zeros(len(first)))),
+        variance=variance @ row**2,
+        soak=np.unique(steps.soak[rows], return_inverse=True)[1].reshape(-1),
+        mounting=np.unique(steps.mounting[rows], return_inverse=True)[1].reshape(-1),
+    )
+
+
+def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return the imposed rates, zero, and the ends of the measured rates if they lie beyond, rad/s."""
+    tolerance, rates = _SAME_RATE * float(np.abs(imposed).max()), np.sort(np.append(imposed, 0.0))
+    groups = np.split(rates, np.flatnonzero(np.diff(rates) > tolerance) + 1)
+    nodes = np.array([0.0 if (group == 0.0).any() else group.mean() for group in groups])
+    ends = np.array([measured.min(), measured.max()])
+    return np.sort(np.append(nodes, ends[(ends < nodes[0] - tolerance) | (ends > nodes[-1] + tolerance)]))
+
+
+def _unseen(points: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:
+    """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
+    soaks = [points.soak == s for s in np.unique(points.soak)]
+    soaks.sort(key=lambda rows: float(points.temp_c[rows].mean()))
+    soak_c = np.array([points.temp_c[rows].mean() for rows in soaks])
+    low = np.interp(temp_c, soak_c, [min(points.turn_rate[rows].min(), 0.0) for rows in soaks])[:, None]
+    high = np.interp(temp_c, soak_c, [max(points.turn_rate[rows].max(), 0.0) for rows in soaks])[:, None]
+    slack = _NEAR_RATE * float(np.abs(points.turn_rate).max())
+    outside = (turn_rate < low - slack) | (turn_rate > high + slack)
+    return np.asarray(outside | ~near_data(temp_c, soak_c, gap_c=MATRIX_GAP_C)[:, None])
+
+
+# ---- the surface e(w, T) with e(0, T) = 0 through scattered points
+
+
+@determined("rate drift")
+def fit_surface(
+    points: SurfacePoints,
+    *,
+    rate_span: tuple[float, float],
+    temp_span: tuple[float, float],
+    softness: tuple[float, float] | None = None,
+) -> Surface:
+    """Fit a surface to the residual rates of one axis, as soft as predicts best, or as stated."""
+    soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
+    if soaks < 2 or levels < 2:
+        raise NotObservable(
+            f"rate drift: {levels} rates and {soaks} temperatures do not determine it. Repeat the steps at another soak.",
+            soaks=soaks,
+            rates=levels,
+        )
+    low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
+    cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
+    rate = Cubics(low=low, high=high, intervals=min(_MOST_INTERVALS, max(2, levels // 2)))
+    temp = Cubics(low=cold, high=hot, intervals=min(_MOST_INTERVALS, max(1, soaks - 1)))
+    groups = int(points.mounting.max()) + 1
+    value = points.value - (np.bincount(points.mounting, points.value) / np.bincount(points.mounting))[points.mounting]
+    surface = _design(rate, temp, points.turn_rate, points.temp_c)
+    x, p = np.column_stack((surface, np.eye(groups)[points.mounting])), surface.shape[1]
+    size = max(float(np.sqrt(np.mean(value**2))), float(np.sqrt(points.variance.min())), _LEAST)
+    stated, excess = np.maximum(points.variance, (_LEAST * size) ** 2), 0.0  # a device without noise
+    flat, bent = (_vanishing(rate).T @ rate.products(d) @ _vanishing(rate) for d in (0, 2))
+    bends = np.kron(temp.products(0), bent), np.kron(temp.products(2), flat)
+
+    def solved(pair: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the coefficients of surface and offsets, and their covariance."""
+        penalty = np.zeros((p + groups, p + groups))
+        penalty[:p, :p] = bends[0] / (pair[0] * size) ** 2 + bends[1] / (pair[1] * size) ** 2
+        penalty[p:, p:] = np.eye(groups) / (_LOOSE * size**2)
+        covariance = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
+        return covariance @ (x.T @ (value / v)), covariance
+
+    pairs = (
+        [softness]
+        if softness is not None
+        else [(w, t) for t in _SOFTNESS[: None if soaks > 2 else 1] for w in _SOFTNESS]
+    )
+    for _ in range(3):  # the excess follows from the residuals, and the smoothness from both
+        v = stated + excess
+        best = (
+            min(pairs, key=lambda pair: _left_out_square(points, value, x, v, solved(pair, v)[1]))
+            if pairs[1:]
+            else pairs[0]
+        )
+        c, covariance = solved(best, v)
+        residual, freedom = value - x @ c, len(value) - float(((x @ covariance) * x / v[:, None]).sum())
+        before, excess = excess, excess_variance(value - x @ c, stated, round(freedom))
+        if abs(excess - before) <= 0.02 * float(np.median(v)):
+            break
+    return Surface(
+        rate=rate,
+        temp=temp,
+        coefficients=c[:p],
+        covariance=covariance[:p, :p],
+        softness=best,
+        excess=float(np.sqrt(excess)),
+        residuals=residual,
+    )
+
+
+def _left_out_square(
+    points: SurfacePoints, value: FloatArray, x: FloatArray, v: FloatArray, covariance: FloatArray
+) -> float:
+    """Return the weighted sum of squares of rows that are left out: soaks between others, or rates if there are two soaks."""
+    middle = np.array([points.temp_c[points.soak == s].mean() for s in range(points.soak.max() + 1)])
+    group, kept_in = points.soak, np.array([middle.argmin(), middle.argmax()])
+    if len(middle) < 3:
+        size = np.abs(points.turn_rate)
+        group = np.zeros(len(size), np.int64)
+        group[np.argsort(size)] = bins_of(np.sort(size), _SAME_RATE * float(size.max()))
+        kept_in = np.array([0 if (size == 0.0).any() else -1, group.max()])
+    residual, total = value - x @ (covariance @ (x.T @ (value / v))), 0.0
+    for number in np.setdiff1d(group, kept_in):
+        rows = np.flatnonzero(group == number)
+        hat = x[rows] @ covariance @ x[rows].T / v[rows]
+        missed = np.linalg.solve(np.eye(len(rows)) - hat, residual[rows])
+        if len(middle) > 2:
+            for m in np.unique(points.mounting[rows]):  # its offset is its own: only the difference over rate counts
+                same = points.mounting[rows] == m
+                missed[same] -= np.average(missed[same], weights=1.0 / v[rows][same])
+        total += float((missed**2 / v[rows]).sum())
+    return total
+
+
+def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
+    over_rate, over_temp = rate.at(turn_rate) @ _vanishing(rate), temp.at(temp_c)
+    return np.asarray((over_temp[:, :, None] * over_rate[:, None, :]).reshape(len(turn_rate), -1))
+
+
+def _vanishing(rate: Cubics) -> FloatArray:
+    """Return combinations of the splines, one a column, that are zero at rate zero."""
+    return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)
