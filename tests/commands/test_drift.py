@@ -117,13 +117,13 @@ def shaken(n):
 
 
 REFUSED = {
-    "no temperature": ({"temp_c": lambda n: None}, r"wanted a column .* got neither"),
-    "constant": ({"temp_c": lambda n: np.full(n, 25.0)}, r"got 25\.00 degC throughout \(constant\)"),
+    "no temperature": ({"temp_c": lambda n: None}, "neither a column"),
+    "constant": ({"temp_c": lambda n: np.full(n, 25.0)}, "constant"),
     "a narrow span": (
         {"temp_c": lambda n: np.linspace(20.0, 21.6, n)},
-        r"wanted a span of 2 degC or more, got 1\.6 \(",
+        r"span 1\.6 degC",
     ),
-    "impossible": ({"temp_c": lambda n: np.linspace(20.0, 300.0, n)}, r"wanted -40 to 125 degC of a board, got 125"),
+    "impossible": ({"temp_c": lambda n: np.linspace(20.0, 300.0, n)}, "-40 to 125 degC"),
     "corrected": ({"state": "corrected", "frame": "b"}, "wanted raw readings, got a corrected record"),
     "counts": ({"gyro_unit": "count"}, "wanted a calibration, or gyroscope readings in a physical unit, got count"),
     "never at rest": (

@@ -150,7 +150,7 @@ def six_faces(scale, shift_mg):
             "marginal",
             r"offset \+(79|80|81)\S*, .* mg on x, y, z",
         ),
-        (1.0, 400.0, "bad", r"offset \+39\d"),
+        (1.0, 400.0, "bad", r"offset \+(39|40)\d"),
     ],
 )
 def test_accelerometers_from_poses_are_compared_with_the_calibration(scale, shift_mg, status, words):
@@ -170,5 +170,5 @@ def test_accelerometers_without_poses_or_with_a_nominal_calibration_are_compared
 
 def test_sessions_of_two_devices_are_refused():
     pair = [warmed(1, (0.0, 0.0, 0.0)), warmed(2, (120.0, 0.0, 0.0))]
-    with pytest.raises(Implausible, match=r"got a standard deviation of .* are they of one device\?"):
+    with pytest.raises(Implausible, match=r"standard deviation of .* Are they of one device\?"):
         fit_drift(pair, CALIBRATION, settings=TABLES)

@@ -80,12 +80,19 @@ def alternatives():
     return Alternatives(
         name=("none", "scale", "dynamic", "scale + dynamic"),
         fitted_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
-        soak_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
-        rate_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
         left_out_rms_dps=np.array([1.6, 0.01, np.nan, 0.009]),
         standard_error_dps=np.array([0.1, 0.001, np.nan, 0.0]),
         chosen="scale",
-        why=finding("drift.tables_requested", "info", tables="none", automatic="none"),
+        why=finding(
+            "drift.tables_selected",
+            "info",
+            tables="scale",
+            requested="selected",
+            error_dps=0.01,
+            held_out=2,
+            soaks=4,
+            set_points=4,
+        ),
     )
 
 

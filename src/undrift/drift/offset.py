@@ -6,7 +6,8 @@
 
 f      a smooth curve (fit/curve.py) through the means of the cells. A cell holds the blocks of one visit within a narrow range of
        temperature, so that the hot end of a warm-up counts no more than its degrees
-v      deviation of one visit to a temperature: flicker noise over time, one variance about the curve
+v      deviation of one visit to a temperature: flicker noise of the size that the blocks within the rests show, and beyond it one
+       variance about the curve
 r      deviation of one rest, from the rests of a cell: other poses, hysteresis, a device that moved
 h      half-width of the hysteresis: c = +1 while cooling, -1 while warming, and in between over ``CROSSED_C`` after a turn
 A, tau warm-up, t since power-on. It differs from f only if time and temperature differ: in a soak, or in several warm-ups
@@ -95,7 +96,9 @@ class Cells:
     value: FloatArray  # (n, 3), raw unit
     variance: FloatArray  # (n, 3), by noise, steps and rests, raw unit squared
     regressors: FloatArray  # (n, p)
-    correlation: FloatArray  # (n, n), of the deviations of visits, mean diagonal 1
+    flicker: FloatArray  # (3,), variance of flicker noise, raw unit squared
+    wander: FloatArray  # (n, n), correlation of the flicker noise of cells, mean diagonal below 1
+    correlation: FloatArray  # (n, n), of the deviations of visits beyond it, mean diagonal 1
     groups: IntArray  # (n,), neighbours in temperature
     rest: FloatArray  # (3,), standard deviation from rest to rest beyond their noise, raw unit
     rest_noise: FloatArray  # (3,), standard deviation of one rest by noise, raw unit
@@ -342,7 +345,7 @@ def _fit_triad(
         variance = variance + variances[-1] - 2.0 * at.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
     rows, weight = slice(n, n + SLOPE_POINTS), (inside - inside.mean()) / ((inside - inside.mean()) ** 2).sum()
     slope_variance = np.einsum("i,kij,j->k", weight, at.covariance[:, rows, rows], weight)
-    visit = np.sqrt(curve.visit_deviation**2 + cells.rest**2)
+    visit = np.sqrt(curve.visit_deviation**2 + cells.flicker * np.diag(cells.wander).mean() + cells.rest**2)
     half = curve.coefficient[0] if has_loop else np.zeros(3)
     future = offsets.common_variance + visit**2 + half**2 + (0.0 if turn_on is None else turn_on.future_variance)
     return TriadDrift(
@@ -394,14 +397,14 @@ def _curve_through(cells: Cells, turn_on: TurnOn | None, shifts: FloatArray | No
         cells.variance,
         regressors=cells.regressors if shifts is None else np.column_stack((shifts, cells.regressors)),
         correlation=cells.correlation,
-        shared=between[:, None, None] * together,
+        shared=cells.flicker[:, None, None] * cells.wander + between[:, None, None] * together,
     )
 
 
 def _through_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues:
     """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
     residual = cells.value - cells.regressors @ curve.coefficient
-    variance = cells.variance + curve.visit_deviation**2
+    variance = cells.variance + np.diag(cells.wander)[:, None] * cells.flicker + curve.visit_deviation**2
     bins = bins_of(cells.temp_c, 1.0)
     rows = [np.flatnonzero(bins == k) for k in np.unique(bins)]
     return not_a_knot(
@@ -444,16 +447,20 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
     means = np.array([offsets.value[rows].mean(axis=0) for rows in members])
     about = temp_c - temp_c.mean()
     slope = np.asarray(about @ means / max(float(about @ about), 1e-9))
-    rest, rest_noise = _scatter_of_rests(offsets, rests, offsets.value - slope * blocks.temp_c[:, None])
+    level = offsets.value - slope * blocks.temp_c[:, None]  # the usual slope within a cell is subtracted
+    flicker = _flicker_variance(offsets, [rows for part in rests for rows in part], level)
+    rest, rest_noise = _scatter_of_rests(offsets, rests, level, flicker)
     share = np.array([sum(len(rows) ** 2 for rows in part) / sum(map(len, part)) ** 2 for part in rests])
-    correlation, of_cell = flicker_correlation(blocks, members), visit[[rows[0] for rows in members]]
+    wander, of_cell = flicker_correlation(blocks, members), visit[[rows[0] for rows in members]]
     return Cells(
         session=np.array([blocks.session[rows[0]] for rows in members], np.int64),
         temp_c=temp_c,
         value=means,
         variance=np.array([_variance_of_cell(offsets, rows) for rows in members]) + share[:, None] * rest**2,
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        correlation=correlation * (of_cell[:, None] == of_cell) / np.diag(correlation).mean(),
+        flicker=flicker,
+        wander=wander,
+        correlation=wander * (of_cell[:, None] == of_cell) / np.diag(wander).mean(),
         groups=bins_of(temp_c, max(1.5 * width, float(np.ptp(temp_c)) / GROUPS)),
         rest=rest,
         rest_noise=rest_noise,
@@ -486,7 +493,7 @@ def visits_of(blocks: RestBlocks) -> IntArray:
     fast = float(np.quantile(ramp, 0.9))
     slow = ramp <= SLOW * fast
     soaks = np.count_nonzero(np.diff(np.sort(blocks.temp_c[slow])) > STEP_C) + 1
-    if np.median(ramp[slow]) >= STILL * fast or soaks < LEAST_SOAKS:  # one ramp, or soaks only
+    if not slow.any() or np.median(ramp[slow]) >= STILL * fast or soaks < LEAST_SOAKS:  # one ramp, or soaks only
         slow = np.ones(len(blocks), bool)
     order = np.lexsort((blocks.time, blocks.session))
     order = order[slow[order]]
@@ -524,7 +531,7 @@ def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatA
 
 
 def _scatter_of_rests(
-    offsets: Offsets, rests: list[list[IntArray]], level: FloatArray
+    offsets: Offsets, rests: list[list[IntArray]], level: FloatArray, flicker: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the standard deviation between the rests of a cell beyond their noise, and that noise, (3,) each.
 
@@ -534,7 +541,7 @@ def _scatter_of_rests(
     square, noise, freedom, known = np.zeros(3), np.zeros(3), 0, list[FloatArray]()
     for part in rests:
         means = np.array([level[rows].mean(axis=0) for rows in part])
-        variance = np.array([_variance_of_cell(offsets, rows) for rows in part])
+        variance = np.array([flicker + _variance_of_cell(offsets, rows) for rows in part])
         known.append(variance.mean(axis=0))
         square += ((means - means.mean(axis=0)) ** 2).sum(axis=0)
         noise += (1.0 - 1.0 / len(part)) * variance.sum(axis=0)
@@ -544,19 +551,37 @@ def _scatter_of_rests(
     return np.sqrt(rest), np.sqrt(np.mean(known, axis=0))
 
 
-def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
-    """Return the mean correlation of the blocks of two cells, (n, n), as flicker noise has it over time; 0 between sessions.
+def _flicker_variance(offsets: Offsets, rests: list[IntArray], level: FloatArray) -> FloatArray:
+    """Return the variance of flicker noise, (3,), from the scatter of the blocks of each rest; at least as much as chance hides.
 
-    Flicker noise is a sum of first-order processes of equal variance.
+    E(scatter) = noise + variance n / (n - 1) (1 - c)          n blocks, c their mean correlation
     """
+    rests = [rows for rows in rests if len(rows) > 1]
+    if not rests:
+        return np.zeros(3)
+    freedom = np.array([len(rows) - 1.0 for rows in rests])
+    weight = freedom / freedom.sum()
+    scatter = weight @ [level[rows].var(axis=0, ddof=1) for rows in rests]
+    noise = weight @ [offsets.variance[rows].mean(axis=0) for rows in rests]
+    lags_s = [np.subtract.outer(offsets.blocks.time[rows], offsets.blocks.time[rows]) for rows in rests]
+    share = weight @ ((freedom + 1.0) / freedom * [1.0 - _flicker(lag_s).mean() for lag_s in lags_s])
+    return np.asarray(np.maximum(scatter - noise, noise * np.sqrt(2.0 / freedom.sum())) / max(share, 1e-9))
+
+
+def _flicker(lag_s: FloatArray) -> FloatArray:
+    """Return the correlation of flicker noise over time: a sum of first-order processes of equal variance."""
+    return np.asarray(np.mean([np.exp(-np.abs(lag_s) / tau) for tau in FLICKER_S], axis=0))
+
+
+def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
+    """Return the mean correlation of the flicker noise of the blocks of two cells, (n, n); 0 between sessions."""
     sampled = [rows[np.linspace(0, len(rows) - 1, min(len(rows), PAIRED)).astype(int)] for rows in members]
     starts = np.concatenate(([0], np.cumsum([len(rows) for rows in sampled])))
     time, session = blocks.time[np.concatenate(sampled)], blocks.session[[rows[0] for rows in members]]
     correlation = np.zeros((len(members), len(members)))
     for k in range(len(members)):
-        lag_s = np.abs(time[starts[k] : starts[k + 1], None] - time[None, :])
-        flicker = np.mean([np.exp(-lag_s / tau).mean(axis=0) for tau in FLICKER_S], axis=0)
-        correlation[k] = np.add.reduceat(flicker, starts[:-1]) / np.diff(starts)
+        lag_s = time[starts[k] : starts[k + 1], None] - time[None, :]
+        correlation[k] = np.add.reduceat(_flicker(lag_s).mean(axis=0), starts[:-1]) / np.diff(starts)
     correlation *= session[:, None] == session
     return 0.5 * (correlation + correlation.T)
 

@@ -175,7 +175,8 @@ def _from_column(
     apart = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
     off, set_point = max(apart, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(off) > OFF_SET_POINT_C:
-        values = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C}
+        edge_c = set_point + math.copysign(OFF_SET_POINT_C, off)
+        values = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C, "edge_c": edge_c}
         findings.append(finding("drift.temperature_off_set_point", "warn", recording=index, **values))
     return Temperature(
         temp_c=temp_c, uncertainty_c=uncertainty, noise_c=noise, step_c=step, source="column", findings=tuple(findings)

@@ -176,6 +176,6 @@ def draw_alternatives(alternatives: "Alternatives") -> "Figure":
         axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
         names.append(alternatives.name[k] + " (chosen)" * taken)
     axes.set_yticks(range(len(rows)), names)
-    label = "error of held-out soaks and rates\n(deg/s rms, with standard error)"
+    label = "error of soaks left out\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
     return figure

@@ -83,9 +83,7 @@ DYNAMIC = Branch(
     "block\N{NO-BREAK SPACE}6, block\N{NO-BREAK SPACE}7, block\N{NO-BREAK SPACE}8, block\N{NO-BREAK SPACE}9",
     (
         NoteStep("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
-        NoteStep(
-            "Function of the dynamic drift, by splines", ("drift.rate_steps.fit_scale", "drift.rate_steps.fit_dynamic")
-        ),
+        NoteStep("Function of the dynamic drift, by splines", ("drift.rates.fit_scale", "drift.rates.fit_dynamic")),
         NoteStep("Tuning table, over velocity and temperature", ("drift.fit.choose_tables",)),
     ),
 )
