@@ -536,7 +536,7 @@ def _scatter_of_rests(
     """Return the standard deviation between the rests of a cell beyond their noise, and that noise, (3,) each.
 
     Of n rests in a cell, with mean levels m and noise variances v: sum (m - mean)^2 = (n - 1) s^2 + (1 - 1/n) sum v. The axes of a
-    triad are alike, so s^2 is drawn towards their mean.
+    triad are alike, so s^2 is drawn towards their mean. Poses that are visited again and again count once in Student's factor.
     """
     square, noise, freedom, known = np.zeros(3), np.zeros(3), 0, list[FloatArray]()
     for part in rests:
@@ -547,6 +547,8 @@ def _scatter_of_rests(
         noise += (1.0 - 1.0 / len(part)) * variance.sum(axis=0)
         freedom += len(part) - 1
     rest = np.maximum(square - noise, 0.0) / max(freedom, 1)
+    poses = len(np.unique(offsets.blocks.pose))
+    freedom = min(freedom, poses - 1) if poses > 1 else freedom
     rest = (freedom * rest + AXES_ALIKE * rest.mean()) / (freedom + AXES_ALIKE) * student_factor(freedom + AXES_ALIKE)
     return np.sqrt(rest), np.sqrt(np.mean(known, axis=0))
 

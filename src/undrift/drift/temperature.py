@@ -445,13 +445,14 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
         return _unknown(f"any lag up to {longest_s:g} s fits")
     i, lag = min(max(best, 1), len(lags) - 2), float(lags[best])
     curve, tilt, _ = np.polyfit(lags[i - 1 : i + 2] - lag, misfit[i - 1 : i + 2], 2)
-    if not curve > 0.0:
-        return _unknown("the readings do not depend on the lag smoothly")
-    lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
+    if curve > 0.0:
+        lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
     if not two_speeds:  # then hysteresis may be taken for lag
         unknown = _unknown(f"ramps have one speed, and a lag of {lag:.3g} s explains the same loop as hysteresis")
         return LagFit(lag_s=lag, findings=unknown.findings)
-    return LagFit(lag_s=lag, uncertainty_s=1.0 / math.sqrt(curve))
+    return LagFit(
+        lag_s=lag, uncertainty_s=1.0 / math.sqrt(curve) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
+    )
 
 
 def _unknown(problem: str) -> LagFit:
