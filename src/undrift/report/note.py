@@ -76,7 +76,7 @@ STATIC = Branch(
         NoteStep(
             "Function of the static drift, by splines", ("drift.temperature.estimate_lag", "drift.offset.fit_static")
         ),
-        NoteStep("Tuning table, every 0.5 °C", ("drift.fit.cropped_static",)),
+        NoteStep("Tuning table, every 0.5 °C", ("drift.fit.table_nodes",)),
     ),
 )
 DYNAMIC = Branch(
