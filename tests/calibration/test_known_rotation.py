@@ -569,7 +569,7 @@ def test_gyroscope_in_rad_declared_as_deg_is_refused_with_its_unit():
 
 
 def test_moves_that_contradict_the_turns_are_a_warning_of_their_own():
-    fitted = RotationParameters(np.eye(21)[0], np.eye(21), {}, np.zeros((9, 3)), np.zeros(3))
+    fitted = RotationParameters(np.eye(21)[0], np.eye(21), {}, np.zeros(3))
     assert _with_moves(fitted, None)[1].code == "known_rotation.no_spare_equations"
     named = _with_moves(fitted, PoorFit("moves miss gravity by 30 deg"))[1]
     assert (named.code, named.level) == ("known_rotation.moves_contradict", "warn")

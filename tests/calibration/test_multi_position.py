@@ -9,14 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from testkit.findings import only
 from undrift.calibration.multi_position import (
-    MULTIPLES,
     cut_moves,
     fit_gyro_between_stills,
     fit_multi_position,
     gravity_directions,
-    offset_prior,
-    still_moments,
-    still_variance,
 )
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.kernels.calibrate import rotations_between
@@ -74,25 +70,6 @@ def test_a_noisy_session_is_covered_by_its_intervals_stills_found() -> None:
     print(f"  25 sessions, 21 parameters: 95 % intervals cover {100 * covered:.1f} %")
     assert 0.91 < covered < 0.99  # 525 intervals correlated within a session: 1.5 % one sigma
     assert fit.accel.verdict.status == fit.gyro.verdict.status == "good"
-
-
-def test_every_threshold_is_tried_and_the_stills_of_one_are_used() -> None:
-    fit = fit_multi_position(recorded(), gravity=G)
-    assert [one.multiple for one in fit.attempts] == list(MULTIPLES)
-    assert fit.stills in [one.stills for one in fit.attempts]
-
-
-def test_a_threshold_that_loses_poses_is_not_chosen() -> None:
-    # one heavy tail of trembling: half the stills shake twelve times as hard; smallest cost would drop them
-    record, rng = recorded(), np.random.default_rng(9)
-    accel = np.array(record.accel)
-    for still in MOTION.stills[1::2]:
-        accel[still.start : still.stop] += 0.07 * rng.normal(size=(still.stop - still.start, 3))
-    shaky = replace(record, accel=accel)
-    fit = fit_multi_position(shaky, gravity=G)
-    costs = [(float(one.fit.residuals @ one.fit.residuals), len(one.stills)) for one in fit.attempts if one.fit]
-    assert len(fit.stills) == 20
-    assert min(costs)[1] < 15
 
 
 def test_stills_of_several_recordings_are_pooled() -> None:
@@ -161,9 +138,7 @@ def test_records_without_accelerometer_or_shorter_than_the_window_are_refused() 
     accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
     with pytest.raises(InputError, match="wanted accel readings in one unit"):
         fit_multi_position(Record(time=record.time, gyro=record.gyro), gravity=G)
-    with pytest.raises(InputError, match="wanted accel readings, got none"):
-        still_variance(Record(time=record.time, gyro=record.gyro))
-    with pytest.raises(InputError, match="longer than its window of 1 s, got"):
+    with pytest.raises(InputError, match="longer than one window"):
         fit_multi_position(record.part(0, 20), gravity=G)
     with pytest.raises(InputError, match="wanted gyro and accel readings in the same units"):
         fit_gyro_between_stills((Record(time=record.time, accel=record.accel),), MOTION.stills, accel)
@@ -234,27 +209,13 @@ def test_the_rotation_kernel_agrees_with_a_product_of_rotations_and_finite_diffe
 def test_derivatives_of_the_gravity_directions_agree_with_finite_differences() -> None:
     record = recorded()
     accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
-    moves = cut_moves((record,), MOTION.stills, MOTION.stills)
+    moves = cut_moves((record,), MOTION.stills)
     unit, jacobian, _ = gravity_directions(moves, accel)
     for k in range(12):
         h = np.zeros(12)
         h[k] = 1e-6
         moved = replace(accel, matrix=accel.matrix + h[:9].reshape(3, 3), offset=accel.offset + h[9:])
         np.testing.assert_allclose((gravity_directions(moves, moved)[0] - unit) / 1e-6, jacobian[:, :, k], atol=1e-5)
-
-
-def test_jitter_and_walk_of_the_offset_are_separated() -> None:
-    record, rng = recorded(), np.random.default_rng(1)
-    assert record.gyro is not None
-    swaying, warming = np.array(record.gyro), np.array(record.gyro)
-    for k, still in enumerate(MOTION.stills):
-        swaying[still.start : still.stop] += 0.003 * rng.normal(size=3)
-        warming[still.start : still.stop] += 0.002 * k
-    for gyro, walks in ((record.gyro, False), (swaying, False), (warming, True)):
-        moves = cut_moves((replace(record, gyro=gyro),), MOTION.stills, MOTION.stills)
-        rests = still_moments(moves.gyro, *moves.cores)
-        prior = offset_prior(rests, moves.before, np.zeros((len(MOTION.stills), 3)), 0.0)
-        assert bool(prior.drift.any()) is walks
 
 
 def test_an_offset_that_drifts_is_a_finding_and_widens_its_uncertainty() -> None:
@@ -325,20 +286,6 @@ def test_rests_show_g_sensitivity_and_the_offset_is_that_under_no_force() -> Non
         np.testing.assert_allclose(gyro.model.g_sensitivity, GYRO @ h, atol=5.0 * sigma[12:].max())
     assert 0.87 < float((np.abs(scaled) < 1.96).mean()) <= 1.0  # 75 offsets: 2.5 % one sigma; 80 % without H
     assert np.degrees(sigma[9:12]).max() < 0.002
-
-
-def test_scale_tolerance_holds_for_free_poses_and_their_moves() -> None:
-    record = recorded()
-    assert record.accel is not None
-    assert record.gyro is not None
-    large = Record(time=record.time, gyro=record.gyro, accel=1.35 * record.accel)
-    with pytest.raises(Implausible, match="wanted a scale factor"):
-        fit_multi_position(large, gravity=G)
-    assert fit_multi_position(large, gravity=G, scale_tolerance=0.5).accel.model.scale_factor.min() > 1.2
-    fast = Record(time=record.time, gyro=1.35 * record.gyro, accel=record.accel)
-    with pytest.raises(Implausible, match="wanted a scale factor"):
-        fit_multi_position(fast, gravity=G)
-    assert fit_multi_position(fast, gravity=G, scale_tolerance=0.5).gyro is not None
 
 
 def test_gyroscopes_that_read_nothing_are_refused() -> None:

@@ -6,12 +6,10 @@ import pytest
 from testkit.findings import only
 from testkit.poses import fit_poses
 from undrift.calibration.creep import Creep
-from undrift.calibration.multi_position import still_variance
 from undrift.calibration.norm import QUADRATIC_SD, NormFit, _linearised, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
 from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import excess_variance
-from undrift.record import Record
 
 G = 9.81
 MATRIX = np.array([[0.0024, -3e-5, 2e-5], [0.0, 0.00243, -5e-5], [0.0, 0.0, 0.00241]])
@@ -213,14 +211,6 @@ def test_the_uncertainty_of_a_fit_is_that_of_a_reading_of_gravity_over_all_direc
     off = (matrix @ true[:, :, None])[:, :, 0] - drawn[:, 6:]  # of a sensor that is nearly perfect: M' = 1
     # 4000 draws know it to 1.5 %; scale times cross-axis terms are of second order
     assert np.sqrt((off**2).sum(axis=1).mean()) == pytest.approx(fit.uncertainty, rel=0.06)
-
-
-def test_the_level_of_a_window_is_the_sample_variance_of_its_readings() -> None:
-    accel = np.random.default_rng(6).normal([0.0, 0.0, 9.8], [0.01, 0.02, 0.03], (60, 3))
-    found = still_variance(Record(time=np.arange(60) / 100.0, accel=accel), window_s=0.1)
-    for k in (5, 30, 54):  # windows of eleven samples
-        wanted = np.linalg.norm(np.var(accel[k - 5 : k + 6], axis=0, ddof=1))
-        assert found.level[k] == pytest.approx(wanted, rel=1e-9)
 
 
 @pytest.mark.parametrize("size", [0.0, 2e-4, 5e-4])

@@ -4,19 +4,13 @@ Of the thresholds 2 to 10 times the level of the opening rest the one with the s
 still; gyroscopes by turns that count alike, their offset the mean of the opening rest.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from undrift.calibration.multi_position import (
-    StillVariance,
-    cut_moves,
-    gravity_directions,
-    rough_matrix,
-    still_variance,
-    turned_in,
-)
+from undrift.arrays import runs
+from undrift.calibration.multi_position import cut_moves, gravity_directions, rough_matrix, turned_in
 from undrift.calibration.norm import NormFit, fit_norm, judged
 from undrift.fit.least_squares import TriadFit
 from undrift.record import Record, Still
@@ -35,11 +29,28 @@ class PublishedFit:
     moves: int
 
 
+@dataclass(frozen=True)
+class StillVariance:
+    """Length of the variance of three accelerometers over windows of a second, and at rest."""
+
+    values: np.ndarray  # (N, 3)
+    level: np.ndarray  # (N,), infinite at the ends
+    at_rest: float
+
+    def below(self, threshold: float, least: int) -> list[tuple[int, int]]:
+        """Return the stretches [start, stop) below a threshold that have enough samples."""
+        return [(int(a), int(b)) for a, b in runs(self.level < threshold) if b - a >= least]
+
+
 def variance_with_rest(record: Record, rest_s: float = 50.0) -> StillVariance:
     """Return the windowed variance of a recording; its opening rest gives the level at rest."""
-    assert record.accel is not None
-    rest = record.accel[: int(np.searchsorted(record.time, record.time[0] + rest_s))]
-    return replace(still_variance(record), at_rest=float(np.linalg.norm(rest.var(axis=0, ddof=1))))
+    values = np.asarray(record.accel)
+    half = round(0.5 * record.sample_rate_hz)
+    windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)
+    level = np.full(len(values), np.inf)
+    level[half:-half] = np.linalg.norm(windows.var(axis=-1, ddof=1), axis=1)
+    rest = values[: int(np.searchsorted(record.time, record.time[0] + rest_s))]
+    return StillVariance(values, level, float(np.linalg.norm(rest.var(axis=0, ddof=1))))
 
 
 def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> PublishedFit:
@@ -56,7 +67,7 @@ def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> Pu
     _, stills, reading, fit = min(found, key=lambda one: one[0])
     accel = judged(fit, reading, record.accel_unit)
     used = [Still(start=a, stop=b) for a, b in stills]
-    moves = cut_moves([record], used, used)
+    moves = cut_moves([record], used)
     n = gravity_directions(moves, accel.model)[0]
     offset = np.asarray(record.between(record.time[0], record.time[0] + rest_s).gyro).mean(axis=0)
     start, still = rough_matrix(moves, accel.model, offset), np.zeros((len(moves.first), 3))

@@ -18,16 +18,16 @@ stated span.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.calibration.session import Observed, mean_reading, middles, piece_temperatures, whole_readings
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import student_factor
-from undrift.fit.least_squares import block_size, excess_variance, noise_of_means
+from undrift.fit.least_squares import block_size, noise_of_means
 from undrift.model import AXES
 from undrift.record import Still, TemperatureSensitivity, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -176,94 +176,6 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
     if not abs(last - first) >= _WARMER_C:  # or unknown
         return (finding("session.offset_drift", level, **values),)
     return (finding("session.offset_drift_warming", level, first_c=first, last_c=last, **values),)
-
-
-# ---- offset of the gyroscopes in the rests between moves by hand: mean, g-sensitivity, drift
-#
-#     m_k = b_k + H (f_k - f) + e_k        f_k specific force in rest k, f its mean; rows h of H ~ N(0, s_h^2)
-#
-# b_(k+1) = b_k + N(0, q) is a random walk, e_k noise and jitter. A hand that sways makes jitter, a sensor that warms up drifts: von
-# Neumann's ratio of the mean square successive difference to the variance (1941) separates the two; where neighbours are not alike,
-# q = 0 and the offset is constant. A move has the mean offset of its two stills, uncertain by q / 12 more.
-
-_LEAST_WITH_G = 8  # rests: three columns more, and four to tell jitter and drift by
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class OffsetPrior:
-    """Offset, g-sensitivity, drift and noise of the gyroscopes from the stills."""
-
-    mean: FloatArray  # (3,), mean offset over the stills, under their mean specific force, raw unit
-    variance: FloatArray  # (3,), of the mean, raw unit squared
-    drift: FloatArray  # (J, 3), offset of each move less the mean, raw unit; zeros where the stills show no drift
-    drift_covariance: FloatArray  # (3, J, J), of the drift, per axis, raw unit squared
-    noise: FloatArray  # (3,), variance of one sample at rest, raw unit squared
-    force: FloatArray  # (3,), mean specific force, m/s2
-    g: FloatArray | None = None  # (3, 3), H, raw unit per m/s2; None where the stills do not show it
-    g_covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))  # of each row
-
-
-def offset_prior(
-    rests: tuple[FloatArray, FloatArray, IntArray], before: IntArray, force: FloatArray, g_sd: float
-) -> OffsetPrior:
-    """Return the offset from means (K, 3), variance (3,) of a sample, counts (K,) of rests, under force (K, 3); s_h in raw unit.
-
-    ``before`` (J,) are the rests before each move. Stills that turn about the vertical are left out.
-    """
-    from scipy.linalg import block_diag
-
-    reading, noise, count = rests
-    away = np.abs(reading - np.median(reading, axis=0))
-    rest = np.all(away <= 8.0 * np.maximum(np.median(away, axis=0), 1e-12), axis=1)  # the others turn
-    stills, each = len(reading), np.arange(len(before))
-    to_move = np.zeros((len(each), stills))
-    to_move[each, before], to_move[each, before + 1] = 0.5, 0.5
-    middle = (count * rest) @ force / max(1, int((count * rest).sum()))
-    felt = force - middle
-    shown = np.linalg.svd(felt[rest], compute_uv=False)
-    if g_sd == 0.0 or rest.sum() < _LEAST_WITH_G or shown[-1] < _LEAST_CHANGE * STANDARD_GRAVITY:
-        felt = felt[:, :0]
-    columns, other = felt.shape[1], to_move - 1.0 / stills
-    mean, variance, g, g_covariance = np.zeros(3), np.zeros(3), np.zeros((3, columns)), np.zeros((3, columns, columns))
-    drift, drift_covariance = np.zeros((len(each), 3)), np.zeros((3, len(each), len(each)))
-    for axis in range(3):
-        stated = np.maximum(noise[axis] / count, 1e-30)
-        for _ in range(3 if columns else 1):  # drift and jitter are those of what H leaves
-            residual = reading[:, axis] - felt @ g[axis]
-            walk, jitter = _walk_and_jitter(residual[rest], stated[rest], columns)
-            of_offset = np.eye(stills) if walk else np.ones((stills, 1))
-            step = np.diff(of_offset, axis=0)
-            steadiness = step.T @ step / walk if walk else np.zeros((1, 1))
-            design, weight = np.hstack((of_offset, felt)), rest / (stated + jitter)
-            prior = block_diag(steadiness, np.eye(columns) / max(g_sd, 1e-300) ** 2)
-            posterior = np.linalg.inv(design.T @ (weight[:, None] * design) + prior)
-            found = posterior @ design.T @ (weight * reading[:, axis])
-            of_b = slice(0, of_offset.shape[1])
-            g[axis], g_covariance[axis] = found[of_b.stop :], posterior[of_b.stop :, of_b.stop :]
-        mean[axis], variance[axis] = found[of_b].mean(), posterior[of_b, of_b].mean()
-        if walk:
-            drift[:, axis] = other @ found[of_b]
-            drift_covariance[axis] = other @ posterior[of_b, of_b] @ other.T + walk / 12.0 * np.eye(len(each))
-    fitted = {"g": g, "g_covariance": g_covariance} if columns else {}
-    return OffsetPrior(
-        mean=mean, variance=variance, drift=drift, drift_covariance=drift_covariance, noise=noise, force=middle, **fitted
-    )  # fmt: skip
-
-
-def _walk_and_jitter(reading: FloatArray, stated: FloatArray, fitted: int) -> tuple[float, float]:
-    """Return q and the variance of the jitter of residuals from which so many columns were fitted."""
-    count, jitter, mean = len(reading), 0.0, float(np.mean(reading))
-    for _ in range(4):
-        jitter = excess_variance(reading - mean, stated, count - 1 - fitted)
-        weight = 1.0 / (stated + jitter)
-        mean = float((weight * reading).sum() / weight.sum())
-    first = float(np.mean(np.diff(reading) ** 2)) if count > 1 else 0.0
-    ratio = first / max(float(np.mean((reading - reading.mean()) ** 2)), 1e-300)
-    if jitter == 0.0 or count < 6 or ratio > 2.0 - 2.0 * 2.0 / np.sqrt(count):  # white: 2 with deviation 2 / sqrt(K)
-        return 0.0, jitter
-    lag = min(5, count // 2)
-    walk = max((float(np.mean((reading[lag:] - reading[:-lag]) ** 2)) - first) / (lag - 1), 0.0)
-    return walk, max(0.5 * (first - walk) - float(np.median(stated)), 0.0)
 
 
 # ---- creep with temperature

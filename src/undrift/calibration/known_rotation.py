@@ -31,7 +31,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration import multi_position
 from undrift.calibration.codes import limited_by_codes, mean_rounding
-from undrift.calibration.creep import Creep, OffsetPrior, creep_of, flicker_about_mean, in_case, walk_about_mean
+from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case, walk_about_mean
 from undrift.calibration.pieces import unused_stills
 from undrift.calibration.plausibility import (
     axis_vectors,
@@ -49,7 +49,7 @@ from undrift.calibration.six_face import FaceMeans
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.equations import Inverse, offset_of
-from undrift.fit.gls import GlsFit, Prior, solve_inverse
+from undrift.fit.gls import Prior, solve_inverse
 from undrift.fit.least_squares import TriadFit, block_size, noise_of_means, scaled_condition, triad_fit
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
@@ -72,7 +72,7 @@ def check_turns_gravity(
     records: Sequence[Record], stills: Sequence[Still], accel: TriadModel, gyro: TriadModel
 ) -> None:
     """Raise when fitted gyroscopes turn gravity far better with their axes in another order."""
-    moves = multi_position.cut_moves(records, stills, stills)
+    moves = multi_position.cut_moves(records, stills)
     if len(moves.first) < _LEAST_MOVES:
         return
     n = multi_position.gravity_directions(moves, accel)[0]
@@ -397,7 +397,6 @@ class RotationParameters(NamedTuple):
     theta: FloatArray  # (P,)
     covariance: FloatArray  # (P, P)
     parts: dict[str, FloatArray]  # covariance by source
-    by_creep: FloatArray  # (9, 3), change of M by one deviation of each sensor's creep of scale
     walk: FloatArray  # (3,), variance of the walk of each sensor, (rad/s)^2 / s
 
     @property
@@ -483,18 +482,9 @@ def _affine(
         theta=np.concatenate((fit.theta[:9], offset, fit.theta[12:])),
         covariance=jacobian @ fit.covariance @ jacobian.T,
         parts={name: jacobian @ part @ jacobian.T for name, part in parts.items()},
-        by_creep=_by_creep(rows, fit, creep),
         walk=np.array([fit.excess.get(f"walk {axis}", 0.0) for axis in AXES]),
     )
     return fitted, -fit.residuals.reshape(-1, 3)
-
-
-def _by_creep(rows: _RotationRows, fit: GlsFit, creep: Creep | None) -> FloatArray:
-    """Return what one deviation of each sensor's creep of scale adds to the matrix row by row, (9, 3)."""
-    if creep is None:
-        return np.zeros((9, 3))
-    columns = (creep.warmth * creep.scale_per_k)[:, None, None] * rows.rate[:, :, None] * np.eye(3)
-    return np.asarray(-fit.gains[:9] @ columns.reshape(-1, 3))
 
 
 def _paper(
@@ -517,7 +507,6 @@ def _paper(
         theta=theta,
         covariance=np.sum([*parts.values()], axis=0),
         parts=parts,
-        by_creep=np.zeros((9, 3)),
         walk=np.zeros(3),
     )
     corrected = (rows.reading - inverse.offset) @ inverse.matrix.T
@@ -631,33 +620,6 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
     return tuple(axis for axis in AXES if axis in lacking)
 
 
-def _offset_in_moves(moves: multi_position.Moves, walk: FloatArray, scale: FloatArray) -> OffsetPrior:
-    """Return what rests show of the offset in each move; walk (3,), (rad/s)^2 / s, and scale (3,), raw unit per rad/s.
-
-    m = o + d + e, where d is flicker of the stated size and a walk about their means: o by least squares, d of a move from the
-    rests around it (best linear prediction).
-    """
-    reading, noise, count = multi_position.still_moments(moves.gyro, *moves.cores)
-    number, white = len(reading), np.maximum(noise[:, None] / count, 1e-30)  # (3, K)
-    clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # recordings follow each other
-    rests, between = np.stack((moves.cores[0], moves.cores[1] - 1)), np.stack((moves.first, moves.last))
-    span = clock[np.hstack((rests, between)).T]
-    drifts = GYRO_FLICKER**2 * flicker_about_mean(span) + walk[:, None, None] * walk_about_mean(span.mean(axis=1))
-    drifts *= scale[:, None, None] ** 2
-    inverse = np.linalg.inv(drifts[:, :number, :number] + np.eye(number) * white[:, None, :])  # (3, K, K)
-    variance = 1.0 / inverse.sum(axis=(1, 2))
-    mean = variance * np.einsum("kij,jk->k", inverse, reading)
-    to_moves = drifts[:, number:, :number] @ inverse
-    return OffsetPrior(
-        mean=mean,
-        variance=variance,
-        drift=np.einsum("kij,jk->ik", to_moves, reading - mean),
-        drift_covariance=drifts[:, number:, number:] - to_moves @ drifts[:, :number, number:],
-        noise=noise,
-        force=np.zeros(3),
-    )
-
-
 def _by_moves(
     seen: Observed, data: RotationData, accel: TriadModel, fitted: RotationParameters
 ) -> TriadModel | PoorFit | None:
@@ -677,8 +639,8 @@ def _by_moves(
     # an offset that follows the temperature, or that rests show to drift, is interpolated between the rests as a walk is
     drift = creep[1].offset_per_k * creep[1].span_k
     walk = fitted.walk + drift**2 / max(float(np.ptp(spans_of(seen.session.records, stills))), 1.0)
-    offset = partial(_offset_in_moves, walk=walk, scale=np.linalg.norm(forward, axis=1))
-    by_turns = multi_position.ByTurns(fitted.matrix, fitted.covariance[:9, :9], fitted.by_creep, offset)
+    offset = partial(multi_position.offsets_in_moves, scale=np.linalg.norm(forward, axis=1), walk=walk)
+    by_turns = multi_position.ByTurns(fitted.matrix, fitted.covariance[:9, :9], offset)
     try:
         return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
     except NotObservable:

@@ -297,7 +297,7 @@ def check_count(reading: FloatArray, *, known_noise: bool) -> None:
         )
 
 
-def judged(fit: NormFit, reading: FloatArray, unit_in: str, scale_tolerance: float = TOLERANCE) -> TriadFit:
+def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     """Return a solution as a fit with verdict, or refuse it where the poses leave a parameter unobserved."""
     unit = canonical_unit(unit_in, "accel")
     if is_physical(unit):
@@ -326,7 +326,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str, scale_tolerance: flo
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )
-    check_own_scale(triad.model.scale_factor, unit, "accel", scale_tolerance, "accel")
+    check_own_scale(triad.model.scale_factor, unit, "accel", TOLERANCE, "accel")
     return triad
 
 
