@@ -17,6 +17,7 @@ calibrate sample/bench -o c.json --report calibration.html
 drift sample/thermal --calibration c.json -o t.json --report drift.html
 validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json --offset none -o after"""
 PICTURES = {  # name: page, and which picture of it
+    "session": ("session.html", 0),
     "calibration": ("calibration.html", 1),
     "matrix": ("calibration.html", 0),
     "drift": ("drift.html", 0),
@@ -31,7 +32,7 @@ def draw(folder: Path) -> None:
     folder = folder.resolve()
     with tempfile.TemporaryDirectory() as held, contextlib.chdir(held), contextlib.redirect_stdout(io.StringIO()):
         undrift.write_session(session, "session")
-        for line in (f"info session --figure {folder / 'tutorial-session.svg'}", *COMMANDS.splitlines()):
+        for line in ("info session --report session.html", *COMMANDS.splitlines()):
             if run(line.split()) != 0:
                 raise SystemExit(f"undrift {line} failed")
         for name, (page, k) in PICTURES.items():

@@ -98,13 +98,13 @@ def words_for(command, path, bench, folder):
         "correct": ["correct", path, *calibration, "-o", folder / "kept.parquet"],
         "orient": ["orient", path, *calibration, "-o", folder / "kept.csv"],
         "validate": ["validate", path, *calibration, "--reference", bench / "reference.parquet", "-o", folder / "kept"],
-        "noise": ["noise", path, "--figure", folder / "kept.svg"],
+        "noise": ["noise", path, "--report", folder / "kept.html"],
     }[command]
 
 
 def older_results(folder):
     """Results of an earlier day, which a refused call must leave as they are."""
-    for name in ("kept.json", "kept.parquet", "kept.csv", "kept.svg"):
+    for name in ("kept.json", "kept.parquet", "kept.csv", "kept.html"):
         (folder / name).write_text("older result")
     (folder / "kept").mkdir()
     (folder / "kept" / "validation.json").write_text("older result")
@@ -199,7 +199,7 @@ def test_a_wrong_unit_is_refused_where_it_shows(undrift, bench, sound, tmp_path,
     words = {
         "orient": ["orient", path, "-o", tmp_path / "o.csv"],
         "validate": ["validate", path, "--reference", bench / "reference.parquet", "-o", tmp_path / "v"],
-        "noise": ["noise", path, "--figure", tmp_path / "n.svg"],
+        "noise": ["noise", path, "--report", tmp_path / "n.html"],
     }[command]
     before = contents(tmp_path)
     line = undrift.refused(*words)
@@ -277,7 +277,7 @@ def test_a_calibration_that_cannot_be_used_is_refused_in_one_line(undrift, bench
         path.write_text(how)
     words = words_for(command, bench / "trial.parquet", bench, tmp_path)
     if command == "noise":
-        words += ["--stop-s", "5", "--calibration", path]  # the first five seconds are a rest
+        words += ["--leave-out", "5:9999", "--calibration", path]  # the first five seconds are a rest
     else:
         words[words.index("--calibration") + 1] = path
     older_results(tmp_path)

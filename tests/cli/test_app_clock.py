@@ -1,4 +1,4 @@
-"""--clock regular, wherever a recording is read."""
+"""A recording with the stamps of a host, on the clock that the map fits."""
 
 import numpy as np
 import pytest
@@ -22,10 +22,11 @@ def stamped(bench, tmp_path) -> Record:
 @pytest.mark.slow
 def test_validate_is_as_good_on_the_fitted_clock_as_on_the_true_one(undrift, bench, stamped, tmp_path):
     rms, refused = {}, {}
+    (tmp_path / "map.toml").write_text('clock = "regular"\n')
     for name, path, words in (
         ("true", bench / "trial.parquet", ()),
         ("host", tmp_path / "host.parquet", ()),
-        ("regular", tmp_path / "host.parquet", ("--clock", "regular")),
+        ("regular", tmp_path / "host.parquet", ("--map", tmp_path / "map.toml")),
     ):
         known = ("--reference", bench / "reference.parquet", "--calibration", bench / "calibration.json")
         answer = undrift("validate", path, *known, *words, "-o", tmp_path / name, "--json")
@@ -36,7 +37,3 @@ def test_validate_is_as_good_on_the_fitted_clock_as_on_the_true_one(undrift, ben
     show("total error with the true and the fitted clock, deg rms", np.round(list(rms.values()), 4), "within 0.01")
     assert rms["regular"] == pytest.approx(rms["true"], abs=0.01)
     assert "lag: wanted a correlation" in refused["host"]  # stamps of bursts show no common motion
-
-
-def test_a_word_that_is_no_clock_is_refused(undrift, tmp_path, stamped):
-    assert "--clock" in undrift.refused("info", tmp_path / "host.parquet", "--clock", "even")

@@ -30,6 +30,7 @@ def folder(bench, tmp_path):
     (made / "torn.parquet").write_bytes((bench / "trial.parquet").read_bytes()[:500])
     (made / "README.md").write_text("# Trials\n")
     (made / "sub").mkdir()
+    (tmp_path / "keep.toml").write_text('gaps = "keep"\n')
     return made
 
 
@@ -50,7 +51,7 @@ def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift
 
     monkeypatch.setattr(batch._Job, "row", watched)
     out = tmp_path / "out"
-    words = ("orient", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", out)
+    words = ("orient", folder, "--calibration", bench / "calibration.json", "--map", tmp_path / "keep.toml", "-o", out)
 
     def second(*more):
         done.clear()
@@ -65,13 +66,22 @@ def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift
     (out / "walk.parquet").unlink()
     assert "walk.parquet" in second()
     assert "walk.parquet" not in second()
-    assert {"torn.parquet", "walk.parquet"} <= set(second("--policy", "hold"))
+    assert {"torn.parquet", "walk.parquet"} <= set(second("--method", "vqf"))
     record = read_record(folder / "walk.parquet")
     write_record(record.between(0.0, 0.5 * record.duration_s), folder / "walk.parquet")
-    assert "walk.parquet" in second("--policy", "hold")
+    assert "walk.parquet" in second("--method", "vqf")
     calibration = json.loads((bench / "calibration.json").read_text())
     (tmp_path / "other.json").write_text(json.dumps(calibration) + "\n")
-    again = ("orient", folder, "--calibration", tmp_path / "other.json", "--gaps", "keep", "--policy", "hold")
+    again = (
+        "orient",
+        folder,
+        "--calibration",
+        tmp_path / "other.json",
+        "--map",
+        tmp_path / "keep.toml",
+        "--method",
+        "vqf",
+    )
     done.clear()
     undrift(*again, "-o", out)
     assert "walk.parquet" in done  # other bytes of the calibration
@@ -85,7 +95,16 @@ def test_what_an_interrupted_call_did_stands(undrift, bench, folder, tmp_path, m
             raise KeyboardInterrupt
         return row(self, folder, file, name, earlier, progress)
 
-    words = ("correct", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o", tmp_path / "out")
+    words = (
+        "correct",
+        folder,
+        "--calibration",
+        bench / "calibration.json",
+        "--map",
+        tmp_path / "keep.toml",
+        "-o",
+        tmp_path / "out",
+    )
     with monkeypatch.context() as patch:
         patch.setattr(batch._Job, "row", stopped)
         assert undrift(*words).code == 130
@@ -119,7 +138,7 @@ def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_
         shutil.copy(bench / "trial.parquet", folder / "sub" / person / "walk.parquet")
     (folder / "sub" / "back").symlink_to(folder)
     out = folder / "results"
-    words = ("orient", folder, "--calibration", bench / "calibration.json", "--gaps", "keep", "-o")
+    words = ("orient", folder, "--calibration", bench / "calibration.json", "--map", tmp_path / "keep.toml", "-o")
     assert "folder, 3 of 5 done, 2 with an error" in undrift(*words, out).out
     rows = rows_of(out)
     assert list(rows) == ["gap.csv", "sub/p1/walk.parquet", "sub/p2/walk.parquet", "torn.parquet", "walk.parquet"]
@@ -179,7 +198,6 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
     (tmp_path / "empty" / "SOURCE.md").write_text("# Trials\n")
     assert "got 1 entries that are none" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
     for more in (
-        ("info", "--figure", "a.svg"),
         ("info", "--write-map", "map.toml"),
         ("validate", "--calibrate-from", "reference"),
     ):

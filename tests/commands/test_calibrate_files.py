@@ -72,7 +72,7 @@ def test_a_calibration_keeps_the_map_and_the_next_commands_need_none(undrift, bo
     np.testing.assert_array_equal(one.gyro, two.gyro)
     np.testing.assert_array_equal(one.gyro, three.gyro)
     undrift.good("orient", log, *c, "-o", board / "o.csv")
-    assert undrift.good("noise", log, *c, "--stop-s", 5, "--json").json()["gyro"]
+    assert undrift.good("noise", log, *c, "--leave-out", "5:9999", "--json").json()["gyro"]
 
 
 @pytest.mark.parametrize("command", ["correct", "orient", "noise", "validate"])
@@ -93,8 +93,8 @@ def test_a_file_that_does_not_fit_the_kept_map_is_refused_in_one_line_that_names
 
 def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench, board):
     session, log = bench / "session", data_path("multipos_mpu9150", "imu0.log.gz")
-    line = undrift.refused("calibrate", session, "--serial", "A1", "--gaps", "keep")
-    assert "wanted none of --gaps, --serial beside a session, got 2; its session.toml states them" in line
+    line = undrift.refused("calibrate", session, "--serial", "A1", "--sensor", "a")
+    assert "wanted none of --sensor, --serial beside a session, got 2; its session.toml states them" in line
     line = undrift.refused("calibrate", session, "--latitude-deg", 59.9, "--height-m", 20)
     assert "wanted none of --height-m beside a session" in line
     line = undrift.refused("calibrate", session, log)

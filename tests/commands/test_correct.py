@@ -305,11 +305,11 @@ def test_the_offset_at_a_rest_is_subtracted_the_same_from_a_stream_and_at_once_a
 
 def test_a_rest_is_named_by_its_times_and_refused_where_there_is_none(undrift, bench, tmp_path):
     words = ("--calibration", bench / "calibration.json", "-o", tmp_path / "a.parquet")
-    named = ("--still-start-s", 0.5, "--still-stop-s", 1.5)
+    named = ("--rest-s", "0.5:1.5")
     told = undrift.good("correct", bench / "trial.parquet", *words, "--offset", "rest", *named, "--json").json()
     assert told["recordings"][0]["rest"]["rest_s"] == pytest.approx([0.5, 1.49], abs=0.011)
     (tmp_path / "a.parquet").unlink()
-    assert "wanted --offset rest or motion beside them, got none" in undrift.refused(
+    assert "--rest-s requires --offset rest or motion" in undrift.refused(
         "correct", bench / "trial.parquet", *words, *named
     )
     raw = read_record(bench / "trial.parquet")

@@ -138,7 +138,7 @@ def test_a_log_that_tells_nothing_is_refused_with_its_number(undrift, tmp_path, 
     changes, message = REFUSED[fault]
     log = warm_log(tmp_path / "log.parquet", **changes)
     before = contents(tmp_path)
-    outputs = ["-o", tmp_path / "c.json", "--report", tmp_path / "p.html", "--figure", tmp_path / "f.svg"]
+    outputs = ["-o", tmp_path / "c.json", "--report", tmp_path / "p.html"]
     assert re.search(message, undrift.refused("drift", log, *outputs))
     assert contents(tmp_path) == before
 

@@ -142,8 +142,9 @@ def test_a_map_of_one_key_serves_own_names_and_an_option_overrules_it(undrift, t
     assert told["problems"][0] == "Rows left out: in 1, time did not go forward"
     assert (told["findings"][0]["code"], told["findings"][0]["values"]) == ("recording.rows_repaired", {"count": 1})
     (tmp_path / "gap.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.01,,2,3\n0.02,1,2,3\n")
-    assert "use --gaps keep, or" in undrift.refused("info", tmp_path / "gap.csv")
-    assert undrift.good("info", tmp_path / "gap.csv", "--gaps", "keep", "--json").json()["gaps"] == 1
+    assert 'gaps = "keep" in a map' in undrift.refused("info", tmp_path / "gap.csv")
+    (tmp_path / "keep.toml").write_text('gaps = "keep"\n')
+    assert undrift.good("info", tmp_path / "gap.csv", "--map", tmp_path / "keep.toml", "--json").json()["gaps"] == 1
 
 
 def test_the_findings_of_a_verdict_stand_one_by_one_and_all_with_details(undrift, bench, tmp_path):
@@ -199,27 +200,26 @@ def stamp_by_host(undrift, path):
 
 
 @pytest.mark.slow
-def test_stamps_of_a_host_are_named_with_the_option_that_mends_them(undrift, tmp_path):
+def test_stamps_of_a_host_are_named_with_what_mends_them(undrift, tmp_path):
     samples = stamp_by_host(undrift, tmp_path / "host.csv")
     said = undrift.good("info", tmp_path / "host.csv").out
     assert "problem: Time stamps are the host's, not the device's: eight of ten steps are 1 to 43 ms" in said
-    assert "read it with --clock regular" in said
-    told = undrift.good("info", tmp_path / "host.csv", "--clock", "regular", "--json").json()
+    assert "read it with clock = 'regular' in a map" in said
+    (tmp_path / "map.toml").write_text('clock = "regular"\n')
+    words = ("info", tmp_path / "host.csv", "--map", tmp_path / "map.toml")
+    told = undrift.good(*words, "--json").json()
     assert told["rows"] == samples
     assert told["usual_rate_hz"] == pytest.approx(100.0, rel=1e-3)
-    assert "note: Regular clock of" in undrift.good("info", tmp_path / "host.csv", "--clock", "regular").out
-    (tmp_path / "map.toml").write_text('clock = "regular"\n')
-    by_map = undrift.good("info", tmp_path / "host.csv", "--map", tmp_path / "map.toml", "--json").json()
-    assert by_map["usual_rate_hz"] == told["usual_rate_hz"]
+    assert "note: Regular clock of" in undrift.good(*words).out
 
 
 def test_a_session_is_read_on_its_regular_clock(undrift, tmp_path):
     stamp_by_host(undrift, tmp_path / "host.csv")
     head = '[session]\nkind = "calibration"\nserial = "A"\ngravity_m_s2 = 9.81\n'
     (tmp_path / "session.toml").write_text(head + '[[recording]]\nfile = "host.csv"\n')
-    plain, fitted = (
-        undrift.good("info", tmp_path / "session.toml", *w, "--json").json() for w in ((), ("--clock", "regular"))
-    )
+    plain = undrift.good("info", tmp_path / "session.toml", "--json").json()
+    (tmp_path / "session.toml").write_text(head + '[[recording]]\nfile = "host.csv"\nclock = "regular"\n')
+    fitted = undrift.good("info", tmp_path / "session.toml", "--json").json()
     assert any("stamps are the host's" in problem for problem in plain["problems"])
     assert not any("stamps are the host's" in problem for problem in fitted["problems"])
     assert fitted["usual_rate_hz"] == pytest.approx(100.0, rel=1e-3)

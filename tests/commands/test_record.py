@@ -290,7 +290,9 @@ def test_lines_without_names_are_recorded_with_stamps_that_info_reads(undrift, t
     assert f"(the {count} lines until then are in {tmp_path / 'b.log'})" in cut.err
     assert count > 100
     undrift.good("info", path, "--write-map", tmp_path / "map.toml")
-    about = undrift.good("info", path, "--map", tmp_path / "map.toml", "--clock", "regular", "--json").json()
+    with (tmp_path / "map.toml").open("a") as file:
+        file.write('clock = "regular"\n')
+    about = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
     assert about["sample_rate_hz"] == pytest.approx(100.0, rel=0.01)
     assert about["units"] == {"time": "s", "accel": "count", "gyro": "count"}
 

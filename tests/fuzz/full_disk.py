@@ -83,7 +83,7 @@ CALLS = {
     "mount": Call("mount {b}/walk.parquet --worn lower-back --calibration {b}/perfect.json -o {o}/worn.json"),
     "validate --trials": Call("validate {b}/people --trials trials.csv -o {o}/people", fresh=True, slow=True),
     "certificate": Call("certificate {b}/calibration.json -o {o}/c.html"),
-    "noise": Call("noise {b}/rest.parquet --figure {o}/allan.svg --report {o}/r.html", slow=True),
+    "noise": Call("noise {b}/rest.parquet --report {o}/r.html", slow=True),
     "simulate task": Call(
         "simulate sit_to_stand --device mpu6050 -o {o}/x.parquet --truth {o}/t.csv --save-device {o}/d.json --report {o}/r.html"
     ),

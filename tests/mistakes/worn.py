@@ -348,7 +348,7 @@ ORIENT = [
     mistake(
         orient,
         "names a stretch of motion as the rest",
-        saying("--offset", "rest", "--still-start-s", 20, "--still-stop-s", 24),
+        saying("--offset", "rest", "--rest-s", "20:24"),
         causes.NOT_STILL,
     ),
     mistake(

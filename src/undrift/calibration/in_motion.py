@@ -303,8 +303,7 @@ def _usable(records: Sequence[Record]) -> tuple[float, float]:
         if not is_physical(unit):
             raise InputError(
                 f"motion: the {name} are in {unit}, and motion alone does not show what one is worth. State the gain of their "
-                "columns in the map, from the range that the device was set to: `undrift info --write-map` takes --gyro-gain and "
-                "--accel-gain."
+                "columns in the map, from the range that the device was set to: scale = { gyro = { gain = 0.061 } }."
             )
     for number, record in enumerate(records):
         where = f"motion, recording {number + 1}"

@@ -360,7 +360,7 @@ def _places(record: Record) -> IntArray | None:
     if len(record) < SHORTEST or over.mean() > _MOST_DROP_OUTS:
         raise InputError(
             f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with {int(over.sum())} drop-outs; record "
-            "longer, or where a host stamped the samples use `clock` regular"
+            "longer, or where a host stamped the samples use clock = 'regular' in a map"
         )
     if not over.any():
         return None

@@ -21,7 +21,6 @@ from undrift.base.summary import Drawing, Result, Section, Summary, at, concise,
 from undrift.calibration.settings import AccelFit, GyroFit
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import answer_sentence, departures_words, rms_of, uncertainty_section
-from undrift.commands.data_sheet import PART
 from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
@@ -110,6 +109,7 @@ class Calibrated(Result):
         )
 
 
+PART = "kind"  # setting of a calibration's origin
 PRIOR_OF = "undrift.sim.device.presets:sensitivity_of"  # of a part, over temperature
 
 

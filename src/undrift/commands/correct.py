@@ -190,10 +190,8 @@ def correct(
     """
     from undrift.correction.correct import Corrector
 
-    if offset == "none" and named.stretch != (None, None):
-        raise InputError(
-            "`still_start_s`, `still_stop_s`: wanted `offset` rest or motion beside them, got none; add it"
-        )
+    if offset == "none" and named.rest_s is not None:
+        raise InputError("`rest_s` requires `offset` rest or motion: add it, or omit `rest_s`")
     chosen = choose_calibration(calibration, records, opening)
     model, calibration = cast("Calibration", chosen.model), cast("Path", chosen.path)
     targets = targets_of(records, output, (calibration, opening.column_map))

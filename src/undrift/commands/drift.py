@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
+from undrift.base.options import Files, Flag, OptionalOutput, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import Opening, check_figure, check_output, ends_of, recording_of, thermal_session
+from undrift.commands.files import Opening, check_output, ends_of, recording_of, thermal_session
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -34,7 +34,6 @@ def drift(
     *sessions: Files,
     calibration: Path | None = None,
     output: OptionalOutput = None,
-    figure: Picture = None,
     span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
     step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
@@ -57,8 +56,6 @@ def drift(
         physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables in it; may be the one that was read.
-    figure : Path or None
-        Picture of the gyroscopes' offset over temperature to write: .svg, .png or .pdf.
     span : str or None
         First and last node, LOW:HIGH in degC, wider or narrower than what was seen; by default what was seen, and 18 or 75 where
         that is 3 degC away or less.
@@ -88,21 +85,16 @@ def drift(
     )
     read = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
-    check_figure(figure, reads=(*read, calibration))
     chosen = choose_calibration(calibration, sessions, opening)
     model, calibration = chosen.model, chosen.path
     fit, first = _fitted(sessions, opening.like(model, calibration), model, settings, progress)
-    if figure is not None and fit.gyro_summary is None:
-        raise InputError(f"{figure}: wanted gyroscopes to draw, got none; leave out `figure`")
-    if figure is not None:
-        figure_of("drift:draw_offsets", fit.gyro_summary).save(figure)
     if output is not None:
         write_calibration(fit.calibration, output)
     return replace(
         drift_summary(fit),
         data=calibration_json(fit.calibration),
         notes=(*chosen.notes, *_notes(fit, model, calibration)),
-        written=(figure, output),
+        written=(output,),
         after=() if output else (NOTHING_WRITTEN,),
         next=() if output is None else _next(recording_of(sessions), first, fit, output),
     )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import WRITTEN, Flag, Policy, Up, options, stated
+from undrift.base.options import WRITTEN, Policy, Up, options, stated
 from undrift.base.spoken import CALLED
 from undrift.base.summary import PICTURES, Origin, plain
 from undrift.errors import InputError
@@ -55,13 +55,6 @@ class Opening:
         Samples per second, for a file without time; overrules the map.
     sensor : str or None
         Which sensor, stream or topic, in a file of several.
-    gaps : str or None
-        "keep" takes NaN as a gap, "raise" refuses it; overrules the map. Without either it is refused.
-    clock : str or None
-        "regular" fits a rate and an offset to time stamps of a host, and marks what is missing; "file" takes them as they are;
-        overrules the map.
-    drop_bad_rows : bool
-        Leave out rows of text with other than numbers, or damaged blocks of a logger's file, and count them.
     leave_out : str
         Stretches to leave out, START:STOP in s on the recording's clock, commas between: cut off at its ends, gaps elsewhere.
     """
@@ -69,9 +62,9 @@ class Opening:
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
     sample_rate_hz: float | None = None
     sensor: str | None = None
-    gaps: Literal["raise", "keep"] | None = None
-    clock: Literal["file", "regular"] | None = None
-    drop_bad_rows: Flag = False
+    gaps: Annotated[Literal["raise", "keep"] | None, Parameter(parse=False)] = None  # these three are keys of a map
+    clock: Annotated[Literal["file", "regular"] | None, Parameter(parse=False)] = None
+    drop_bad_rows: Annotated[bool, Parameter(parse=False)] = False
     leave_out: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
@@ -89,11 +82,8 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        flags: list[object] = ["--drop-bad-rows"] if self.drop_bad_rows else []
-        return [
-            *flags,
-            *stated(map=self.column_map, **self._options() | {"drop_bad_rows": None, "leave_out": self.leave_out}),
-        ]
+        given = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "leave_out")}
+        return [*stated(map=self.column_map, **given)]
 
     def _options(self) -> dict[str, Any]:
         stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
@@ -191,19 +181,16 @@ class NamedRest:
 
     Parameters
     ----------
-    still_start_s : float or None
-        Start of a stretch at rest, s on the recording's own clock; without it the first still phase is found.
-    still_stop_s : float or None
-        End of that stretch.
+    rest_s : str or None
+        START:STOP of a rest, s on the recording's own clock; by default the first rest is found.
     """
 
-    still_start_s: float | None = None
-    still_stop_s: float | None = None
+    rest_s: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
     @property
     def stretch(self) -> "Stretch":
         """Start and end, s."""
-        return self.still_start_s, self.still_stop_s
+        return (None, None) if self.rest_s is None else ends_of("`rest_s`", self.rest_s, "s")
 
 
 @options
@@ -271,11 +258,11 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             "or state the recordings in its session.toml"
         )
     session = read_session(stated[0], clock=opening.clock)
-    given: dict[str, object] = {"--map": opening.column_map, "--drop-bad-rows": opening.drop_bad_rows or None}
+    given: dict[str, object] = {"--map": opening.column_map, "drop_bad_rows": opening.drop_bad_rows or None}
     given["--leave-out"] = opening.leave_out or None
     if session.gravity_source != "standard":
         given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
-    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "--gaps": opening.gaps}
+    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "gaps": opening.gaps}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:
         raise InputError(

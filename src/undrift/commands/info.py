@@ -12,8 +12,6 @@ from undrift.commands.batch import of_folder
 from undrift.commands.files import (
     Opening,
     Place,
-    Rests,
-    check_figure,
     check_folder,
     check_output,
     name_of,
@@ -51,29 +49,19 @@ class Proposal:
         With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
     accel_unit : str or None
         With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
-    gyro_gain : float or None
-        With --write-map: unit of the gyroscopes per number of the file, by the data sheet: 0.061 with --gyro-unit dps.
-    accel_gain : float or None
-        With --write-map: the same of the accelerometers.
     """
 
     write_map: Picture = None
     gyro_unit: str | None = None
     accel_unit: str | None = None
-    gyro_gain: float | None = None
-    accel_gain: float | None = None
 
-    def check(self, figure: Path | None, *, reads: Sequence[Path | None]) -> None:
-        """Raise where a unit or gain has no map to stand in, or a figure is asked for beside one."""
+    def check(self, *, reads: Sequence[Path | None]) -> None:
+        """Raise where a unit has no map to stand in."""
         check_output(self.write_map, endings=(".toml",), reads=reads)
         option = next((one.name for one in fields(self)[1:] if getattr(self, one.name) is not None), "")
         if option and self.write_map is None:
             raise InputError(
                 f"`{option}`: wanted `write_map` beside it, got none; add `write_map` map.toml, or leave it out"
-            )
-        if figure is not None and self.write_map is not None:
-            raise InputError(
-                "`figure`: wanted it without `write_map`, got both; write the map first, then draw with `column_map`"
             )
 
 
@@ -81,7 +69,7 @@ POSES = 9  # still phases of a recording that may calibrate a device
 
 
 @verb
-@of_folder(None, alone=("figure", "write_map", "write_session"))
+@of_folder(None, alone=("write_map", "write_session"))
 def info(
     *files: Files,
     opening: Opening = Opening(),
@@ -89,8 +77,6 @@ def info(
     proposal: Proposal = Proposal(),
     write_session: Picture = None,
     turn_deg: float | None = None,
-    rests: Rests = Rests(),
-    figure: Picture = None,
     output: OptionalOutput = None,
     progress: Progress = silent,
 ) -> Summary:
@@ -106,8 +92,6 @@ def info(
         Folder to write session.toml into, with the rests, faces and turns of bare recordings, ready to edit.
     turn_deg : float or None
         With --write-session: angle of the turns between rests, deg: 360 for full turns.
-    figure : Path or None
-        Picture to write of a recording or session, with stills, faces, turns, gaps and saturation: .svg, .png or .pdf.
     output : Path or None
         Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
     """
@@ -115,18 +99,17 @@ def info(
     from undrift.io.store import findings_json, read_calibration, verdict_json
 
     if write_session is not None:
-        if figure is not None or proposal != Proposal():
-            raise InputError("`write_session`: expected neither `figure` nor `write_map` with it; run two commands")
+        if proposal != Proposal():
+            raise InputError("`write_session`: expected no `write_map` with it; run two commands")
         return _write_session(files, write_session, opening, turn_deg, progress)
     if turn_deg is not None:
         raise InputError("`turn_deg` requires `write_session`: add the folder of the session, or omit `turn_deg`")
     if len(files) > 1:
         raise InputError(f"info: expected one file or folder without `write_session`, got {len(files)}; name one")
     (file,) = files
-    check_figure(figure, reads=(file, opening.column_map))
     if output is not None:
         raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
-    proposal.check(figure, reads=(file, opening.column_map))
+    proposal.check(reads=(file, opening.column_map))
     with reading(progress, 0.8, file):
         found, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
@@ -135,13 +118,9 @@ def info(
     records = () if session is None else session.records
     disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
     found = replace(found, findings=(*found.findings, *disagree))
-    seen, reason = _look(session, rests)
+    seen, reason = _look(session)
     stills = [] if seen is None else [_span(records[still.recording], still) for still in seen.stills]
     drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, seen, name_of(file)))
-    if figure is not None:
-        if not records:
-            raise InputError(f"`figure`: wanted a recording or a session, got {found.kind}: {found.path}; leave it out")
-        drawing.save(figure)
     effects = _effects(file) if found.kind == "device" else {}
     calibration = read_calibration(file) if found.kind == "calibration" else None
     if calibration is not None:
@@ -162,7 +141,6 @@ def info(
         verdict=verdict,
         findings=found.findings,
         brief=verdict is None,
-        written=() if figure is None else (figure,),
         next=_next(found, len(stills), opening),
     )
 
@@ -185,15 +163,6 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
     from undrift.io.proposal import map_of
 
     stated = {"gyro": proposal.gyro_unit, "accel": proposal.accel_unit}
-    gains = {"gyro": proposal.gyro_gain, "accel": proposal.accel_gain}
-    given = {name: gain for name, gain in gains.items() if gain is not None}
-    if missing := [name for name in given if stated[name] is None]:
-        raise InputError(f"--{missing[0]}-gain: wanted the unit that it leads to, got none; add --{missing[0]}-unit")
-    if opening.drop_bad_rows:
-        found = replace(found, example=(*found.example, "drop_bad_rows = true"))
-    if given:
-        scale = ", ".join(f"{name} = {{ gain = {gain!r} }}" for name, gain in given.items())
-        found = replace(found, example=(*found.example, f"scale = {{ {scale} }}"))
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
     lines, complete = text.splitlines(), '"?"' not in text
@@ -322,18 +291,18 @@ def _effects(file: Path) -> dict[str, list[str]]:
 # ---- A recording or session: still phases, and what a person sees
 
 
-def _look(session: "Session | None", rests: Rests) -> "tuple[Observed | None, str]":
+def _look(session: "Session | None") -> "tuple[Observed | None, str]":
     """Return what is seen of still phases, and why there is none; too short a recording is no error."""
     from undrift.calibration.session import look
     from undrift.calibration.settings import CalibrateSettings
 
     if session is None:
         return None, ""
-    settings = rests.settings()
+    settings = CalibrateSettings()
     try:
-        seen = look(session, CalibrateSettings(still=settings))
+        seen = look(session, settings)
     except InputError:
-        shortest, window = min(record.duration_s for record in session.records), settings.window_s
+        shortest, window = min(record.duration_s for record in session.records), settings.still.window_s
         return None, f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
     return seen, "" if seen.stills else next(search.reason for search in seen.searches)
 

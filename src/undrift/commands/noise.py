@@ -7,15 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from undrift.base.options import Picture, verb
-from undrift.base.summary import Drawing, Result, Summary, figure_of, table_section
+from undrift.base.options import verb
+from undrift.base.summary import Result, Summary, figure_of, table_section
 from undrift.calibration.expanded import COVERAGE
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import ANSWERED_S
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.data_sheet import PART, sheet_of, sheet_words
-from undrift.commands.files import Opening, calibrated_part, check_figure, named_columns
-from undrift.errors import InputError
+from undrift.commands.files import Opening, calibrated_part, named_columns
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 if TYPE_CHECKING:
@@ -34,11 +32,6 @@ DATA_SHEET = {
     (_FLOOR, "m/s2"): ("bias_instability_ug", "ug", _UG),
     (_RISE, "m/s2/sqrt(s)"): ("acceleration_random_walk_ug_per_sqrt_h", "ug/sqrt(h)", 60.0 * _UG),
 }
-SHEET = {_WALK: "random_walk", _FLOOR: "instability"}  # what a preset keeps of a data sheet
-DENSITY = {
-    "gyro": ("deg/s/sqrt(Hz)", math.sqrt(2.0) / RADIAN_PER_DEGREE),
-    "accel": ("ug/sqrt(Hz)", math.sqrt(2.0) * _UG),
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -48,17 +41,14 @@ class Noise(Result):
     record: Path
     fit: "NoiseFit"
     verdict: "Verdict"
-    kind: str  # Whose data sheet stands beside, "" for none
     notes: tuple[str, ...]
-    written: tuple[Path | None, ...]
-    stretch: tuple[object, ...] = ()  # Words that cut it out of the recording
 
     def summary(self) -> Summary:
         """Return what the noise means for an angle, and the coefficients of each axis with their intervals."""
         from undrift.calibration.noise import TERMS
         from undrift.io.store import verdict_json
 
-        fit, seen, sections, kind = self.fit, [], [], self.kind
+        fit, seen, sections = self.fit, [], []
         physical = all(is_physical(getattr(fit, f"{one}_unit")) for one in TERMS if getattr(fit, one))
         after = {"angle_after_60_s_deg": [{"axis": axis.axis} | angle_after(axis) for axis in fit.gyro]}
         follows = ("--calibration", "calibration.json")
@@ -77,25 +67,22 @@ class Noise(Result):
                 cells.append(
                     (f"angle after {ANSWERED_S:.0f} s (deg)", lambda axis: f"{angle_after(axis)['angle']:.2g}")
                 )
-            title, text = (
-                f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals",
-                _data_sheet(axes, names, triad, kind),
+            title = f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals"
+            sections.append(
+                table_section(title, axes, cells, text=tuple(_usual_units(axes, names)), pictures=(drawing,))
             )
-            sections.append(table_section(title, axes, cells, text=tuple(text), pictures=(drawing,)))
         return Summary(
             title=f"Noise of {self.record.name}",
             answer=_meaning(fit)
             or f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}; a calibration gives degrees.",
             data=_data(fit)
             | (after if physical else {})
-            | _sheet_json(kind)
             | {"verdict": verdict_json(self.verdict), "notes": self.notes},
             pictures=(figure_of("figures:draw_allan", fit),),
             sections=tuple(sections),
             verdict=self.verdict,
-            notes=(*self.notes, *([f"{sheet_words(kind)}: typical figures"] if kind else ())),
-            written=self.written,
-            next=() if physical else ("noise", self.record, *self.stretch, *follows),
+            notes=self.notes,
+            next=() if physical else ("noise", self.record, *follows),
         )
 
 
@@ -105,11 +92,6 @@ def noise(
     /,
     *,
     calibration: Path | None = None,
-    start_s: float | None = None,
-    stop_s: float | None = None,
-    power_on_s: float | None = None,
-    figure: Picture = None,
-    kind: str | None = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Noise:
@@ -121,50 +103,20 @@ def noise(
         Recording at rest; hours show more than minutes.
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
-    start_s : float or None
-        Use the recording from here on, s on its own clock.
-    stop_s : float or None
-        Use the recording up to here, s on its own clock.
-    power_on_s : float or None
-        Time since power-on at the first sample, s; without it no warm-up is subtracted.
-    figure : Path or None
-        Allan plot to write: .svg, .png or .pdf.
-    kind : str or None
-        Preset of the device's part, as mpu6050, whose data sheet stands beside; by default the part that the calibration names.
     """
     from undrift.calibration.noise import fit_noise
     from undrift.calibration.triads import check_force
 
-    reads = (record, calibration, opening.column_map)
-    check_figure(figure, reads=reads)
     chosen = choose_calibration(calibration, (record,), opening)
-    model, calibration = chosen.model, chosen.path
-    kind = kind or (model.provenance.text(PART) if model else "")
-    _ = kind and sheet_of(kind)  # refused before the work
+    model = chosen.model
     with reading(progress, 0.3, record):
-        readings = opening.like(model, calibration).read(record)
-    since = None if power_on_s is None else float(power_on_s - readings.time[0])
-    if start_s is not None or stop_s is not None:
-        readings = _between(readings, start_s, stop_s)
+        readings = opening.like(model, chosen.path).read(record)
     with named_columns(record):
-        readings, notes = (readings, ()) if model is None else _corrected(readings, model, since)
+        readings, notes = (readings, ()) if model is None else _corrected(readings, model)
         check_force(readings)
     progress("fitting", 0.3)
     fit = fit_noise(readings)
-    if figure is not None:
-        title = {"title": f"{record.name}: overlapping Allan deviation"}
-        Drawing(place="undrift.report.figures:draw_allan", of=(fit,), options=title).save(figure)
-    ends = {"--start-s": start_s, "--stop-s": stop_s}
-    stretch = tuple(word for name, end in ends.items() if end is not None for word in (name, f"{end:g}"))
-    return Noise(
-        record=record,
-        fit=fit,
-        verdict=fit.verdict,
-        kind=kind,
-        notes=(*chosen.notes, *notes),
-        written=(figure,),
-        stretch=stretch,
-    )
+    return Noise(record=record, fit=fit, verdict=fit.verdict, notes=(*chosen.notes, *notes))
 
 
 def angle_after(axis: "AxisNoise") -> dict[str, float]:
@@ -204,13 +156,13 @@ def _meaning(fit: "NoiseFit") -> str:
     return " ".join(parts)
 
 
-def _corrected(readings: "Record", model: "Calibration", since: float | None) -> "tuple[Record, tuple[str, ...]]":
-    """Return corrected readings and what to say of them; ``since`` is the time since power-on at zero of their clock, s."""
+def _corrected(readings: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
+    """Return corrected readings and what to say of them."""
     from undrift.correction.correct import correct_checked
 
     readings, left_out = calibrated_part(readings, model)
-    done = correct_checked(readings, model, power_on_s=None if since is None else float(since + readings.time[0]))
-    return done.record, (*left_out, *done.warnings, *done.notes)
+    result = correct_checked(readings, model)
+    return result.record, (*left_out, *result.warnings, *result.notes)
 
 
 def _data(fit: "NoiseFit") -> dict[str, object]:
@@ -223,18 +175,6 @@ def _data(fit: "NoiseFit") -> dict[str, object]:
         }
         | {key: getattr(fit, key) for key in ("taus_s", "duration_s", "confidence")}
     )
-
-
-def _between(record: "Record", start_s: float | None, stop_s: float | None) -> "Record":
-    """Return the stretch that was asked for, which must lie within the recording."""
-    first, last = float(record.time[0]), float(record.time[-1])
-    start, stop = first if start_s is None else start_s, float("inf") if stop_s is None else stop_s
-    if not (start < stop and start < last and stop > first):
-        raise InputError(
-            f"`start_s`, `stop_s`: wanted a stretch of the recording, which goes from {first:.6g} to {last:.6g} s, got {start:g} "
-            f"to {stop:g} s; name times on its own clock"
-        )
-    return record.between(start, stop)
 
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
@@ -256,28 +196,14 @@ def _cell(term: str, axis: "AxisNoise") -> str:
     return f"{one.value:.3g} [{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
 
 
-def _data_sheet(axes: tuple["AxisNoise", ...], names: dict[str, str], triad: str, kind: str) -> "Iterator[str]":
-    """Yield the coefficients as data sheets have them, one line a term, beside those of the part."""
+def _usual_units(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":
+    """Yield the coefficients in the units of data sheets, one line a term."""
     for term, name in names.items():
         _, unit, factor = DATA_SHEET.get((term, getattr(axes[0], term).unit), ("", "", 1.0))
         if unit:
-            values = ((axis.axis, getattr(axis, term)) for axis in axes)
-            shown = (
-                f"{axis} {factor * c.value:.3g}" if not math.isnan(c.value) else f"{axis} not observable"
-                for axis, c in values
+            values = ((axis.axis, getattr(axis, term).value) for axis in axes)
+            cells = (
+                f"{axis} not observable" if math.isnan(value) else f"{axis} {factor * value:.3g}"
+                for axis, value in values
             )
-            beside = ""
-            if kind and (typical := getattr(getattr(sheet_of(kind), triad), SHEET.get(term, ""), 0.0)):
-                density = f" (density {DENSITY[triad][1] * typical:.3g} {DENSITY[triad][0]})" if term == _WALK else ""
-                beside = f"; data sheet of {kind} {factor * typical:.3g}{density}"
-            yield f"{name} in {unit}: {', '.join(shown)}{beside}"
-
-
-def _sheet_json(kind: str) -> dict[str, object]:
-    """Return what the data sheet of the part states, in its units; nothing without a part."""
-    typical = {
-        key: factor * getattr(getattr(sheet_of(kind), "gyro" if unit.startswith("rad") else "accel"), SHEET[term])
-        for (term, unit), (key, _, factor) in (DATA_SHEET.items() if kind else ())
-        if term in SHEET
-    }
-    return {"data_sheet": {"part": kind, "source": sheet_words(kind)} | typical} if kind else {}
+            yield f"{name} in {unit}: {', '.join(cells)}"

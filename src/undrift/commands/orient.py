@@ -139,7 +139,6 @@ def orient(
     named: NamedRest = NamedRest(),
     forward: Side | None = None,
     up: Side | None = None,
-    applying: TableUse = TableUse(),
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Oriented:
@@ -185,7 +184,7 @@ def orient(
         up=up or "+z", mounting=worn_by(model, forward, up),
     )  # fmt: skip
     with named_columns(record):
-        readings, earlier, notes = corrected(readings, record, model, applying)
+        readings, earlier, notes = corrected(readings, record, model, TableUse())
         if magnetometer and model is not None and model.magnetometer is None:
             earlier += (finding("orient.field", "warn"),)
         if worn := settings.mounting:

@@ -137,8 +137,8 @@ def named_rest(record: Record, stretch: Stretch) -> Still | None:
     if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
         got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
         raise InputError(
-            f"`still_start_s`, `still_stop_s`: wanted both, within the recording's {first:.6g} to {last:.6g} s and in that order, "
-            f"got {got}; name a stretch at rest by its start and end"
+            f"`rest_s`: wanted START:STOP within the recording's {first:.6g} to {last:.6g} s, got {got}; name a rest by its start "
+            "and end"
         )
     start, stop = record.time.searchsorted((start_s, stop_s))
     return Still(start=int(start), stop=max(int(stop), int(start) + 1))
@@ -148,7 +148,7 @@ def no_rest(what: str, reason: str) -> InputError:
     """Return the refusal of a recording that never rests."""
     return InputError(
         f"{what}: wanted a still phase, got none: {reason.removeprefix('no still phase: ')}; name a stretch at rest "
-        "(`still_start_s`, `still_stop_s`), use `offset` motion, or record with a pause",
+        "(`rest_s`), use `offset` motion, or record with a pause",
         missing="rest",
     )
 

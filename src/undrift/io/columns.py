@@ -598,8 +598,7 @@ def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnM
         )  # fmt: skip
         raise InputError(
             f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{regular}; use `gaps` keep, or gaps = "keep" in a map '
-            "or [[recording]], to keep them as gaps",
+            f'data row {row}{regular}; gaps = "keep" in a map or [[recording]] keeps them as gaps',
             row=row,
         )
     return gap
@@ -640,7 +639,7 @@ def _forward(table: RawTable, time: FloatArray, columns: ColumnMap) -> BoolArray
     raise InputError(
         f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
         f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time = "
-        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or use `clock` regular where a host stamped them",
+        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' where a host stamped them",
         row=table.row(row),
     )
 

@@ -10,7 +10,7 @@ from undrift.arrays import FloatArray, runs
 from undrift.calibration.pieces import Piece, pieces_of
 from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
-from undrift.commands.files import Opening, Rests
+from undrift.commands.files import Opening
 from undrift.files import write_together
 from undrift.io.inspect import describe
 from undrift.orientation import LONGEST_HOLE_S, filtered, scale_by_gravity
@@ -30,7 +30,7 @@ def write_trace(recording: Path, opening: Opening, path: Path) -> dict[str, obje
     session = describe(recording, columns, settings=settings).session
     if session is None or session.means:
         return {}
-    seen = look(session, CalibrateSettings(still=Rests().settings()))
+    seen = look(session, CalibrateSettings())
     record, pieces = seen.session.records[0], pieces_of(seen.session, seen=seen)[0]
     kinds = [("time", "f8"), ("gyro", "f4", 3), ("accel", "f4", 3), ("q_nb", "f4", 4)]
     table = np.full(len(record), np.nan, dtype=kinds)
