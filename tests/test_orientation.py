@@ -90,7 +90,7 @@ def test_what_cannot_be_oriented_is_refused():
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
         InputError,
-        match=r"a still phase, got none: .*; name a stretch at rest \(`still_start_s`, `still_stop_s`\), use `offset` motion",
+        match=r"a still phase, got none: .*; name a stretch at rest \(`rest_s`\), use `offset` motion",
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):

@@ -61,12 +61,9 @@ CALLS = {
     "info --write-map": Call(
         "info {b}/foreign.csv --write-map {o}/map.toml --gyro-unit dps --accel-unit g --report {o}/r.html"
     ),
-    "info --figure": Call("info {b}/trial.parquet --figure {o}/f.png", slow=True),
-    "calibrate": Call("calibrate {b}/session -o {o}/c.json --report {o}/c.html --figure {o}/c.svg", slow=True),
+    "calibrate": Call("calibrate {b}/session -o {o}/c.json --report {o}/c.html", slow=True),
     "info --write-session": Call("info {b}/poses.parquet --write-session {o}/session", fresh=True),
-    "drift": Call(
-        "drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html --figure {o}/c.html", slow=True
-    ),
+    "drift": Call("drift {b}/soak --calibration {b}/mpu6050.json -o {o}/c.json --report {o}/c.html", slow=True),
     "correct .parquet": Call(CORRECT + "x.parquet --report {o}/r.html"),
     "correct .csv": Call(CORRECT + "x.csv", together=True),
     "correct .csv.gz": Call(CORRECT + "x.csv.gz", together=True),

@@ -119,7 +119,7 @@ def test_info_says_so_with_the_numbers_and_with_the_fitted_clock_what_was_done(t
     found = only(describe(tmp_path / "host.csv").findings, "recording.host_clock")
     assert found.level == "warn"
     assert found.values["sample_rate_hz"] == pytest.approx(RATE, rel=1e-3)
-    assert found.action == "read it with `clock` regular"
+    assert found.action == "read it with clock = 'regular' in a map"
     assert "recording.dropouts" not in codes(find_symptoms(made.record))  # of bursts they would be thousands
     after = describe(tmp_path / "host.csv", settings=ReadSettings(clock="regular"))
     fitted = only(after.findings, "recording.clock_fitted")
@@ -161,7 +161,7 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
         np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z", comments="")
         return read_counted(tmp_path / "t.csv", ColumnMap(**keys, **more))  # type: ignore[arg-type]
 
-    with pytest.raises(InputError, match="or use `clock` regular where a host stamped them"):
+    with pytest.raises(InputError, match="or clock = 'regular' where a host stamped them"):
         read()
     found = read(clock="regular")
     assert len(found.record) == len(rows)  # type: ignore[attr-defined]

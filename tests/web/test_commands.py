@@ -32,7 +32,7 @@ def test_no_text_of_a_command_names_the_folders_of_the_bench(tmp_path: Path) -> 
     place.mkdir(parents=True)
     (place / "Gehversuch März.csv").write_text("nothing\n")
     for path in (place / "Gehversuch März.csv", Path("uploads/0123456789ab/Gehversuch März.csv")):
-        outcome = asyncio.run(run_command(["info", path, "--figure", place / "a.bmp"], tmp_path, lambda line: None))
+        outcome = asyncio.run(run_command(["info", path, "--report", place / "a.bmp"], tmp_path, lambda line: None))
         assert outcome.error.startswith(("a.bmp: wanted a name ending", "Gehversuch März.csv: "))
         assert str(tmp_path) not in json.dumps(outcome.answer, ensure_ascii=False)
         assert "uploads" not in json.dumps(outcome.answer, ensure_ascii=False)

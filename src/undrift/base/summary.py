@@ -82,10 +82,6 @@ class Drawing:
         """Return the figure of matplotlib."""
         return at(self.place)(*self.of, **self.options)
 
-    def save(self, path: Path) -> None:
-        """Write the figure as SVG, PNG or PDF, by the ending of the name."""
-        at("undrift.report.figures:save_figure")(self.draw(), path)
-
 
 def figure_of(name: str, *of: Any) -> Drawing:
     """Return a figure by its name in the report, "figures:draw_record", and what it draws."""

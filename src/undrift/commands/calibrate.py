@@ -9,19 +9,19 @@ The summary judges a calibration by its own recordings: readings of every piece 
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from undrift.base.options import Files, Flag, OptionalOutput, Picture, verb
+from undrift.base.options import Files, Flag, OptionalOutput, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, concise, figure_of, number
 from undrift.calibration.settings import AccelFit, GyroFit
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import answer_sentence, departures_words, rms_of, uncertainty_section
-from undrift.commands.files import Opening, Place, Rests, check_figure, check_output, name_of, recording_of, session_of
+from undrift.commands.files import Opening, Place, check_output, recording_of, session_of
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
@@ -55,7 +55,6 @@ class Calibrated(Result):
     settings: "CalibrateSettings"
     in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
     output: Path | None
-    figure: Path | None
     log: dict[str, Any] | None = None  # clocks and dwells of the log of a rate table
 
     @property
@@ -103,7 +102,7 @@ class Calibrated(Result):
             if self.seen is None
             else (Drawing(place="undrift.commands.calibrate:draw_rests", of=(self,)),),
             page=lambda: judged_sections(self) if self.in_motion is None else (),
-            written=(self.figure, output),
+            written=(output,),
             after=tuple(after),
             next=("correct", recording, "--calibration", output, "-o", "corrected.parquet") if follows else (),
         )
@@ -129,8 +128,6 @@ def calibrate(
     gyro: GyroFit | None = None,
     mode: Literal["paper", "affine", "levelled"] | None = None,
     adc: Literal["auto", "none"] = "auto",
-    rests: Rests = Rests(),
-    figure: Picture = None,
     progress: Progress = silent,
 ) -> Calibrated:
     """Fit what a session, or bare recordings, allow, with verdict and findings.
@@ -162,8 +159,6 @@ def calibrate(
         paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
-    figure : Path or None
-        Picture to write of the recordings, with what was used and what was left out: .svg, .png or .pdf.
     """
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.calibrate import from_motion
@@ -172,7 +167,6 @@ def calibrate(
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, rates))
     if rates_offset_s is not None and (rates is None or len(files) > 1):
         raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
-    check_figure(figure, reads=files)
     if calibrate_from == "motion":
         idle = {
             "accel": accel,
@@ -181,12 +175,10 @@ def calibrate(
             "turn_deg": turn_deg,
             "rates": rates,
         }
-        _check_idle(idle | {"kind": kind}, rests)
+        _check_idle(idle | {"kind": kind})
     elif magnetometer:
         raise InputError("calibrate: `magnetometer` requires `calibrate_from` motion. Set it, or omit `magnetometer`.")
-    settings = CalibrateSettings(
-        still=rests.settings(), latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, identify_adc=adc == "auto"
-    )
+    settings = CalibrateSettings(latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, identify_adc=adc == "auto")
     with reading(progress, 0.5, *files):
         session = _of_part(session_of(files, place, opening), kind)
     progress("fitting", 0.5)
@@ -202,10 +194,9 @@ def calibrate(
     made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
     calibrated = Calibrated(
         files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
-        figure=figure, log=log)  # fmt: skip
+        log=log)  # fmt: skip
     if output is not None:
         at("undrift.io.store:write_calibration")(made, output)
-    _draw(calibrated, figure)
     return calibrated
 
 
@@ -259,19 +250,9 @@ def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _draw(calibrated: Calibrated, figure: Path | None) -> None:
-    if figure is None:
-        return
-    used = calibrated.seen is not None
-    how = {"title": f"{name_of(calibrated.files[0])}{': used' * used}", "used": used}
-    of = (calibrated.session.records, calibrated.pieces)
-    Drawing(place="undrift.report.figures:draw_recording", of=of, options=how).save(figure)
-
-
-def _check_idle(named: Mapping[str, object], *chosen: Any) -> None:
-    """Refuse options that motion alone has no use for, by themselves or in settings other than their defaults."""
+def _check_idle(named: Mapping[str, object]) -> None:
+    """Refuse options that motion alone has no use for."""
     stated = [name for name, value in named.items() if value is not None]
-    stated += [name for one in chosen for name, value in asdict(one).items() if value != getattr(type(one)(), name)]
     if stated:
         raise InputError(
             f"calibrate: `calibrate_from` motion has no use for {' and '.join(f'`{name}`' for name in stated)}: leave "
@@ -562,5 +543,16 @@ def _contributions(calibrated: Calibrated, judged: Sequence[CorrectedPiece]) -> 
         counted = (len(record), samples, kinds.count("still"), kinds.count("turn"), unused)
         rows.append((name, *map(str, counted), number(100.0 * float(shares[here].sum()), ".1f")))
     heads = ("recording", "samples", "of them used", "stills used", "turns used", "pieces left out", "information (%)")
-    title = "What each recording contributed"
-    return Section(title=title, text=(INFORMATION,), columns=heads, rows=tuple(rows), folded=True)
+    drawing = Drawing(
+        place="undrift.report.figures:draw_recording",
+        of=(session.records, calibrated.pieces),
+        options={"title": "What was used", "used": True},
+    )
+    return Section(
+        title="What each recording contributed",
+        text=(INFORMATION,),
+        columns=heads,
+        rows=tuple(rows),
+        pictures=(drawing,),
+        folded=True,
+    )

@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 from undrift.base.options import WRITTEN, Policy, Up, options, stated
 from undrift.base.spoken import CALLED
-from undrift.base.summary import PICTURES, Origin, plain
+from undrift.base.summary import Origin, plain
 from undrift.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from undrift.io.reference import ReferenceMap
     from undrift.model import BodyMounting, Calibration
     from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
-    from undrift.segments import StillSettings
     from undrift.sim.device.model import DeviceModel
 
 
@@ -143,35 +142,6 @@ class Opening:
         if len(records) > 1:
             raise InputError(f"{path}: wanted one recording, got a session of {len(records)}; name the file of one")
         return records[0]
-
-
-@options
-@dataclass(frozen=True, kw_only=True)
-class Rests:
-    """How stretches at rest are found.
-
-    Parameters
-    ----------
-    still_window_s : float or None
-        Window in which the device must be quiet, s; 1 s by default, and 0.2 to 2 s where that finds too few poses.
-    still_threshold : float or None
-        Largest spread of a rest, in multiples of the noise floor, which is the spread of the quietest windows.
-    """
-
-    still_window_s: float | None = None
-    still_threshold: float | None = None
-
-    def settings(self) -> "StillSettings":
-        """Return the settings of the search; a window that is given is not adapted."""
-        from undrift.segments import StillSettings
-
-        window_s, floors = self.still_window_s, self.still_threshold
-        if window_s is None:
-            return StillSettings(threshold_floors=floors, adapt=True)
-        short = min(window_s, 1.0)  # a pause of two windows is long enough
-        return StillSettings(
-            window_s=window_s, smooth_s=min(0.1, 0.25 * window_s), min_duration_s=short, threshold_floors=floors
-        )
 
 
 @options
@@ -533,11 +503,6 @@ def check_output(
 def check_report(path: Path | None, *, reads: Iterable[Path | None] = ()) -> None:
     """Refuse a page whose ending is not .html, and what ``check_output`` refuses."""
     check_output(path, endings=(".html",), reads=reads)
-
-
-def check_figure(path: Path | None, *, reads: Iterable[Path | None]) -> None:
-    """Refuse a picture whose ending is not one of those that can be drawn, and what ``check_output`` refuses."""
-    check_output(path, endings=PICTURES, reads=reads)
 
 
 def check_folder(path: Path | None) -> None:
