@@ -12,13 +12,13 @@ import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
 from undrift.errors import FileFormatError, InputError, UndriftError
 
-_HIDDEN, _LOCK = ".undrift-", ".lock"
+_HIDDEN, _STALE_S = ".undrift-", 86_400.0
 _GZIP = b"\x1f\x8b"
 _RATIO = 200  # A gzip that unpacks to more than so many times its size ...
 _SMALL = 10**8  # ... and to more bytes than these is no recording
@@ -217,33 +217,15 @@ def call_writer(write: Callable[[Path], object], path: Path) -> None:
 
 
 def take_names(parts: Mapping[Path, Path | None]) -> None:
-    """Let whole files take their names (name: file) or none of them; None deletes what has the name."""
-    before: dict[Path, Path | None] = {}  # what had a name, in a hidden folder
-    with hidden_folder(next(iter(parts)).parent) if len(parts) > 1 else nullcontext() as hidden:
-        try:
-            for number, (path, part) in enumerate(parts.items()):
-                if hidden is not None:
-                    before[path] = _linked(path, hidden / str(number)) if path.exists() else None
-                if part is None:
-                    path.unlink(missing_ok=True)
-                else:
-                    part.replace(path)
-        except OSError:
-            for path, old in before.items():
-                with suppress(OSError):
-                    path.unlink(missing_ok=True) if old is None else old.replace(path)
-            raise
-
-
-def _linked(path: Path, other: Path) -> Path:
-    """Give a file another name beside its own, or a copy on a disk that knows no links."""
-    try:
-        os.link(path, other)
-    except OSError as error:
-        if is_full(error):
-            raise
-        shutil.copyfile(path, other)
-    return other
+    """Rename whole files (name: file) to their names, all or none; None deletes the file of that name."""
+    for path in parts:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    for path, part in parts.items():
+        if part is None:
+            path.unlink(missing_ok=True)
+        else:
+            part.replace(path)
 
 
 def errno_of(error: OSError) -> int | None:
@@ -283,24 +265,12 @@ def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
 
 @contextmanager
 def hidden_folder(beside: Path) -> Iterator[Path]:
-    """Make a folder for files that appear together when they are whole; those that a killed run left there are deleted."""
-    for stale in filter(_is_left, beside.glob(f"{_HIDDEN}*")):
-        shutil.rmtree(stale, ignore_errors=True)
-    with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name, _claimed(Path(name)):
+    """Make a folder for files that appear together when they are whole; those that a killed run left a day ago are deleted."""
+    for stale in beside.glob(f"{_HIDDEN}*"):
+        if stale.stat().st_mtime < time.time() - _STALE_S:
+            shutil.rmtree(stale, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name:
         yield Path(name)
-
-
-@contextmanager
-def _claimed(folder: Path) -> Iterator[None]:
-    """Hold a lock beside a folder as long as this process works in it; the system frees it when the process dies."""
-    lock = folder.with_name(folder.name + _LOCK)
-    try:
-        with lock.open("wb") as held:
-            with suppress(ImportError):  # Windows: nothing is swept there
-                take_lock(held.fileno())
-            yield
-    finally:
-        lock.unlink(missing_ok=True)
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
@@ -320,15 +290,3 @@ def take_lock(handle: int, wait_s: float = 2.0) -> None:
             if time.monotonic() > last:
                 raise
             time.sleep(0.02)
-
-
-def _is_left(folder: Path) -> bool:
-    """Tell a hidden folder whose process has died from one that is at work; the lock of the former is deleted."""
-    lock = folder.with_name(folder.name + _LOCK)
-    try:
-        with lock.open("rb") as held:
-            take_lock(held.fileno(), 0.0)
-            lock.unlink()
-    except (ImportError, OSError):
-        return False
-    return True

@@ -44,7 +44,7 @@ def test_what_a_file_needs_is_said_in_words_of_the_command_line_and_then_it_read
         ("trial.parquet", "recording", "100 Hz"),
         ("reference.parquet", "reference", "poses at 100 Hz"),
         ("calibration.json", "calibration", "format 1"),
-        ("summary.json", "results", "checks"),
+        ("summary.json", "settings", "checks"),
         ("report.html", "text", "doctype"),
     ],
 )

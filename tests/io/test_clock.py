@@ -230,24 +230,3 @@ def test_the_packet_counter_of_a_real_sensor_gives_its_rate_where_half_of_the_pa
     assert read.clock.missing == round(5.85 * 60.0) - 195 + 1
     steps = np.rint(np.diff(read.record.time) * 60.0)
     assert (steps.min(), steps.max(), (steps == 2).sum()) == (1, 5, 126)
-
-
-def test_a_record_of_a_format_without_maps_is_put_on_its_regular_clock(tmp_path) -> None:
-    made = stamped(7).record
-    assert made.accel is not None
-    rows = [f"{t!r},{x!r},{y!r},{z!r}" for t, (x, y, z) in zip(made.time.tolist(), made.accel.tolist(), strict=True)]
-    (tmp_path / "a.csv").write_text("\n".join(["Time (s),Acc X (m/s^2),Acc Y (m/s^2),Acc Z (m/s^2)", *rows]) + "\n")
-    plain, read = (
-        read_counted(tmp_path / "a.csv", settings=ReadSettings(clock=clock)) for clock in ("file", "regular")
-    )
-    assert plain.clock is None
-    assert read.clock is not None
-    np.testing.assert_array_equal(read.record.time, fit_clock(plain.record.time).time)
-    np.testing.assert_array_equal(read.record.accel, made.accel)
-
-
-def test_a_host_needs_a_recording_longer_than_its_intervals() -> None:
-    with pytest.raises(
-        InputError, match=r"intervals above 0 s and below half of the recording's 0\.1 s, got 0\.02 to 0\.07"
-    ):
-        stamp_on_host(record(11), rng=np.random.default_rng(1))

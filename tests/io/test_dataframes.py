@@ -111,22 +111,15 @@ def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
     [
         (PLAIN, {"sample_rate_hz": 10.0}, InputError, "units.gyro: wanted the unit of gyro, got none"),
         (PLAIN, {"units": UNITS}, InputError, "wanted a time column or sample_rate_hz, got neither"),
-        (
-            PLAIN,
-            {"units": {"gyroscope": "dps"}},
-            InputError,
-            "wanted units of time, gyro, accel, temp, mag, got gyroscope",
-        ),
+        (PLAIN, {"units": {"gyroscope": "dps"}}, InputError, "wanted units of time, gyro, accel, temp, mag, got gyroscope"),
         (PLAIN, {"columns": {"gy": "x"}}, InputError, "wanted columns of time, gyro, accel, temp, mag, got gy"),
         (
-            {**PLAIN, "gyro_x": ["a"] * N},
-            {"units": UNITS, "sample_rate_hz": 10.0},
-            FileFormatError,
+            {**PLAIN, "gyro_x": ["a"] * N}, {"units": UNITS, "sample_rate_hz": 10.0}, FileFormatError,
             "DataFrame: column 'gyro_x': wanted numbers, got 'a' in data row 1",
         ),
         ({"x": [1.0, 2.0]}, {}, InputError, "wanted gyro or accel, got neither"),
     ],
-)
+)  # fmt: skip
 def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):
     with pytest.raises(error, match=said):
         Record.from_frame(pd.DataFrame(frame), **how)

@@ -176,11 +176,6 @@ def test_what_a_file_leaves_open_is_asked_in_one_line(path, missing, words):
     assert words in found.summary
 
 
-def test_a_sensor_that_is_not_in_the_file_is_refused_with_the_names():
-    with pytest.raises(InputError, match=r"wanted the name of one sensor, got 'XX'; the file holds LN, WR: name one"):
-        read_record(maker("shimmer_consensys", "read_test_data.csv"), settings=ReadSettings(sensor="XX"))
-
-
 def test_shimmer_stamps_that_repeat_are_counted_and_the_two_accelerometers_are_never_merged():
     low, wide = (
         read_counted(maker("shimmer_consensys", "read_test_data.csv"), settings=ReadSettings(sensor=name))
@@ -200,15 +195,6 @@ def test_trigno_starts_without_its_zeros_and_ends_where_the_slow_channel_ends():
     assert len(read.record) + 16 == 297
     assert (read.record.accel[0] != 0.0).all()
     assert read.record.time[0] == pytest.approx(16 * 0.00675)
-
-
-def test_st_logs_keep_the_unit_of_their_header():
-    door = read_record(maker("stm_mems_logs", "lsm6dsox_door_open1.csv"))
-    np.testing.assert_allclose(door.gyro[0], [-19.04, -1.89, 1.12])
-    np.testing.assert_allclose(door.accel[0], [1.0, -0.022, -0.06])
-    assert np.median(np.diff(door.time)) == pytest.approx(0.02)
-    turn = read_record(maker("stm_mems_logs", "lsm6dsv16x_door_open1.txt"), settings=ReadSettings(sample_rate_hz=30.0))
-    np.testing.assert_allclose(turn.gyro[0], [-58.8875, -6.29125, -6.64125])
 
 
 # ---- formats without a file that may be shared, by their documents
@@ -240,15 +226,6 @@ def test_noraxon_reads_with_both_delimiters_and_the_decimal_comma(tmp_path, deli
     assert "units by the manual of Noraxon, not in the file: time s" in read.notes
 
 
-def test_noraxon_with_several_sensors_asks_for_one(tmp_path):
-    names = [f'"{place} Accel Sensor {x},mG"' for place in ("Pelvis", "Foot LT") for x in "XYZ"]
-    (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0.00,1,2,990,4,5,980\n0.01,1,2,990,4,5,980\n")
-    with pytest.raises(InputError, match="the file holds Pelvis, Foot LT: name one"):
-        read_record(tmp_path / "n.csv")
-    record = read_record(tmp_path / "n.csv", settings=ReadSettings(sensor="Foot LT"))
-    assert (record.accel[0].tolist(), record.accel_unit) == ([4.0, 5.0, 980.0], "mg")
-
-
 def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
     names = [f"RT Hand Accel Sensor {x} (mG)" for x in "XYZ"]
     names += [
@@ -257,18 +234,6 @@ def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
     (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0,1,2,990,4,5,6,7,8,9\n0.1,1,2,990,4,5,6,7,8,9\n")
     record = read_record(tmp_path / "n.csv", settings=ReadSettings(sensor="Hand RT"))
     assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
-
-
-def test_sensorlog_of_ios_is_read_with_the_sign_of_a_specific_force_and_its_raw_gyroscope(tmp_path):
-    names = ["loggingTime(txt)", "motionTimestamp_sinceReboot(s)", *(f"accelerometerAcceleration{x}(G)" for x in "XYZ")]
-    names += [f"{kind}{x}(rad/s)" for kind in ("gyroRotation", "motionRotationRate") for x in "XYZ"]
-    rows = "".join(f"2023-02-01 10:00:0{k}.0 +0100,{9 + k / 50},0.1,0.2,-0.97,1,2,3,4,5,6\n" for k in range(5))
-    (tmp_path / "log.csv").write_text(f"{','.join(names)}\n{rows}")
-    assert detect(tmp_path / "log.csv") == "sensorlog"
-    read = read_counted(tmp_path / "log.csv")
-    assert (read.record.accel[0].tolist(), read.record.accel_unit) == ([-0.1, -0.2, 0.97], "g")
-    assert (read.record.gyro[0].tolist(), read.record.sample_rate_hz) == ([1.0, 2.0, 3.0], pytest.approx(50.0))
-    assert "acceleration multiplied by -1: iOS reads -1 g along an axis that points up" in read.notes
 
 
 def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
@@ -380,47 +345,6 @@ def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
     np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
 
 
-def gravity_rows(count=9, *, up=9.8, step=0.01, digits=4):
-    return [(k * step, f"{0.01 * k:.{digits}f}", "0.0000", f"{up:.4f}") for k in range(count)]
-
-
-PHYSICS_TOOLBOX = (
-    "time,gFx,gFy,gFz,ax,ay,az,wx,wy,wz,p,Bx,By,Bz,Azimuth,"  # a session of several sensors, as its users publish it
-)
-
-
-@pytest.mark.parametrize(
-    "stamp", [lambda t: f"{t:.3f}", lambda t: f"23:59:{59.95 + t:06.3f}" if t < 0.05 else f"00:00:{t - 0.05:06.3f}"]
-)
-def test_physics_toolbox_is_read_by_its_meter_with_gravity(tmp_path, stamp):
-    rows = [f"{stamp(t)},{x},{y},1.0,0.1,0.2,0.3,0.5,0,-0.5,1013,20,0,-40,7," for t, x, y, _ in gravity_rows()]
-    (tmp_path / "walk.csv").write_text("\n".join((PHYSICS_TOOLBOX, *rows)) + "\n")
-    read = read_counted(tmp_path / "walk.csv")
-    record = read.record
-    np.testing.assert_allclose(np.diff(record.time), 0.01, atol=1e-9)  # times of day go on past midnight
-    assert (record.accel_unit, record.gyro_unit, record.mag_ut[0].tolist()) == ("g", "rad/s", [20.0, 0.0, -40.0])
-    assert record.accel[:, 2].tolist() == [1.0] * 9
-    assert record.gyro[0].tolist() == [0.5, 0.0, -0.5]
-    assert "'ax' left out: gravity is removed in it" in read.notes
-    assert any("sign of acceleration not stated" in note for note in read.notes)
-
-
-def test_the_linear_accelerometer_of_physics_toolbox_is_refused(tmp_path):
-    rows = [f"{t};{x};{y};0,1;0,1".replace(".", ",") for t, x, y, _ in gravity_rows()]
-    (tmp_path / "walk.csv").write_text("\n".join(("time;ax;ay;az;aT", *rows)) + "\n")
-    with pytest.raises(FileFormatError, match="wanted accelerometer readings with gravity, got 'ax'"):
-        read_record(tmp_path / "walk.csv")
-
-
-@pytest.mark.parametrize(("clock", "zero"), [("relative_time", 0), ("timestamp", 1_700_000_000_000)])
-def test_arduino_science_journal_is_read_in_ms(tmp_path, clock, zero):
-    rows = [f"{zero + round(1000 * t)},{x},{y},{z},{'40.2' if t else ''}" for t, x, y, z in gravity_rows()]
-    (tmp_path / "walk.csv").write_text("\n".join((f"{clock},AccX,AccY,AccZ,DecibelSource", *rows)) + "\n")
-    record = read_record(tmp_path / "walk.csv")
-    np.testing.assert_allclose(record.time, np.arange(9) / 100)
-    assert (record.accel_unit, record.accel[0].tolist(), record.gyro) == ("m/s2", [0.0, 0.0, 9.8], None)
-
-
 def element(kind, data):
     return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 
@@ -437,10 +361,3 @@ def test_timetables_in_a_mat_file_are_refused_with_their_mend(tmp_path):
     path.write_bytes(head + timetable(b"Acceleration") + timetable(b"AngularVelocity"))
     with pytest.raises(FileFormatError, match="wanted arrays, got objects of MATLAB, such as the timetables of MATLAB"):
         read_record(path)
-
-
-def test_physics_toolbox_may_begin_with_an_empty_line(tmp_path):
-    rows = "".join(f"{k / 100:.2f},0.0,0.0,1.0,0.1,0.2,0.3\n" for k in range(50))
-    (tmp_path / "a.csv").write_text(f"\ntime,gFx,gFy,gFz,wx,wy,wz\n{rows}")
-    record = read_record(tmp_path / "a.csv")
-    assert (record.accel_unit, record.gyro_unit, len(record)) == ("g", "rad/s", 50)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings, TextLayout, native_columns
-from undrift.io.formats import detect, iter_record, read_counted, read_record, write_record
+from undrift.io.columns import ColumnMap, ReadSettings, native_columns
+from undrift.io.formats import iter_record, read_counted, read_record, write_record
 from undrift.record import ForceUncertainty, Record, joined
 
 
@@ -55,14 +55,6 @@ def test_native_names_without_time_take_the_stated_rate(tmp_path):
     assert_same(read_record(tmp_path / "r.csv", settings=ReadSettings(sample_rate_hz=100.0)), record)
 
 
-def test_a_map_overrides_what_the_file_looks_like(tmp_path):
-    (tmp_path / "log.txt").write_text("hello\n1 2 3\n4 5 6\n7 8\n")
-    layout = TextLayout(delimiter=" ", header=False, drop_bad_rows=True, skip_rows=1)
-    columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
-    built = read_counted(tmp_path / "log.txt", columns)
-    assert (len(built.record), built.dropped_rows) == (2, 1)
-
-
 def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{0.1 * k},{'' if k == 3 else k},2,3\n" for k in range(9)))
     strict = ColumnMap(time="t", time_unit="s", gyro=("x", "y", "z"), gyro_unit="dps")
@@ -84,18 +76,14 @@ def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
     [
         ("a.trc", trc(np.ones((3, 1, 3)), ("A",)), "got marker trajectories; read them as a reference"),
         ("a.cwa", b"MD\x00\x01" * 50, "damaged or cut file"),
-        (
-            "a.bin",
-            bytes(np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)),
-            "binary data of an unknown kind",
-        ),
+        ("a.bin", bytes(np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)), "binary data of an unknown kind"),
         ("a.dat", b"\x00\x01\x02" * 50, "got binary data of an unknown kind"),
         ("a.zip", b"PK\x03\x04" + b"\x00" * 40, "damaged"),
         ("a.json", '{"a": 1}', "got JSON, not a recording"),
         ("a.toml", "a = 1", "got settings, not a recording"),
         ("a.md", "# words\n\nand more\n", "got prose, not a table"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_recording_says_what_it_is(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(FileFormatError, match=words) as caught:
@@ -116,17 +104,6 @@ def test_folders_and_missing_files_are_one_line(tmp_path):
     write_record(ramp(), tmp_path / "r.csv")
     with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
         list(iter_record(tmp_path / "r.csv", rows=1))
-
-
-def test_an_x_imu_recording_needs_its_rate(tmp_path):
-    header = ["Packet number", *(f"Gyroscope {a} (deg/s)" for a in "XYZ"), *(f"Accelerometer {a} (g)" for a in "XYZ")]
-    header += [f"Magnetometer {a} (G)" for a in "XYZ"]
-    path = tmp_path / "1_CalInertialAndMag.csv"
-    path.write_text("\n".join([",".join(header), *(f"{k}" + ",0" * 9 for k in range(5))]) + "\n")
-    assert detect(path) == detect(tmp_path) == "ximu"
-    with pytest.raises(InputError, match="the sample rate"):
-        read_record(path)
-    assert len(read_record(tmp_path, settings=ReadSettings(sample_rate_hz=256.0))) == 5
 
 
 def calibrated(n=30):

@@ -8,19 +8,12 @@ from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.io import mocap as c3d_module
-from undrift.io.columns import ColumnMap, ReadSettings, two_rates
-from undrift.io.formats import detect, read_record
+from undrift.io.columns import ColumnMap, two_rates
+from undrift.io.formats import detect
 from undrift.io.inspect import describe
-from undrift.io.text import read_csv, write_csv
-from undrift.record import Record
+from undrift.io.text import read_csv
 
 XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
-
-
-def test_a_header_without_rows_or_line_end_is_refused(tmp_path):
-    (tmp_path / "r.csv").write_text("t,x,y,z")
-    with pytest.raises(FileFormatError, match="wanted two rows or more, got 0"):
-        read_csv(tmp_path / "r.csv", XYZ)
 
 
 def test_a_row_as_long_as_a_file_is_refused_in_one_line(tmp_path):
@@ -55,17 +48,6 @@ def test_json_is_told_without_its_ending_and_a_brace_alone_is_text(tmp_path):
     assert detect(tmp_path / "b") == "text"
 
 
-def test_a_native_file_is_described_and_an_apdm_sensor_is_read_by_name(tmp_path):
-    write_csv(Record(time=np.arange(50) / 100, gyro=np.zeros((50, 3))), tmp_path / "r.csv")
-    assert describe(tmp_path / "r.csv").rows == 50
-    names = [f"L5/{kind}/{a}" for kind in ("Acceleration", "Angular Velocity") for a in "XYZ"]
-    rows = [f"{k / 128}" + ",1" * 6 for k in range(5)]
-    head = ["Test Name:,x", "Sample Rate:,128,Hz", ",".join(["Time", *names]), "s" + ",m/s^2" * 3 + ",rad/s" * 3]
-    (tmp_path / "a.csv").write_text("\n".join([*head, *rows]) + "\n")
-    assert read_record(tmp_path / "a.csv", settings=ReadSettings(sensor="L5")).device == "L5"
-    assert describe(tmp_path / "a.csv").rows == 5
-
-
 def test_a_file_without_rights_is_one_line(tmp_path, monkeypatch):
     (tmp_path / "r.csv").write_text("x")
 
@@ -96,11 +78,6 @@ def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():
     first, second, begins = two_rates(np.cumsum(steps))
     assert (first, second) == pytest.approx((100.0, 50.0))
     assert begins == pytest.approx(5.0, abs=0.7)
-
-
-def test_uneven_blocks_are_not_two_rates():
-    rng = np.random.default_rng(0)
-    assert two_rates(np.cumsum(rng.uniform(0.001, 0.02, 2000))) is None
 
 
 def test_nothing_but_blank_lines_is_no_table(tmp_path):

@@ -9,10 +9,10 @@ import pytest
 
 import undrift
 from undrift.errors import FileFormatError
-from undrift.io.columns import ColumnMap, ReadSettings, TextLayout
+from undrift.io.columns import ReadSettings
 from undrift.io.formats import FORMATS, detect, iter_record, outside_formats
 from undrift.io.inspect import describe
-from undrift.record import Record, Reference
+from undrift.record import Reference
 
 LOGGER = """
 import numpy as np
@@ -99,14 +99,6 @@ def test_a_format_of_another_package_never_replaces_one_of_undrift(site, tmp_pat
     assert undrift.read_record(tmp_path / "r.csv").device == ""
 
 
-def test_a_map_reads_a_text_file_of_another_format_as_a_table(site, tmp_path):
-    install(site, POINTS)
-    (tmp_path / "a.log").write_text("LOGGER|y|z\n" + "1|2|3\n" * 4)
-    layout = TextLayout(delimiter="|")
-    columns = ColumnMap(gyro=("LOGGER", "y", "z"), gyro_unit="dps", sample_rate_hz=10.0, layout=layout)
-    assert undrift.read_record(tmp_path / "a.log", columns).gyro.tolist() == [[1.0, 2.0, 3.0]] * 4
-
-
 def test_an_entry_point_that_is_no_format_is_skipped_with_a_warning(site, tmp_path):
     install(site, "[undrift.formats]\nbroken = their_logger:NO_FORMAT\n")
     (tmp_path / "a.log").write_text("a\n")
@@ -119,24 +111,3 @@ def test_a_note_that_names_a_maker_is_prose(tmp_path):
     assert detect(tmp_path / "SOURCE.md") == "text"
     with pytest.raises(FileFormatError, match="got prose, not a table"):
         undrift.read_record(tmp_path / "SOURCE.md")
-
-
-def test_reading_a_table_passes_few_modules(tmp_path):
-    """From ``read_record`` to the parser and back: the modules whose functions are called."""
-    for name in ("r.csv", "r.parquet"):
-        undrift.write_record(Record(time=np.arange(100) / 100, gyro=np.ones((100, 3)), device="A"), tmp_path / name)
-        passed: set[str] = set()
-
-        def note(frame, event, _, passed=passed):
-            module = frame.f_globals.get("__name__", "")
-            if event == "call" and module.startswith("undrift."):
-                passed.add(module)
-
-        outside_formats()
-        sys.setprofile(note)
-        try:
-            undrift.read_record(tmp_path / name)
-        finally:
-            sys.setprofile(None)
-        print(f"  {name}: {len(passed)} modules: {', '.join(sorted(passed))}")
-        assert len(passed) <= 8  # and the command's own: 9

@@ -79,7 +79,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
     [
         ("c.json", CALIBRATION, "calibration", "calibration of A1, format 1"),
         ("o.json", '{"x_p": 1, "y_p": 2}', "settings", "JSON, not a recording: x_p, y_p"),
-        ("l.json", "[1, 2]", "settings", "JSON, not a recording: a list"),
+        ("l.json", "[1, 2]", "settings", "JSON, not a recording: list"),
         ("m.toml", MAP, "settings", "a column map of gyro"),
         ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
@@ -141,21 +141,6 @@ def test_damaged_json_and_missing_files_are_errors(tmp_path):
         describe(put(tmp_path, "a.json", "{"))
     with pytest.raises(InputError, match="nothing of that name"):
         describe(tmp_path / "none")
-
-
-@pytest.mark.parametrize(
-    ("keys", "what"),
-    [
-        (("trials", "mean", "agreement", "offset", "leave_one_out"), "results of undrift validate"),
-        (("name", "objective", "tasks", "cohorts", "rivals"), "results of undrift study"),
-        (("calibration", "study", "checks"), "results of undrift demo"),
-    ],
-)
-def test_results_are_named_for_the_command_that_wrote_them(tmp_path, keys, what):
-    put(tmp_path, "x.json", json.dumps(dict.fromkeys(keys, 1)).encode())
-    found = describe(tmp_path / "x.json")
-    assert found.kind == "results"
-    assert found.summary.startswith(what)
 
 
 def test_axes_numbered_from_0_or_1_are_three_axes(tmp_path):

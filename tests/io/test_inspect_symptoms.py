@@ -35,76 +35,45 @@ def spiked(values, row, value):
 
 CASES = [
     (
-        "quarter g",
-        {"accel": sound().accel / 4},
-        "recording.gravity",
-        {"median_g": 0.25, "factor": 4.0, "direction": "small"},
+        "quarter g", {"accel": sound().accel / 4}, "recording.gravity", {"median_g": 0.25, "factor": 4.0, "direction": "small"},
         "median |accel| is 0.25 g where a body at rest reads 1 g (4 times too small)",
     ),
     (
-        "m/s2 as g",
-        {"accel": sound().accel * 9.81},
-        "recording.gravity",
-        {"median_g": 9.81, "factor": 9.81, "direction": "large"},
-        "9.81 times too large",
+        "m/s2 as g", {"accel": sound().accel * 9.81}, "recording.gravity",
+        {"median_g": 9.81, "factor": 9.81, "direction": "large"}, "9.81 times too large",
     ),
     (
-        "rad/s for dps",
-        {"gyro": sound().gyro + np.array([0, 40, 0])},
-        "recording.rest_rate",
-        {"turn_rate_dps": 40.0},
+        "rad/s for dps", {"gyro": sound().gyro + np.array([0, 40, 0])}, "recording.rest_rate", {"turn_rate_dps": 40.0},
         "40 deg/s in its quietest two seconds",
     ),
     (
-        "processor",
-        {"temp_c": sound().temp_c + 28},
-        "recording.temperature_range",
-        {"low_c": 52.65, "high_c": 53.35},
+        "processor", {"temp_c": sound().temp_c + 28}, "recording.temperature_range", {"low_c": 52.65, "high_c": 53.35},
         "is not room temperature",
     ),
     (
-        "jump",
-        {"temp_c": spiked(sound().temp_c, 100, 147.7)},
-        "recording.temperature_jumps",
-        {"limit_k": 5.0, "count": 2, "first_sample": 99},
-        "by over 5 K between samples, 2 times, first after sample 99",
+        "jump", {"temp_c": spiked(sound().temp_c, 100, 147.7)}, "recording.temperature_jumps",
+        {"limit_k": 5.0, "count": 2, "first_sample": 99}, "by over 5 K between samples, 2 times, first after sample 99",
+    ),
+    ("no temperature", {"temp_c": np.full(2000, np.nan)}, "recording.no_temperature", {}, "the temperature column is empty"),
+    (
+        "uneven", {"time": np.cumsum(np.random.default_rng(1).uniform(0.008, 0.012, 2000))}, "recording.uneven_sampling",
+        {"low_ms": 9.0, "high_ms": 11.0}, "uneven sampling",
     ),
     (
-        "no temperature",
-        {"temp_c": np.full(2000, np.nan)},
-        "recording.no_temperature",
-        {},
-        "the temperature column is empty",
-    ),
-    (
-        "uneven",
-        {"time": np.cumsum(np.random.default_rng(1).uniform(0.008, 0.012, 2000))},
-        "recording.uneven_sampling",
-        {"low_ms": 9.0, "high_ms": 11.0},
-        "uneven sampling",
-    ),
-    (
-        "drop-out",
-        {"time": np.arange(2000) / 100 + 3.0 * (np.arange(2000) > 700)},
-        "recording.dropouts",
+        "drop-out", {"time": np.arange(2000) / 100 + 3.0 * (np.arange(2000) > 700)}, "recording.dropouts",
         {"count": 1, "longest_s": 3.01, "at_s": 7.0, "step_ms": 10.0, "mean_rate_hz": 1999 / 22.99},
         "Drop-outs: 1, the longest 3.01 s at 7 s",
     ),
     (
-        "dead axis",
-        {"gyro": sound().gyro * [1, 0, 1]},
-        "recording.dead_axis",
-        {"channel": "gyro", "axis": "y"},
+        "dead axis", {"gyro": sound().gyro * [1, 0, 1]}, "recording.dead_axis", {"channel": "gyro", "axis": "y"},
         "gyro y never changes",
     ),
     (
-        "saturated",
-        {"gyro": spiked(sound().gyro, slice(50, 62), [0, 0, 250.0])},
-        "recording.saturated",
+        "saturated", {"gyro": spiked(sound().gyro, slice(50, 62), [0, 0, 250.0])}, "recording.saturated",
         {"channel": "gyro", "axis": "z", "reading": 250.0, "count": 12},
         "gyro z saturated: it stays at 250 for 12 samples in a row",
     ),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -119,11 +119,3 @@ def test_repeated_labels_are_numbered_or_refused():
     with pytest.raises(InputError, match="wanted different labels, got A more than once"):
         Markers(labels=("A", "A"), time=[0.0, 1.0], points=np.zeros((2, 2, 3)))
     assert moving()[0].sample_rate_hz == pytest.approx(100.0)
-
-
-def test_a_label_in_other_letters_or_without_its_prefix_is_suggested():
-    markers = Markers(labels=("r.ASIS", "S1:C7"), time=np.array([0.0, 0.1]), points=np.zeros((2, 2, 3)), name="m.trc")
-    with pytest.raises(InputError, match=r"wanted marker 'R.ASIS', got r.ASIS, S1:C7; name r.ASIS"):
-        markers.pick(["R.ASIS"])
-    with pytest.raises(InputError, match=r"wanted marker 'C7', .*; name S1:C7"):
-        markers.pick(["C7"])

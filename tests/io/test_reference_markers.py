@@ -55,20 +55,6 @@ def test_markers_in_a_table_are_read_as_the_body_turned(tmp_path):
     np.testing.assert_allclose(reference.position[-1] - reference.position[0], moved, atol=1e-6)
 
 
-def test_rows_whose_time_goes_back_are_refused_or_left_out_with_their_number(tmp_path):
-    time = TIME.copy()
-    time[[50, 51, 200]] -= 0.03
-    file = write(tmp_path / "optics.csv", [["time", *named("abcd")]], Y_UP, time=time)
-    columns = ReferenceMap(
-        time="time", time_unit="s", markers=tuple(tuple(named(one)) for one in "abcd"), markers_unit="m", up="y"
-    )
-    with pytest.raises(InputError, match=r"got 3 rows that do not, first row 51; state repair_time = true"):
-        read_reference(file, columns)
-    reference = read_reference(file, replace(columns, repair_time=True))
-    assert len(reference) == FRAMES - 3
-    assert "3 rows left out" in reference.name
-
-
 @pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])
 def test_the_stated_axis_of_a_laboratory_points_up(tmp_path, up):
     axis = np.zeros(3)

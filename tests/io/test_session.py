@@ -121,65 +121,27 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
     [
         ('face = "+x"', 'fase = "+x"', r"line 12: \[\[still\]\] 1, fase: wanted a known key"),
         ('face = "+x"', 'face = "up"', r"line 12: \[\[still\]\] 1, face: wanted '\+x', .* got 'up'"),
+        ("angle_deg = -360.0", "angle_deg = 'much'", r"line 22: \[\[turn\]\] 2, angle_deg: wanted a valid number, got 'much'"),
         (
-            "angle_deg = -360.0",
-            "angle_deg = 'much'",
-            r"line 22: \[\[turn\]\] 2, angle_deg: wanted a valid number, got 'much'",
-        ),
-        (
-            "angle_deg = -360.0",
-            "angle_deg = 1\nturn_rate_dps = 2",
+            "angle_deg = -360.0", "angle_deg = 1\nturn_rate_dps = 2",
             r"line 21: \[\[turn\]\] 2: wanted turn_rate_dps or angle_deg",
         ),
-        (
-            "angle_deg = -360.0",
-            "angle_deg = nan",
-            r"line 22: \[\[turn\]\] 2, angle_deg: wanted a finite number, got nan",
-        ),
-        (
-            "angle_deg = -360.0",
-            "angle_deg = 0",
-            r"line 21: \[\[turn\]\] 2: wanted angle_deg other than 0, got 0; state",
-        ),
-        (
-            "turn_rate_dps = 90.0",
-            "turn_rate_dps = inf",
-            r"\[\[turn\]\] 1, turn_rate_dps: wanted a finite number, got inf",
-        ),
+        ("angle_deg = -360.0", "angle_deg = nan", r"line 22: \[\[turn\]\] 2, angle_deg: wanted a finite number, got nan"),
+        ("angle_deg = -360.0", "angle_deg = 0", r"line 21: \[\[turn\]\] 2: wanted angle_deg other than 0, got 0; state"),
+        ("turn_rate_dps = 90.0", "turn_rate_dps = inf", r"\[\[turn\]\] 1, turn_rate_dps: wanted a finite number, got inf"),
         ("temp_c = 25.0", "temp_c = nan", r"\[\[turn\]\] 1, temp_c: wanted a finite number, got nan"),
         ("temp_c = 25.0", "temp_c = -300.0", r"temp_c: wanted greater than or equal to -273.15, got -300.0"),
         ("start_s = 1.0", "start_s = nan", r"\[\[still\]\] 1, start_s: wanted a finite number, got nan"),
-        (
-            "gravity_m_s2 = 9.80665",
-            "latitude_deg = 200.0\nheight_m = 0",
-            "latitude_deg: wanted -90 to 90 deg, got 200; south",
-        ),
-        (
-            "gravity_m_s2 = 9.80665",
-            "latitude_deg = 45.0\nheight_m = nan",
-            r"\[session\], height_m: wanted a finite number",
-        ),
-        (
-            "gravity_m_s2 = 9.80665",
-            "latitude_deg = 45.0\nheight_m = 1e7",
-            "height_m: wanted -5000 to 100000 m above .* got 1e",
-        ),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 200.0\nheight_m = 0", "latitude_deg: wanted -90 to 90 deg, got 200; south"),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 45.0\nheight_m = nan", r"\[session\], height_m: wanted a finite number"),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 45.0\nheight_m = 1e7", "height_m: wanted -5000 to 100000 m above .* got 1e"),
         ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: wanted this key, got none"),
-        (
-            "stop_s = 1.6",
-            "stop_s = 99",
-            r"line 10: \[\[still\]\] 1: wanted 0 <= start_s < stop_s <= 5 s .* got 1 to 99 s",
-        ),
-        (
-            "start_s = 1.0\nstop_s = 1.6",
-            "start_s = 1.001\nstop_s = 1.005",
-            "wanted a sample or more between 1.001 and 1.005 s",
-        ),
+        ("stop_s = 1.6", "stop_s = 99", r"line 10: \[\[still\]\] 1: wanted 0 <= start_s < stop_s <= 5 s .* got 1 to 99 s"),
+        ("start_s = 1.0\nstop_s = 1.6", "start_s = 1.001\nstop_s = 1.005", "wanted a sample or more between 1.001 and 1.005 s"),
         ("recording = 0", "recording = 3", r"\[\[still\]\] 1: wanted recording 0 to 0, got 3"),
         ('serial = "MTi-1"\n', "", r"line 1: \[session\], serial: wanted this key"),
         (
-            'kind = "calibration" ',
-            'kind = "party"',
+            'kind = "calibration" ', 'kind = "party"',
             r"line 2: \[session\], kind: wanted 'calibration', 'thermal', 'static' or 'set-points'",
         ),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
@@ -189,32 +151,25 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ('gyro = "dps", ', "", r"\[\[recording\]\] 1: units.gyro: wanted the unit of gyro, got none"),
         ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: wanted a known key"),
         (
-            "sample_rate_hz = 100.0",
-            "sample_rate_hz = 50.0",
+            "sample_rate_hz = 100.0", "sample_rate_hz = 50.0",
             r"\[\[recording\]\] 1: .*session.csv: wanted 50 Hz as stated, got 100 Hz",
         ),
         ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: wanted a file, got nothing of that name"),
-        (
-            '"session.csv"',
-            '["session.csv", "session.csv"]',
-            "wanted one table of columns for each file, got 1 for 2 files",
-        ),
+        ('"session.csv"', '["session.csv", "session.csv"]', "wanted one table of columns for each file, got 1 for 2 files"),
         ('"session.csv"', "[]", "wanted one table of columns for each file, got 1 for 0"),
         (
-            "[[recording]]",
-            "[rate_table]\nwobble_deg = 11\n[[recording]]",
+            "[[recording]]", "[rate_table]\nwobble_deg = 11\n[[recording]]",
             r"line 5: rate_table: .*wanted wobble_deg from 0 to 10, got 11",
         ),
         ("[[recording]]", "[rate_table]\ntilt_deg = 1\n[[recording]]", "rate_table.*wanted a known key"),
         (
-            "[[recording]]",
-            "[temperature]\nspan_limit_k = -1\n[[recording]]",
+            "[[recording]]", "[temperature]\nspan_limit_k = -1\n[[recording]]",
             r"line 5: temperature: .*wanted span_limit_k from 0 to 100, got -1",
         ),
         ("[session]", "[session", "wanted TOML, got a line that is not: .*line 1"),
         ("[[recording]]", "[[recordings]]", "recordings.*: wanted a known key"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_named_by_line_and_entry(tmp_path, old, new, words):
     assert old in FULL
     with pytest.raises(InputError, match=words) as caught:
@@ -319,15 +274,6 @@ def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, 
         assert a.angle == (None if b.angle is None else pytest.approx(b.angle, rel=1e-15))
     for a, b in zip(back.records, session.records, strict=True):
         assert_same(a, b)
-
-
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path):
-    (tmp_path / "file").touch()
-    session = Session(
-        kind="static", serial="", gravity_m_s2=9.81, records=(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))),)
-    )
-    with pytest.raises(InputError, match="cannot be written"):
-        write_session(session, tmp_path / "file" / "run")
 
 
 def test_readings_and_a_session_that_changed_since_they_were_written_are_refused(tmp_path):

@@ -53,23 +53,16 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
         ("skip_rows", "skiprows", FileFormatError, "line 7: skiprows: wanted a known key"),
         ("header = false", 'header = "no"', FileFormatError, "line 6: header: wanted a valid boolean, got 'no'"),
         (
-            "sample_rate_hz = 50",
-            'sample_rate_hz = "50"',
-            FileFormatError,
+            "sample_rate_hz = 50", 'sample_rate_hz = "50"', FileFormatError,
             "line 1: sample_rate_hz: wanted a valid number, got '50'",
         ),
         ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: wanted a known key"),
         ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: wanted"),
         ("gain = 0.5", "gain = [1.0, 1.0, 1.0]", InputError, "scale.temp: wanted one number"),
-        (
-            'columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n',
-            "",
-            InputError,
-            "wanted one table of columns, got 0",
-        ),
+        ('columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n', "", InputError, "wanted one table of columns, got 0"),
         ('gyro = "dps", ', "", InputError, "units.gyro: wanted the unit of gyro"),
     ],
-)
+)  # fmt: skip
 def test_a_slip_is_named(tmp_path, old, new, kind, words):
     (tmp_path / "map.toml").write_text(TEXT.replace(old, new))
     with pytest.raises(kind, match=words):

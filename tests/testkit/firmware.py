@@ -7,7 +7,7 @@ device lies for five seconds, is turned about its axes and lies on another face.
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -128,11 +128,6 @@ def semicolons_with_commas(m: Motion) -> str:
 @shape("numbers between quotes", "rate")
 def quoted_numbers(m: Motion) -> str:
     return lines(m, lambda k, t, w, f, c: ",".join(f'"{x:.3f}"' for x in (*f, *w)))
-
-
-@shape("quoted numbers with decimal commas", "rate")
-def quoted_commas(m: Motion) -> str:
-    return lines(m, lambda k, t, w, f, c: ",".join('"' + f"{x:.3f}".replace(".", ",") + '"' for x in (*f, *w)))
 
 
 # ---- the monitor's own stamps
@@ -369,18 +364,6 @@ def json_objects(m: Motion) -> str:
     return lines(m, line, "\n")
 
 
-@shape("NMEA-like sentences with a checksum: $IMU,...*5A")
-def sentences(m: Motion) -> str:
-    def line(k, t, w, f, c):
-        body = f"IMU,{round(1000 * t)},{six(f)},{six(w)}"
-        total = 0
-        for character in body:
-            total ^= ord(character)
-        return f"${body}*{total:02X}"
-
-    return lines(m, line)
-
-
 @shape("a word before the numbers: IMU,1,2,3", "rate")
 def tagged(m: Motion) -> str:
     return lines(m, lambda k, t, w, f, c: f"IMU,{six(f)},{six(w)}")
@@ -399,53 +382,22 @@ def stamped_counter(m: Motion) -> str:
     return lines(m, line)
 
 
-@shape("ROS echo of sensor_msgs/Imu: blocks of yaml")
-def ros_echo(m: Motion) -> str:
-    def line(k, t, w, f, c):
-        return (
-            f"header:\n  stamp:\n    sec: {1_790_000_000 + int(t)}\n    nanosec: {round((t % 1) * 1e9)}\n  frame_id: imu\n"
-            f"angular_velocity:\n  x: {w[0]:.6f}\n  y: {w[1]:.6f}\n  z: {w[2]:.6f}\n"
-            f"linear_acceleration:\n  x: {f[0]:.6f}\n  y: {f[1]:.6f}\n  z: {f[2]:.6f}\n---"
-        )
-
-    return lines(m, line, "\n")
-
-
 # ---- names in a header
 
 
-# words for time, acceleration, rotation and temperature, with their units; the mark between columns
-HEADERS = {
-    "Italian": ("tempo (ms)", "accelerazione {} (g)", "giro {} (deg/s)", "temperatura (°C)", ";"),
-    "German": ("Zeit (s)", "Beschleunigung {} (m/s^2)", "Drehrate {} (rad/s)", "Temperatur (°C)", ";"),
-    "French": ("temps (s)", "accélération {} (m/s^2)", "vitesse angulaire {} (rad/s)", "température (°C)", ";"),
-    "Spanish": ("tiempo (s)", "aceleración {} (m/s2)", "giroscopio {} (°/s)", "temperatura (°C)", ","),
-    "Portuguese": ("tempo (s)", "aceleração {} (m/s2)", "giroscópio {} (rad/s)", "temperatura (°C)", ";"),
-    "Dutch": ("tijd (s)", "versnelling {} (m/s2)", "hoeksnelheid {} (rad/s)", "temperatuur (°C)", ";"),
-    "Chinese": ("时间(s)", "加速度{}(g)", "角速度{}(°/s)", "温度(°C)", ","),
-    "Japanese": ("時間(s)", "加速度{}(m/s2)", "角速度{}(deg/s)", "温度(℃)", ","),
-}
-
-
-def with_header(language: str, m: Motion) -> str:
-    """Return a table under a header of that language; a decimal comma where semicolons are between the columns."""
-    clock, force, rate, temp, mark = HEADERS[language]
-    names = [clock, *(force.format(axis) for axis in "xyz"), *(rate.format(axis) for axis in "xyz"), temp]
-
-    def line(k, t, w, f, c):
-        values = (
-            1000 * t if "(ms)" in clock else t,
-            *(f / G if "(g)" in force else f),
-            *(w if "rad" in rate else w / DEGREE),
-            c,
-        )
-        return mark.join(f"{x:.4f}".replace(".", "," if mark == ";" else ".") for x in values)
-
-    return mark.join(names) + "\n" + lines(m, line, "\n")
-
-
-for language in HEADERS:
-    SHAPES[language.lower()] = f"header in {language}", "", partial(with_header, language)
+@shape("header in English", "")
+def header(m: Motion) -> str:
+    names = [
+        "time (s)",
+        *(f"acceleration {a} (m/s^2)" for a in "xyz"),
+        *(f"gyro {a} (deg/s)" for a in "xyz"),
+        "temperature (°C)",
+    ]
+    return (
+        ";".join(names)
+        + "\n"
+        + lines(m, lambda k, t, w, f, c: ";".join(f"{x:.4f}" for x in (t, *f, *(w / DEGREE), c)), "\n")
+    )
 
 
 # ---- damage that every log has

@@ -42,7 +42,6 @@ EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
 ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
 NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
-TEMP_SUFFIX = {"degc": "c", "count": "count", "v": "v"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,12 +239,7 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
                 f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
                 "proposes a map of them, `write_map` map.toml writes it; give it with `column_map`"
             )
-        temps = [(f"temp_{suffix}", unit) for unit, suffix in TEMP_SUFFIX.items() if f"temp_{suffix}" in names]
-        if len(temps) > 1:
-            raise InputError(
-                f"columns: wanted one temperature, got {temps[0][0]} and {temps[1][0]}; map the one to use"
-            )
-        held["temp"], held["temp_unit"] = temps[0] if temps else (None, "")
+        held["temp"], held["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
         clock = settings.clock or "file"
         return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
@@ -345,15 +339,14 @@ class RawTable:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
-_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone; 31-Jan-2026 12:00:00; 12:00:00
-    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_]|(\d\d?)-([A-Z][a-z]{2})-(\d{4}) )?"
+_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone; 12:00:00
+    r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_])?"
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
 )
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 def is_date(cell: str) -> bool:
-    """Tell whether a cell is a time of day, with a date or without; year first, or the month by its name."""
+    """Tell whether a cell is a time of day, with a date (year first) or without."""
     return _DATE.fullmatch(cell.strip().strip('"')) is not None
 
 
@@ -377,7 +370,7 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
             raise FileFormatError(
                 f"{table.source}: column {table.names[at]!r}: wanted dates, got none ({error}); repair the file"
             ) from error
-        if not any(hit and (hit[1] or hit[6]) for hit in hits):
+        if not any(hit and hit[1] for hit in hits):
             midnights = np.concatenate(([0], np.cumsum(np.diff(values) < np.timedelta64(-12, "h"))))
             values = values + midnights * np.timedelta64(1, "D")
     steps = (values - values[0]).astype("m8[ns]") if len(values) else np.empty(0, dtype="m8[ns]")
@@ -393,12 +386,8 @@ def date_of(cell: str) -> np.datetime64:
 
 def _iso(hit: re.Match[str]) -> str:
     """Return a date as ISO 8601 has it; a time of day without one stands for the first day of 1970."""
-    y, m, d, day, month, year, hour, minute, second, fraction = hit.groups(default="")
-    if month and month not in _MONTHS:
-        raise ValueError(f"no month {month!r}")
-    date = (
-        f"{year}-{_MONTHS.index(month) + 1:0>2}-{day:0>2}" if month else f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
-    )
+    y, m, d, hour, minute, second, fraction = hit.groups(default="")
+    date = f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
     return f"{date}T{hour:0>2}:{minute}:{second}.{fraction:0<9}"
 
 

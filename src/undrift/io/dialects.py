@@ -33,8 +33,6 @@ from undrift.io.thermometer import with_temperature
 from undrift.record import Record, Reference
 from undrift.units import si_factor
 
-OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
-UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
 Pattern = Annotated[re.Pattern[str], BeforeValidator(lambda text: re.compile(text, re.MULTILINE))]
 
 
@@ -76,12 +74,8 @@ class Dialect(MapTable):
     packets: MapCounter | None = None  # MapCounter of the packets: what it skips was lost
     stamps: MapCounter | None = None  # Clock of the device
     omit: Pattern | None = None  # Columns that are not readings of a sensor
-    linear: Pattern | None = None  # Columns of acceleration without gravity
-    second: str = ""  # Sensor that is left out if another one has the same channel
     sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
     whole_names: bool = False  # A sensor keeps its name in a file of one sensor
-    opposite: bool = False  # Acceleration is the opposite of specific force
-    sign_unknown: bool = False  # Acceleration may be the opposite of specific force
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
     thermometer: MapThermometer | None = None
     poses: bool = False  # The table may hold orientations, which are read as a reference
@@ -131,14 +125,7 @@ class Dialect(MapTable):
             return replace(sheet, labels=_labels_of_lines(self.channel_line, sheet))
         sheet = with_manual(sheet, self.maker, self.units, whole_names=self.whole_names)
         labels = tuple(self._own(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
-        if self.second:
-            first = {label.channel for label in labels if label and label.sensor != self.second}
-            labels = tuple(
-                None if label and label.sensor == self.second and label.channel in first else label for label in labels
-            )
-        signs = [OPPOSITE_SIGN] * self.opposite + [UNKNOWN_SIGN] * self.sign_unknown
-        accel = any(label and label.channel == "accel" for label in labels)
-        return replace(sheet, labels=labels, notes=(*sheet.notes, *(signs if accel else ())))
+        return replace(sheet, labels=labels)
 
     def _own(self, name: str, label: Label | None) -> Label | None:
         """Return the label of a column by the rules of the maker."""
@@ -146,9 +133,7 @@ class Dialect(MapTable):
             return None
         if self.sensor:
             label = label._replace(sensor=re.sub(*self.sensor, label.sensor).strip())
-        if self.opposite and label.channel == "accel":
-            label = label._replace(gain=-label.gain)
-        return label._replace(channel="free") if self.linear and self.linear.search(name) else label
+        return label
 
     def _with_clock(self, sheet: Sheet, rate_hz: float | None) -> Sheet:
         """Return a sheet with the clock of its counters; lost packets are gaps in time."""

@@ -6,7 +6,7 @@ counter counts. What nothing shows is "?".
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -48,17 +48,15 @@ _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2
 # 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
-_TEMP_C = (-30.0, 90.0)
+_TEMP_C, _WARM_C = (-30.0, 90.0), 12.0
 _STATED_RATE = re.compile(
     r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
 )
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _NAMED = {
-    "time": re.compile(
-        r"(?i)(time|(?-i:t)|ts|timestamp|millis|micros|zeit|tempo|temps|tiempo|tijd)([ _\[(].*)?$|时间|時間|時刻"
-    ),
-    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$|温度)"),
+    "time": re.compile(r"(?i)(time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
+    "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$)"),
 }
 _LIKELY = {
     "gyro": re.compile(r"^(g|gyr|gyro|gyroscope|w|omega|rot)[ _.]?([xyz])\b", re.IGNORECASE),
@@ -182,17 +180,11 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
-    several = _by_position(text) if text is not None and nameless else [_by_name(names, text, arrays)]
-    tried = []
-    for keys in several:  # gravity tells which three are the accelerometer
-        known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
-        if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
-            known["time"] = "date"
-        tried.append((keys, known, proposed_units(readings, keys, known)))
-    # of several: the accelerometer reads gravity, whose length keeps as well as in any, and most units can be proposed
-    felt = {k: _unsteady(readings, one[0]) for k, one in enumerate(tried) if "accel" in one[2]}
-    near = [tried[k] for k, unsteady in felt.items() if unsteady <= 2.0 * min(felt.values())]
-    keys, known, proposed = max(near or tried[:1], key=lambda one: len(one[2]))
+    keys = _by_position(text) if text is not None and nameless else _by_name(names, text, arrays)
+    known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+    if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+        known["time"] = "date"
+    proposed = proposed_units(readings, keys, known)
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
     known |= {channel: unit for channel, (unit, _) in proposed.items()}
     units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
@@ -312,40 +304,49 @@ def _unit_of(channel: str, names: str) -> str:
     return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
 
 
-def _unsteady(readings: Callable[[list[Column]], FloatArray], keys: Mapping[str, str]) -> float:
-    """Return how far the length of the accelerometer's readings departs from its median, relative to it."""
-    length = np.linalg.norm(readings(_listed(keys["accel"])), axis=1) if "accel" in keys else np.empty(0)
+def _median_length(values: FloatArray) -> tuple[float, float]:
+    """Return the median length of three axes, and how far the length departs from it, relative to it: least for gravity."""
+    length = np.linalg.norm(values, axis=1)
     middle = float(np.median(length)) if len(length) else 0.0
-    return float(np.median(np.abs(length - middle))) / middle if middle > 0.0 else float("inf")
+    return middle, float(np.median(np.abs(length - middle))) / middle if middle > 0.0 else float("inf")
 
 
 def _counts(values: FloatArray) -> bool:
-    """Tell whether a column counts rows: whole numbers, each one more than the last but where they begin anew."""
+    """Return whether a column counts rows: whole numbers, each one more than the last except where they start again."""
     steps = np.diff(values[:, 0])
     return len(steps) > 1 and bool(np.mean(steps == 1.0) > 0.9)
 
 
-def _by_position(text: Text) -> list[dict[str, str]]:
-    """Return what a table without names may hold: a growing first column is time, one counts, another odd one is temperature."""
-    width = len(text.names)
+def _is_temperature(values: FloatArray) -> bool:
+    """Return whether a column without a name may be a thermometer: fractions, warmer than any reading of gravity in m/s2."""
+    middle = float(np.median(values))
+    return _WARM_C < middle < _TEMP_C[1] and not np.array_equal(values, np.round(values))
+
+
+def _by_position(text: Text) -> dict[str, str]:
+    """Return a proposal for a table without names: a growing first column is time, the steadiest three axes read gravity."""
     lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
-    clock, columns = {"time": 0} if grows else {}, {k: _readings(text, {}, [k]) for k in range(grows, width)}
-    left = [k for k, values in columns.items() if len(values) and not _counts(values)]
-    odd = [clock | {"temp": left[0]}, clock | {"temp": left[-1]}] if len(left) % 3 == 1 else [clock]
-    found = []
-    for keys in odd:
-        free = [k for k in left if k not in keys.values()]
-        threes = [str(free[k : k + 3]) for k in (0, 3) if k + 3 <= len(free)]
-        named = ("gyro",) if _OF_GYRO.search(text.path.name) else ("accel", "gyro")
-        for order in (named, named[::-1])[: len(threes)]:
-            channels = dict(zip(order, threes, strict=False))
-            found.append(
-                {channel: str(k) for channel, k in keys.items()} | {c: channels[c] for c in named if c in channels}
-            )
-    return found or [{}]
+    columns = {k: _readings(text, {}, [k]) for k in range(grows, len(text.names))}
+    free = [k for k, values in columns.items() if len(values) and not _counts(values)]
+    keys: dict[str, object] = {"time": 0} if grows else {}
+    if len(free) % 3 == 1:
+        keys["temp"] = free.pop(0 if _is_temperature(columns[free[0]]) else -1)
+    threes = [free[k : k + 3] for k in (0, 3) if k + 3 <= len(free)]
+    if not threes:
+        return {}
+    if _OF_GYRO.search(text.path.name):
+        return {channel: str(columns) for channel, columns in (keys | {"gyro": threes[0]}).items()}
+    lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
+    at_rest = [
+        k for k, (length, _) in enumerate(lengths) if any(low <= length < high for low, high in _AT_REST.values())
+    ]
+    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)
+    keys["accel"] = threes[accel]
+    keys |= {"gyro": threes[1 - accel]} if len(threes) > 1 else {}
+    return {channel: str(columns) for channel, columns in keys.items()}
 
 
 def _likely(channel: str, names: tuple[str, ...]) -> str | None:

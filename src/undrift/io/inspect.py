@@ -213,11 +213,6 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 _MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
 _TABLES = ("npz", "mat", "parquet", "csv", "log", "text")  # what a map makes a recording of
-_RESULTS: dict[str, set[str]] = {  # what undrift writes as plain JSON, and keys that only it has
-    "undrift validate": {"trials", "agreement", "offset", "leave_one_out"},
-    "undrift study": {"objective", "tasks", "cohorts", "rivals"},
-    "undrift demo": {"calibration", "study", "checks"},
-}
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -226,8 +221,7 @@ class Description:
     """What a file holds."""
 
     path: str
-    # recording, set-points, reference, markers, session, calibration, device, table (needs a map), results, settings, text or
-    # binary
+    # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
     kind: str
     format: str  # A name of io.formats.FORMATS, or of another package's
     summary: str  # One line: what it is, or what it needs to be read
@@ -514,24 +508,16 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
             if columns is not None:
                 summary = f"a column map of {', '.join(columns.mapped())}"
         return Description(path=str(path), kind=kind, format=name, summary=summary)
-    content = read_tree(path)
     try:
-        held = json.loads(content)
+        content = json.loads(read_tree(path))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: wanted JSON, got something else: {error}; repair the file") from error
-    keys = held if isinstance(held, dict) else {}
-    listed = ", ".join(list(keys)[:8])
-    if keys.get("kind") == "undrift.calibration":
-        device = keys.get("device") or "a device without a serial number"
-        kind, summary = "calibration", f"calibration of {device}, format {keys.get('format')}"
-    elif keys.get("kind") == "undrift.device":
-        device = " ".join(str(keys[key]) for key in ("name", "serial") if keys.get(key)) or "without a name"
-        kind, summary = "device", f"device model {device}, format {keys.get('format')}"
-    elif command := next((command for command, own in _RESULTS.items() if own <= keys.keys()), ""):
-        kind, summary = "results", f"results of {command}, not a recording: {listed}"
-    else:
-        what = listed if isinstance(held, dict) else f"a list of {len(held)}" if isinstance(held, list) else "a value"
-        summary = f"JSON, not a recording: {what}"
+    keys = content if isinstance(content, dict) else {}
+    summary = f"JSON, not a recording: {', '.join(list(keys)[:8]) or type(content).__name__}"
+    if str(keys.get("kind")).startswith("undrift."):
+        kind = str(keys["kind"]).removeprefix("undrift.")
+        device = " ".join(str(keys[key]) for key in ("device", "name", "serial") if keys.get(key))
+        summary = f"{kind} of {device or 'a device without a serial number'}, format {keys.get('format')}"
     return Description(path=str(path), kind=kind, format=name, summary=summary)
 
 

@@ -226,16 +226,15 @@ _OTHER = {
 _KIND = tuple(
     (channel, re.compile(pattern, re.IGNORECASE))
     for channel, pattern in (
-        ("free", r"linear|lineare|free_?acc|user_? ?acc|lin_acc|without.?g|ohne.?g|no.?gravity"),
+        ("free", r"linear|free_?acc|user_? ?acc|lin_acc|without.?g|no.?gravity"),
         (
             "gyro",
-            r"gyr|gir[oó]|angular.?(velocity|rate|speed)|(velocit\w+|velocidade?|vitesse) ang(ular|olare|ulaire)|"
-            r"turn.?rate|rotation.?rate|omega|drehrate|winkelgeschw|hoeksnelheid|角速度|陀螺|ジャイロ|^(gy|[gw])[ _.]*$",
+            r"gyr|angular.?(velocity|rate|speed)|turn.?rate|rotation.?rate|omega|^(gy|[gw])[ _.]*$",
         ),
         ("mag", r"magn|^mag|[ _.]mag|compass|^[bm][ _.]*$"),
-        ("accel", r"acc|ac[eé]l|beschleunigung|versnelling|specific.?force|加速度|^(ac?|gF)[ _.]*$"),
-        ("temp", r"temp(?!o\b|s\b)|^tmp$|thermo|温度"),
-        ("time", r"^(ts?|zeit|tempo|temps|tiempo|tijd|millis|micros)\s*$|time|seconds_elapsed|时间|時間|時刻"),
+        ("accel", r"acc|specific.?force|^(ac?|gF)[ _.]*$"),
+        ("temp", r"temp(?!o\b|s\b)|^tmp$|thermo"),
+        ("time", r"^(ts?|millis|micros)\s*$|time|seconds_elapsed"),
     )
 )
 _NATIVE = {"dps": "dps", "rad_s": "rad/s", "m_s2": "m/s2"} | {unit: unit for unit in ("g", "mg", "ut", "s", "ms", "us")}
@@ -247,7 +246,7 @@ _AXIS = (
 )
 _WORDS = re.compile(  # of a name that do not tell sensors apart
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
-    r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu|vitesse|angulaire|velocit\w*|velocidade?|angolare)$"
+    r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu)$"
 )
 
 

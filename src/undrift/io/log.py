@@ -15,9 +15,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import lru_cache
 from itertools import chain, groupby, pairwise
-from operator import itemgetter, xor
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +33,6 @@ _LEAST = 5  # readings of a log, and lines of one that may be of one
 _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
 _MOST_LINES = 24  # of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
-_DECIMAL_COMMA = re.compile(r'"([-+]?\d+),(\d+)"')
 _UNSEEN = re.compile(
     r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"
 )  # colours of a terminal, noise of a port
@@ -46,7 +45,6 @@ _STAMPS = (  # of a monitor or a system, the latter with level and part
     re.compile(r"\[ *(?P<s>\d+\.\d+)\]"),
     re.compile(r"[EWIDV] \((?P<ms>\d+)\) [\w./-]+:"),
 )
-_CHECKED = re.compile(r"\$(.*)\*([0-9A-Fa-f]{2})")  # a sentence and its checksum
 _WORD = re.compile(r"[^\W\d_][^\s:=,;|\"'{}\[\]()]*")
 _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _UNITS_BEHIND = tuple(
@@ -89,16 +87,12 @@ class LineReader:
         if stamp is not None:
             self._day += _DAY_S * (stamp + self._day < self._before - 0.5 * _DAY_S)  # past midnight
             self._before = stamp = stamp + self._day
-        if checked := _CHECKED.fullmatch(line):
-            sound = reduce(xor, checked.group(1).encode()) == int(checked.group(2), 16)
-            line = checked.group(1) if sound else f"damaged {line}"
-        line = _DECIMAL_COMMA.sub(r'"\1.\2"', line)
         cells = _NUMBER.split(line)
         if len(cells) > 1:
             shape = (self._heading, *(" ".join(cell.split()) for cell in cells))
             return LogLine(shape, tuple(_NUMBER.findall(line)), stamp)
-        if line.endswith(":") or line.startswith("---"):
-            self._heading = line.rstrip(":-")
+        if line.endswith(":"):
+            self._heading = line.rstrip(":")
         return None
 
 
@@ -148,7 +142,6 @@ def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
     if stamped:
         names = [str(k) for k in range(len(names) + 1)] if bare else ["time (s)", *names]
         rows = [[f"{lines[0].stamp_s:.6f}", *row] for lines, row in zip(readings, rows, strict=True)]
-    names, rows = _with_whole_seconds(names, rows)
     named = tuple(name or f"column {k}" for k, name in enumerate(names))
     before = every.index(readings[0][0])
     lost = len(every) - before - len(readings) * len(cycle) + (not content.endswith(b"\n"))
@@ -169,16 +162,6 @@ def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> I
             reading = []
 
 
-def _with_whole_seconds(names: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
-    """Return a table in which seconds and nanoseconds beside each other, as ROS prints a stamp, are one time."""
-    pairs = [(one[-5:], other) for one, other in pairwise(names)]
-    at = pairs.index(("(sec)", "nanosec")) if ("(sec)", "nanosec") in pairs else None
-    if at is None:
-        return names, rows
-    joined = [[*row[:at], f"{row[at]}.{row[at + 1]:0>9}", *row[at + 2 :]] for row in rows]
-    return [*names[:at], "time (s)", *names[at + 2 :]], joined
-
-
 # ---- from the words around numbers to names with units
 
 
@@ -194,12 +177,10 @@ class NumberSlot(NamedTuple):
 def names_of(*shapes: tuple[str, ...]) -> list[str]:
     """Return a name for each number of the shapes: word, axis and unit as ``label_of`` reads them; "" where nothing names it."""
     slots = list(chain.from_iterable(_slots(line, *shape) for line, shape in enumerate(shapes)))
-    force = any(slot.word == "angular_velocity" for slot in slots)  # ROS, whose linear_acceleration has gravity in it
     names = list[str]()
     for _, members in groupby(slots, key=itemgetter(0)):
         group = list(members)
         word, unit = group[0].word, next((slot.unit for slot in reversed(group) if slot.unit), "")
-        word = "acceleration" if word == "linear_acceleration" and force else word
         axes = [slot.axis for slot in group]
         if not any(axes) and len(group) == 6 and _BOTH.search(word):
             names += [f"{channel} {axis}" for channel in ("acc", "gyr") for axis in AXES]

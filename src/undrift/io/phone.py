@@ -19,9 +19,10 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import MOST_BYTES, read_bytes, sound, too_large
 from undrift.io.clock import onto_clock
 from undrift.io.columns import AXES, READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, date_of
-from undrift.io.dialects import OPPOSITE_SIGN, UNKNOWN_SIGN
 from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet
 
+OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
+UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
 _GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
 _ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
 _UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # manual of Sensor Logger

@@ -4,8 +4,7 @@ All axes of a body are x forward, y left, z up, as a device worn at the back wou
 
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
-    thorax   rigid cluster C7, T10, CLAV, STRN; origin: mid(T10, STRN); z from there to mid(C7, CLAV), x to the front
-    trunk    the line from mid(PSIS), SACR or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
+    trunk    the line from mid(PSIS) or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
              trunk's lean is the tilt of its z. Not rigid: it bends with the spine
 
 A cluster is fitted to all of its markers (io/mocap.py); the anatomical axes are those of its mean shape. A frame that
@@ -17,7 +16,6 @@ A file of poses may hold several bodies, of which one is named. Quaternions are 
 laboratory; a lost body is zeros, NaN or empty cells.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -41,8 +39,7 @@ from undrift.units import si_factor
 
 # ---- bodies
 
-BodyName = Literal["pelvis", "thorax", "trunk"]
-AxesOf = Callable[[FloatArray], tuple[FloatArray, FloatArray]]  # markers (..., K, 3) to origin and R_nb
+BodyName = Literal["pelvis", "trunk"]
 
 # Compared without a prefix up to ":", case, dots, blanks and underscores: r.PSIS, RPSI and Subject:RPSI are one marker.
 ALIASES = {
@@ -50,13 +47,9 @@ ALIASES = {
     "RASI": ("RASI", "RASIS"),
     "LPSI": ("LPSI", "LPSIS"),
     "RPSI": ("RPSI", "RPSIS"),
-    "CLAV": ("CLAV", "IJ"),
-    "STRN": ("STRN", "STERNUM", "PX"),
-    "SACR": ("SACR", "SACRUM", "VSAC"),
 }
 # left front, right front, left rear, right rear
 _PELVES = (("LASI", "RASI", "LPSI", "RPSI"), ("LMWT", "RMWT", "LBWT", "RBWT"))
-_THORAX = ("C7", "T10", "CLAV", "STRN")
 
 # From mid(PSIS), at the level of S2, to the skin over the spinous process of L5, and half a case further back. Assumed:
 # anatomy of an adult, no measurement; state the offset that was measured where there is one.
@@ -76,9 +69,7 @@ class Body:
 def find_body(markers: Markers, name: BodyName) -> Body:
     """Return an anatomical segment from marker trajectories."""
     if name == "pelvis":
-        return _rigid(markers, _pelvis_labels(markers), _pelvis_axes, name)
-    if name == "thorax":
-        return _rigid(markers, _needed(markers, _THORAX, name), _thorax_axes, name)
+        return _pelvis(markers)
     if name == "trunk":
         return _trunk(markers)
     raise InputError(f"body: wanted {', '.join(get_args(BodyName))}, got {name!r}; choose one")
@@ -144,12 +135,6 @@ def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     return rear, _axes(up=np.cross(front - rear, left), forward=front - rear)
 
 
-def _thorax_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-    c7, t10, clavicle, sternum = np.moveaxis(shape, -2, 0)
-    low, high = 0.5 * (t10 + sternum), 0.5 * (c7 + clavicle)
-    return low, _axes(up=high - low, forward=clavicle + sternum - c7 - t10)
-
-
 def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
     """Return R_nb (..., 3, 3): z along up, x towards forward."""
     z = up / np.linalg.norm(up, axis=-1, keepdims=True)
@@ -158,11 +143,12 @@ def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
     return np.stack((np.cross(y, z), y, z), axis=-1)
 
 
-def _rigid(markers: Markers, labels: list[str], axes: AxesOf, name: str) -> Body:
+def _pelvis(markers: Markers) -> Body:
     from scipy.spatial.transform import Rotation
 
+    labels = _pelvis_labels(markers)
     cluster = fit_cluster(markers, labels)
-    origin, turn = axes(cluster.template)
+    origin, turn = _pelvis_axes(cluster.template)
     q_mb = Rotation.from_matrix(turn).as_quat(scalar_first=True)
     whole = cluster.visible >= len(labels)
     poses = cluster.reference
@@ -172,7 +158,7 @@ def _rigid(markers: Markers, labels: list[str], axes: AxesOf, name: str) -> Body
             time=poses.time,
             q_nb=np.where(whole[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
             position=np.where(whole[:, None], centre + rotate(poses.q_nb, origin), np.nan),
-            name=f"{markers.name} {name}".strip(),
+            name=f"{markers.name} pelvis".strip(),
         ),
         labels=tuple(labels),
         residual=cluster.rms,

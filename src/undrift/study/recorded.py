@@ -36,7 +36,7 @@ class Posed:
     """How the poses of a device are found in a file of poses or markers."""
 
     markers: tuple[str, ...] = ()  # Labels of one rigid cluster, for TRC or C3D
-    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5), thorax or trunk
+    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5) or trunk
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
 
