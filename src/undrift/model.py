@@ -100,57 +100,27 @@ class TriadModel:
     """Inverse model of three sensors: corrected = matrix @ (raw + code_offset sign(raw) - offset) - g_sensitivity @ accel.
 
     While the device turns, ``moving_offset`` is subtracted as well.
-
-    Parameters
-    ----------
-    method : str
-        How it was found: six-face, rate-table, known-rotation, multi-position, reference; mode behind a slash.
-    unit_in, unit_out : str
-        Unit of the raw reading and of the corrected value.
-    matrix : array, shape (3, 3)
-        unit_out per unit_in; sensor axes s to case b.
-    offset : array, shape (3,)
-        Reading at zero input and reference temperature, unit_in.
-    g_sensitivity : array, shape (3, 3), or None
-        Apparent rate for each m/s2 of specific force, unit_out per m/s2; gyroscopes only.
-    parameters : tuple of str
-        Names of the rows of ``covariance``: m_xx..m_zz row by row, offset_x.., g_xx.., moving_x.., code_x..
-    covariance : array, shape (P, P)
-        Of those parameters, in their units; a parameter that was held fixed has zeros.
-    rms_residual : float
-        Root-mean-square residual of the fit, unit_out.
-    count : int
-        Equations in the fit.
-    rank : int
-        Rank of the fit's normal matrix; full rank means that every parameter was observable.
-    condition : float
-        Condition number of the design after its columns were scaled to one.
-    valid_range : tuple of float
-        Least and greatest corrected value per axis that the fit has seen, unit_out.
-    budget : Budget or None
-        Standard uncertainty of each parameter by source; None where the fit does not separate them.
-    moving_offset : array, shape (3,), or None
-        Offset while the device turns less that at rest, unit_out, along the axes of the result; None where it was not fitted.
-    code_offset : array, shape (3,), or None
-        What is added to a reading with its sign, unit_in: half a code step for codes cut off toward zero; None where it was not
-        fitted, and the codes are taken as the calibration's ``adc`` says.
     """
 
-    method: str
-    unit_in: str
-    unit_out: str
-    matrix: Annotated[FloatArray, Shape(3, 3)]
-    offset: Triple
+    method: str  # six-face, rate-table, known-rotation, multi-position, reference, motion; mode behind a slash
+    unit_in: str  # of the raw reading
+    unit_out: str  # of the corrected value
+    matrix: Annotated[FloatArray, Shape(3, 3)]  # unit_out per unit_in; sensor axes s to case b
+    offset: Triple  # reading at zero input and reference temperature, unit_in
+    # apparent rate per specific force, unit_out per m/s2; gyroscopes only
     g_sensitivity: Annotated[FloatArray | None, Shape(3, 3)] = None
+    # names of the rows of ``covariance``: m_xx to m_zz row by row, offset_x.., g_xx.., moving_x.., code_x..
     parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
-    covariance: Annotated[FloatArray, Shape("p", "p")]
-    rms_residual: AnyNumber
-    count: int
-    rank: int
-    condition: AnyNumber
-    valid_range: tuple[AnyNumber, AnyNumber]
-    budget: Annotated[Budget | None, LATER] = None
+    covariance: Annotated[FloatArray, Shape("p", "p")]  # in their units; zeros for a parameter that was held fixed
+    rms_residual: AnyNumber  # of the fit, unit_out
+    count: int  # equations in the fit
+    rank: int  # of the normal matrix; full if every parameter was observable
+    condition: AnyNumber  # of the design after its columns were scaled to one
+    valid_range: tuple[AnyNumber, AnyNumber]  # least and greatest corrected value per axis in the fit, unit_out
+    budget: Annotated[Budget | None, LATER] = None  # None if the fit does not separate sources
+    # offset while the device turns minus that at rest, unit_out, axes of the result; None if it was not fitted
     moving_offset: Annotated[Vector, LATER] = None
+    # added to a reading with its sign, unit_in: half a step of codes cut off toward zero; None if not fitted: ``adc`` is used
     code_offset: Annotated[Vector, LATER] = None
 
     def __post_init__(self) -> None:
@@ -177,17 +147,21 @@ class TriadModel:
         return np.array([known[name] for name in self.parameters])
 
     @property
+    def offset_covariance(self) -> FloatArray:
+        """Covariance of the corrected value at zero input, M C M' with C that of the offset, unit_out squared, shape (3, 3)."""
+        known = [k for k, name in enumerate(OFFSET_NAMES) if name in self.parameters]
+        rows = [self.parameters.index(OFFSET_NAMES[k]) for k in known]
+        turned = self.matrix[:, known]
+        return np.asarray(turned @ self.covariance[np.ix_(rows, rows)] @ turned.T)
+
+    @property
     def forward_matrix(self) -> FloatArray:
         """K of the forward model raw = K w + offset, unit_in per unit_out, shape (3, 3)."""
         return np.asarray(np.linalg.inv(self.matrix))
 
     @property
     def scale_factor(self) -> FloatArray:
-        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K.
-
-        A maker's certificate may state one over the diagonal of ``matrix``, which differs by the lean of the axes: 0.14 % for
-        3 deg.
-        """
+        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
         return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
     def si_per_reading(self, quantity: Quantity) -> FloatArray:
@@ -259,18 +233,15 @@ class StaticDrift:
     """Tuning table of absolute offsets over temperature, linear between nodes."""
 
     temp_c: Nodes  # degC
-    gyro_offset: Rows3 = None  # Reading at zero input, raw unit
+    gyro_offset: Rows3 = None  # reading at zero input, raw unit
     accel_offset: Rows3 = None
-    # Standard uncertainty of each node for a visit to come, raw unit
+    # standard uncertainty of each node for a future visit to its temperature, raw unit
     gyro_uncertainty: Annotated[Rows3, LATER] = None
     accel_uncertainty: Annotated[Rows3, LATER] = None
-    gyro_extrapolated: Annotated[Marks, LATER] = None  # True where no data were near the node
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if no data were near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
-    # Half-width: offset while cooling minus offset while warming, over two, raw unit; the table holds the mean
+    # half-width: offset while cooling minus offset while warming, over two, raw unit; the table is their mean
     gyro_hysteresis: Annotated[Vector, LATER] = None
-    # What one visit to a temperature adds and the next does not: standard deviation, raw unit; part of the uncertainty
-    gyro_visit: Annotated[Vector, LATER] = None
-    accel_visit: Annotated[Vector, LATER] = None
     warm_up: Annotated[WarmUp | None, LATER] = None
 
     def __post_init__(self) -> None:
@@ -287,7 +258,7 @@ class ScaleDrift:
     accel_matrix: Matrices = None
     gyro_uncertainty: Annotated[Matrices, LATER] = None  # Standard uncertainty of each element
     accel_uncertainty: Annotated[Matrices, LATER] = None
-    gyro_extrapolated: Annotated[Marks, LATER] = None  # True where no data were near the node
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if no data were near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
 
     def __post_init__(self) -> None:
@@ -303,7 +274,7 @@ class DynamicDrift:
     turn_rate: Annotated[FloatArray, Shape("k", rising=True)]  # Nodes of the measured rate, rad/s
     error: Annotated[FloatArray, Shape("m", "k", 3)]  # Measured minus true rate per axis, rad/s
     uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = None  # Of each node, standard, rad/s
-    extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True where no data were near the node
+    extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True if no data were near the node
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -312,26 +283,13 @@ class DynamicDrift:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
-    """The tuning tables of one device.
-
-    Parameters
-    ----------
-    static : StaticDrift or None
-        Offsets over temperature.
-    scale : ScaleDrift or None
-        Matrices over temperature.
-    dynamic : DynamicDrift or None
-        Rate-dependent error over temperature.
-    lag_s : float
-        Time constant by which the thermometer lags the sensors, s; the tables are over the temperature without it.
-    lag_smooth_s : float
-        Time constant of the smoothing that removing the lag needs, s; above 0 where there is a lag.
-    """
+    """The tuning tables of one device: offsets, matrices and rate-dependent error over the temperature of the sensors."""
 
     static: StaticDrift | None = None
     scale: ScaleDrift | None = None
     dynamic: DynamicDrift | None = None
-    lag_s: Annotated[float, Ge(0.0), LATER] = 0.0
+    lag_s: Annotated[float, Ge(0.0), LATER] = 0.0  # time constant by which the thermometer lags the sensors, s
+    # time constant of the smoothing that removing the lag needs, s; above 0 if there is a lag
     lag_smooth_s: Annotated[float, Ge(0.0), LATER] = 0.0
 
     def __post_init__(self) -> None:
@@ -346,15 +304,7 @@ class DriftTables:
 @stored(whole=True, keys=("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding"))
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcModel:
-    """Step and rounding of the codes of each triad.
-
-    Parameters
-    ----------
-    gyro_lsb, accel_lsb : array, shape (3,), or None
-        One code step, raw unit; None where it was not identified.
-    gyro_rounding, accel_rounding : str
-        nearest, floor or toward_zero.
-    """
+    """Step of the codes of each triad, (3,), raw unit, None if it was not identified; and how they are rounded."""
 
     gyro_lsb: Annotated[Vector, Key("lsb")] = None
     accel_lsb: Vector = None
@@ -365,10 +315,7 @@ class AdcModel:
         freeze(self)
 
 
-NO_TABLES, _NO_CODES = (
-    DriftTables(),
-    AdcModel(),
-)  # of a calibration without: made once, as ``correct`` asks for each triad
+NO_TABLES, _NO_CODES = DriftTables(), AdcModel()  # of a calibration without: made once
 
 
 @stored(whole=True)
@@ -417,32 +364,16 @@ class BodyMounting:
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
-    """Where a calibration came from.
-
-    Parameters
-    ----------
-    inputs : tuple of (str, str)
-        File name and sha256 of each input.
-    settings : tuple of (str, str)
-        Name and value of each choice that was made.
-    versions : tuple of (str, str)
-        Package and version.
-    created : str
-        ISO 8601 time, UTC.
-    """
+    """Where a calibration came from: input files with their sha256, settings, packages with their versions, time."""
 
     inputs: Annotated[tuple[tuple[str, str], ...], TableRows(("file", "sha256"))] = ()
     settings: Annotated[tuple[tuple[str, str], ...], Named("settings")] = ()
     versions: Annotated[tuple[tuple[str, str], ...], Named("versions")] = ()
-    created: Annotated[str, Key("time")] = ""
+    created: Annotated[str, Key("time")] = ""  # ISO 8601, UTC
 
     def text(self, name: str) -> str:
         """Return a setting, empty where it was not made."""
         return dict(self.settings).get(name, "")
-
-    def count(self, name: str, usual: int) -> int:
-        """Return a setting that counts something, or the usual number where it was not made."""
-        return int(self.text(name)) if self.text(name).isdigit() else usual
 
     def number(self, name: str, usual: float) -> float:
         """Return a setting that is a number, or the usual one where it was not made."""
@@ -471,27 +402,21 @@ class Calibration(Shown):
     device : str
         Serial number.
     reference_temp_c : float
-        Temperature at which the constant offsets hold, degC; NaN when no temperature was recorded.
+        Temperature at which the constant offsets hold, degC; NaN if no temperature was recorded.
     gravity_m_s2 : float
         Local gravity that the accelerometer fit used, m/s2.
     gyro, accel : TriadModel or None
-        None where the session did not observe it.
-    drift : DriftTables or None
-        None for constant offsets.
-    adc : AdcModel or None
-        None when the codes' rounding is not known.
-    noise : NoiseModel or None
-        None when no noise was measured.
-    verdict : Verdict
-        What it is worth.
-    provenance : Provenance
-        Where it came from.
+        None if the session did not determine it.
+    drift, adc, noise : DriftTables, AdcModel, NoiseModel or None
+        Tuning tables; rounding of the codes; noise at rest. None for constant offsets, unknown rounding, noise not measured.
+    verdict, provenance : Verdict, Provenance
+        Whether its numbers can be trusted; where it came from.
     file_map : FileMap or None
-        How the recordings of the device are read, where they needed a map.
+        How the recordings of the device are read, if they need a map.
     magnetometer : Magnetometer or None
-        None where it was not fitted: its readings are then carried along as they are.
+        None if it was not fitted: its readings are then carried along as they are.
     mounting : BodyMounting or None
-        How the device is worn; None where that was not found.
+        How the device is worn, if that was determined.
 
     Examples
     --------

@@ -6,8 +6,8 @@ shortest rotation that takes f to n's z is, for f of length one::
     q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
 
 Its error is, to first order, the level part of the error of f over |f|, whose sources are those of correction/rest.py. It has two
-components, so that 95 % of errors lie within a circle of 1.73 (both alike) to 1.96 (one alone) standard uncertainties. Strapdown
-(frames.py) goes on from there. Angles of q_nb = (w, x, y, z)::
+components, so that 95 % of errors lie within a circle of 1.73 (equal components) to 1.96 (one component) standard uncertainties.
+Strapdown (frames.py) starts there. Angles of q_nb = (w, x, y, z)::
 
     inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z from the vertical
     heading     = 2 atan(z / w)                  turn about the vertical
@@ -50,7 +50,7 @@ from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion
 from undrift.kernels.attitude import filtered_with_field
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
-from undrift.segments import sphere_of, unpadded
+from undrift.segments import unpadded
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -61,8 +61,6 @@ if TYPE_CHECKING:
 # ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
-
-
 NOT_CALIBRATED = "scatter only; accelerometer not calibrated: typically 0.3 deg"
 NOT_STATED = (
     "scatter only; the file does not say how well its accelerometer is calibrated: correct the raw recording anew"
@@ -206,48 +204,28 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
 
 
-# Do these axes fit how the device is worn? At the rest, or on average where the rest agrees with the stated axis, the axis nearest
-# to the vertical is up. Of the two others the vertical leans most along the one that points forward, or back.
-
-_FAR_UP_DEG, _FAR_PITCH_DEG = 60.0, 100.0  # of the axis for up from the vertical at rest; of the median pitch
-_CLEAR_UP = 0.7  # length of the mean vertical: below it the device is turned every way up, and no axis is up
-_ONE_AXIS = 2.0  # so many times the lean along the other: the axis that points forward is known
+_FAR_UP_DEG = 60.0  # of the axis for up from the vertical at rest: the device is worn another way
 
 
 def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
-    """Return a finding where pitch wraps, is far from upright, or is taken about other axes than rest, or all samples, show."""
+    """Return a finding if the axis for up is far from the vertical at rest, or on average without a rest.
+
+    It names the axis nearest to the vertical, and for forward the axis along which the vertical leans most.
+    """
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
-    pitch = sagittal_pitch(q_nb, forward=forward, up=up) / RADIAN_PER_DEGREE
-    finite = pitch[np.isfinite(pitch)] if np.isfinite(pitch).any() else np.full(1, np.nan)
-    at_rest, on_average = (
-        np.nanmean(part, axis=0) for part in (vertical[slice(None) if rest is None else rest], vertical)
-    )
-    cosine = at_rest[AXES.index(up[1])] / np.linalg.norm(at_rest) * (1.0 if up[0] == "+" else -1.0)
-    off, wraps = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))), (np.abs(np.diff(finite)) > 180.0).any()
-    if off < _FAR_UP_DEG and not wraps and np.median(np.abs(finite)) < _FAR_PITCH_DEG:
+    mean = np.nanmean(vertical if rest is None else vertical[rest], axis=0)
+    cosine = mean[AXES.index(up[1])] / np.linalg.norm(mean) * (1.0 if up[0] == "+" else -1.0)
+    off_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    if off_deg < _FAR_UP_DEG:
         return ()
-    upward = _nearest_face(at_rest)
-    if upward == up and np.linalg.norm(on_average) > _CLEAR_UP:
-        upward = _nearest_face(on_average)
-    leans = np.nanstd(vertical, axis=0)
-    others = sorted({0, 1, 2} - {AXES.index(upward[1])}, key=lambda k: -leans[k])
-    others = others[:1] if leans[others[0]] > _ONE_AXIS * leans[others[1]] else others
-    ways: list[Face] = [face for k in others for face in FACES if face[1] == AXES[k]]
+    upward, leans = _nearest_face(mean), np.nanstd(vertical, axis=0)
+    axis = max((axis for axis in AXES if axis != upward[1]), key=lambda axis: leans[AXES.index(axis)])
+    ways: list[Face] = [face for face in FACES if face[1] == axis]
     spans = [np.degrees(np.nanpercentile(sagittal_pitch(q_nb, forward=way, up=upward), (0, 100))) for way in ways]
-    return (
-        finding(
-            "orient.pitch_axes",
-            "info" if upward == up else "warn",
-            where="on average" if rest is None else "at rest",
-            stated=f"forward {forward} and up {up}",
-            off_deg=off,
-            least_deg=finite.min(),
-            most_deg=finite.max(),
-            up=upward,
-            forward=ways,
-            choices=" or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True)),
-        ),
-    )
+    choices = " or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True))
+    stated, where = f"forward {forward} and up {up}", "on average" if rest is None else "at rest"
+    values = {"stated": stated, "where": where, "off_deg": off_deg, "up": upward, "forward": ways, "choices": choices}
+    return (finding("orient.pitch_axes", "warn", **values),)
 
 
 def _nearest_face(vector: FloatArray) -> Face:
@@ -298,48 +276,20 @@ class OrientSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Orientation(Shown):
-    """Orientation of the device case over time.
+    """Orientation of the device case over time."""
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        s, the record's clock.
-    q_nb : array, shape (N, 4)
-        b to n, w-x-y-z.
-    inclination : array, shape (N,)
-        Angle of the body's z from the vertical, rad.
-    heading : array, shape (N,)
-        Turn about the vertical, rad.
-    pitch : array, shape (N,)
-        Gravity in the sagittal plane, forward lean positive, rad.
-    tilt : Tilt
-        Orientation at the still phase, or at the first sample where there is none, with its uncertainty.
-    still : Still or None
-        That phase; None where the device never rests.
-    offset : array, shape (3,)
-        Rate that was subtracted at that phase, rad/s.
-    rests : tuple of Still
-        The still phases that the offset comes from, and by which its uncertainty is judged.
-    rest_offsets : array, shape (K, 3)
-        Mean rate of each, rad/s, before anything was subtracted.
-    offset_uncertainty : float
-        Standard uncertainty of the offset, all axes together, rad/s.
-    findings : tuple of Finding
-        The drift to expect of strapdown; axes of the pitch that do not fit.
-    """
-
-    time: FloatArray
-    q_nb: FloatArray
-    inclination: FloatArray
-    heading: FloatArray
-    pitch: FloatArray
-    tilt: Tilt
-    still: Still | None
-    offset: FloatArray
-    rests: tuple[Still, ...]
-    rest_offsets: FloatArray
-    offset_uncertainty: float
-    findings: tuple[Finding, ...] = ()
+    time: FloatArray  # (N,), s, the record's clock
+    q_nb: FloatArray  # (N, 4), b to n, w-x-y-z
+    inclination: FloatArray  # (N,), angle of the body's z from the vertical, rad
+    heading: FloatArray  # (N,), turn about the vertical, rad
+    pitch: FloatArray  # (N,), of gravity in the sagittal plane, forward lean positive, rad
+    tilt: Tilt  # at the still phase, or at the first sample without one
+    still: Still | None  # that phase; None if the device never rests
+    offset: FloatArray  # (3,), rate that was subtracted at that phase, rad/s
+    rests: tuple[Still, ...]  # the still phases, by which the uncertainty of the offset is judged
+    rest_offsets: FloatArray  # (K, 3), mean rate of each before anything was subtracted, rad/s
+    offset_uncertainty: float  # standard, all axes together, rad/s
+    findings: tuple[Finding, ...] = ()  # the drift to expect of strapdown; axes of the pitch that do not fit
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rest_offsets", frozen(self.rest_offsets, (len(self.rests), 3), "rest_offsets"))
@@ -446,7 +396,6 @@ def orient_unchecked(
         moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
         tilt = _tilt_of(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
-        findings += (finding("orient.no_rest", "info", tilt_deg=tilt.inclination_uncertainty / RADIAN_PER_DEGREE),)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":
@@ -515,9 +464,7 @@ def _offset_uncertainty(
     left = [mean - offsets[(one.start + one.stop) // 2] for one, mean in zip(rests, means, strict=True)]
     worst = max(float(np.linalg.norm(one)) for one in left)
     if model is not None and not offsets.any():
-        columns = [k for k, name in enumerate(model.parameters) if name.startswith("offset_")]
-        spread = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
-        worst = max(worst, si_factor(model.unit_out, "rate") * float(np.sqrt(np.trace(spread))))
+        worst = max(worst, si_factor(model.unit_out, "rate") * float(np.sqrt(np.trace(model.offset_covariance))))
     scatter = min(
         sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
     )
@@ -646,26 +593,3 @@ def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int
     undone = np.vstack((np.zeros(3), -gyro[anchor:0:-1]))  # the step that led to sample k, backwards, leads to k - 1
     q[: anchor + 1] = integrate_strapdown(undone, -time[anchor::-1], q_nb)[::-1]
     return q
-
-
-def scale_by_gravity(record: Record, gyro: FloatArray, rests: Sequence[Still]) -> tuple[float, FloatArray] | None:
-    """Return the scale of gyroscopes, rad/s a code, and the specific force, g, of a record in counts; None: gravity is not shown.
-
-    A scale of 0 is not shown: gravity f turns with the device, df/dt = f x w, and what is read of f does not follow what turns.
-    """
-    accel = np.asarray(record.accel)
-    means = np.array([accel[one.start : one.stop].mean(axis=0) for one in rests])
-    middle, centre = means.mean(axis=0), np.zeros_like(means[0])
-    # rests on several sides lie on a sphere: its centre is what the device reads of no force
-    if len(means) > 3 and np.linalg.svd(means - middle, compute_uv=False)[-1] > 0.2 * np.nanmax(np.abs(accel - middle)):
-        centre, _ = sphere_of(means)
-    elif np.nanmin(accel) >= 0.0:  # it reads some thousands of no force
-        return None
-    force = (accel - centre) / np.median(np.linalg.norm(means - centre, axis=1))
-    size = max(1, round(0.2 * record.sample_rate_hz))
-    count = len(force) // size
-    turned, seen = (values[: count * size].reshape(count, size, 3).mean(axis=1) for values in (gyro, force))
-    change, turn = np.diff(seen, axis=0), np.cross(seen[1:] + seen[:-1], turned[1:] + turned[:-1]) / 4.0
-    dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
-    shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
-    return dot / squares * record.sample_rate_hz / size if shown else 0.0, force

@@ -1,7 +1,7 @@
-"""Record: the readings of a device, sample by sample; Reference: the poses that optics saw; Session: recordings and labels.
+"""Record: the readings of a device, sample by sample; Reference: poses from optics; Session: recordings and labels.
 
-A Record keeps the readings in the device's own unit, with the unit beside them. NaN means a gap and nothing else; time
-strictly increases; both are checked here, once. There is no default sample rate.
+A Record keeps the readings in the device's own unit, and the name of the unit. NaN means a gap and nothing else. Time strictly
+increases; this is checked here, once. There is no default sample rate.
 
 Ranges are sample numbers, half-open [start, stop). A face names the sensor axis that points up: it reads +g.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze, frozen
-from undrift.base.codec import stored, tree_of
+from undrift.base.codec import stored
 from undrift.base.summary import Shown, at
 from undrift.errors import InputError
 from undrift.frames import Frame
@@ -29,16 +29,15 @@ State = Literal["raw", "corrected"]
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceUncertainty:
-    """What the calibration of a corrected record knows of its accelerometers; the error of a specific force f is E f + d."""
+    """Uncertainty of a corrected record's accelerometers; the error of a specific force f is E f + d."""
 
-    covariance: Annotated[FloatArray, Shape(12, 12)]  # Of E row by row, and of d, m/s2
-    # Least and greatest temperature that the offsets and the matrix are made for, degC; NaN: not known
+    covariance: Annotated[FloatArray, Shape(12, 12)]  # of E row by row, and of d, m/s2
+    # least and greatest temperature for which offsets and matrix were determined, degC; NaN: not known
     offset_temp_c: Annotated[FloatArray, Shape(2)]
     matrix_temp_c: Annotated[FloatArray, Shape(2)]
-    # Standard deviation of what a kelvin beyond them does: offset, m/s2; scale factor, relative
-    per_k: Annotated[FloatArray, Shape(2)]
-    step: Annotated[FloatArray, Shape(3)]  # One code, m/s2; 0 where it is not known
-    calibrated: str = ""  # ISO 8601 time, UTC; "" where it is not stated
+    per_k: Annotated[FloatArray, Shape(2)]  # standard deviation per kelvin beyond them: offset, m/s2; scale, relative
+    step: Annotated[FloatArray, Shape(3)]  # one code, m/s2; 0 if it is not known
+    calibrated: str = ""  # ISO 8601 time, UTC; "" if it is not stated
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -46,10 +45,6 @@ class ForceUncertainty:
             raise InputError(
                 "ForceUncertainty: wanted numbers and a date, got NaN or others; correct the recording anew"
             )
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the fields as JSON has them, null for NaN; ``ForceUncertainty(**fields)`` takes them back."""
-        return dict(tree_of(self))
 
 
 class ArrowTable(Protocol):
@@ -155,34 +150,11 @@ class Record(Shown):
         temp_c: ArrayLike | None = None,
         device: str = "",
     ) -> "Record":
-        """Make a record of arrays; units and clock are stated, never assumed.
+        """Make a raw record in sensor axes from arrays.
 
-        Parameters
-        ----------
-        gyro : array, shape (N, 3), or None
-            Rate readings in ``gyro_unit``.
-        accel : array, shape (N, 3), or None
-            Specific-force readings in ``accel_unit``.
-        gyro_unit, accel_unit : str
-            rad/s, dps, count or v; m/s2, g, mg, count or v; required with ``gyro`` and with ``accel``.
-        time : array, shape (N,), or None
-            s, strictly increasing; or else ``sample_rate_hz``.
-        sample_rate_hz : float or None
-            Samples per second of an even clock.
-        temp_c : array, shape (N,), or None
-            Temperature at the sensor, degC.
-        device : str
-            Serial number or name.
-
-        Returns
-        -------
-        Record
-            Raw readings in sensor axes.
-
-        Raises
-        ------
-        InputError
-            A unit or the clock that is not stated, arrays the wrong way round, and all that Record raises.
+        Readings are (N, 3) in ``gyro_unit`` (rad/s, dps, count or v) and ``accel_unit`` (m/s2, g, mg, count or v), ``temp_c`` is
+        (N,), degC. Give ``time`` (N,), s, or the ``sample_rate_hz`` of an even clock. Units and clock are never assumed: without
+        them InputError is raised.
 
         Examples
         --------
@@ -192,9 +164,9 @@ class Record(Shown):
         (200, 3.98)
         """
         triads = (("gyro", gyro, gyro_unit, "dps"), ("accel", accel, accel_unit, "g"))
-        clock = _clock_of([_stated_length(*one) for one in triads], time, sample_rate_hz)
-        held: dict[str, Any] = {"time": clock, "gyro": gyro, "accel": accel, "temp_c": temp_c, "device": device}
-        return cls(**held, gyro_unit=gyro_unit or "rad/s", accel_unit=accel_unit or "m/s2")
+        clock = _clock_of([_stated_length(*triad) for triad in triads], time, sample_rate_hz)
+        channels: dict[str, Any] = {"time": clock, "gyro": gyro, "accel": accel, "temp_c": temp_c, "device": device}
+        return cls(**channels, gyro_unit=gyro_unit or "rad/s", accel_unit=accel_unit or "m/s2")
 
     @classmethod
     def from_frame(
@@ -207,35 +179,12 @@ class Record(Shown):
         gaps: Literal["raise", "keep"] = "raise",
         device: str = "",
     ) -> "Record":
-        """Make a record of a DataFrame of pandas or polars, or of a table of Arrow.
+        """Make a record from a DataFrame of pandas or polars, or from a table of Arrow.
 
-        Parameters
-        ----------
-        frame : DataFrame
-            With undrift's own names (gyro_x_dps, accel_z_g, temp_c, time_s) nothing else. Time may be the index: s or dates.
-        columns : mapping or None
-            Column of each channel, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}; without it time, gyro_x, accel_x, temp,
-            mag_x and the like are taken.
-        units : mapping or None
-            Unit of each channel, as in {"gyro": "dps", "accel": "g", "time": "s"}.
-        sample_rate_hz : float or None
-            Samples per second, for a frame without time.
-        gaps : str
-            "raise" refuses NaN, "keep" takes it as a gap.
-        device : str
-            Serial number or name.
-
-        Returns
-        -------
-        Record
-            Checked as a file's would be.
-
-        Raises
-        ------
-        InputError
-            A column, unit or clock that is not stated, or gaps.
-        FileFormatError
-            Cells that are no numbers.
+        undrift's own column names (gyro_x_dps, accel_z_g, temp_c, time_s) need no other argument. ``columns`` maps channels to
+        columns, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}; without it time, gyro_x, accel_x, temp, mag_x and the like are
+        used. ``units`` are those of the channels. Time may be the index, in s or dates. ``gaps`` "raise" refuses NaN, "keep" makes
+        a gap of it. InputError: a column, unit or clock that is not stated, or gaps. FileFormatError: cells that are not numbers.
 
         Examples
         --------
@@ -251,17 +200,7 @@ class Record(Shown):
         return made
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return the record as a pandas DataFrame.
-
-        Returns
-        -------
-        DataFrame
-            undrift's own column names; frame, state and device in ``attrs``, so that ``from_frame`` gives the record back.
-
-        Raises
-        ------
-        InputError
-            pandas is not installed.
+        """Return the record as a pandas DataFrame with undrift's own column names, which ``from_frame`` reads back.
 
         Examples
         --------
@@ -274,37 +213,26 @@ class Record(Shown):
         return made
 
     def _rows(self) -> dict[str, str]:
-        return _rows_of(self)
+        triads = (("gyroscope", self.gyro, self.gyro_unit), ("accelerometer", self.accel, self.accel_unit))
+        temp, span = self.temp_c, ""
+        if temp is not None and not np.isnan(temp).all():
+            span = f"{np.nanmin(temp):.1f} to {np.nanmax(temp):.1f} degC"
+        rows = {
+            "device": self.device,
+            "samples": f"{len(self)}, {self.duration_s:.4g} s at {self.sample_rate_hz:.4g} Hz",
+            **{name: unit for name, values, unit in triads if values is not None},
+            "temperature": span,
+            "state": f"{self.state}, {'sensor axes' if self.frame == 's' else 'case axes'}",
+        }
+        return {name: text for name, text in rows.items() if text}
 
     def part(self, start: int, stop: int) -> "Record":
-        """Return the samples [start, stop).
-
-        Parameters
-        ----------
-        start, stop : int
-            Sample numbers, half-open.
-
-        Returns
-        -------
-        Record
-            The same channels, fewer samples.
-        """
+        """Return the samples [start, stop)."""
         channels = {name: getattr(self, name) for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
-        return replace(self, **{name: held[start:stop] for name, held in channels.items() if held is not None})
+        return replace(self, **{name: values[start:stop] for name, values in channels.items() if values is not None})
 
     def between(self, start_s: float, stop_s: float) -> "Record":
-        """Return the samples with start_s <= time < stop_s.
-
-        Parameters
-        ----------
-        start_s, stop_s : float
-            s, on the record's own clock.
-
-        Returns
-        -------
-        Record
-            The same channels, fewer samples.
-        """
+        """Return the samples with start_s <= time < stop_s, on the record's own clock."""
         start, stop = np.searchsorted(self.time, (start_s, stop_s))
         return self.part(int(start), int(stop))
 
@@ -320,60 +248,16 @@ class Record(Shown):
         return record
 
     def in_si(self) -> "Record":
-        """Return the record in rad/s and m/s2.
-
-        Returns
-        -------
-        Record
-            Unchanged where it is SI already.
-
-        Raises
-        ------
-        InputError
-            The readings are counts or volts.
-        """
+        """Return the record in rad/s and m/s2; InputError if its readings are counts or volts."""
         return self.in_units("rad/s", "m/s2")
 
     def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
-        """Return the record in other physical units.
-
-        Parameters
-        ----------
-        gyro_unit : str
-            Wanted unit of the gyroscope; the unit it has already may be a device unit.
-        accel_unit : str
-            Wanted unit of the accelerometer, likewise.
-
-        Returns
-        -------
-        Record
-            Unchanged where the units are the wanted ones.
-
-        Raises
-        ------
-        InputError
-            Counts or volts on one side and a physical unit on the other.
-        """
+        """Return the record in other physical units; InputError if only one of two units is physical."""
         gyro, gyro_unit = _converted(self.gyro, self.gyro_unit, gyro_unit, "rate")
         accel, accel_unit = _converted(self.accel, self.accel_unit, accel_unit, "accel")
         if gyro is self.gyro and accel is self.accel:
             return self
         return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
-
-
-def _rows_of(record: Record) -> dict[str, str]:
-    """Return what a notebook shows of a record."""
-    triads = (("gyroscope", record.gyro, record.gyro_unit), ("accelerometer", record.accel, record.accel_unit))
-    temp = record.temp_c
-    seen = None if temp is None or np.isnan(temp).all() else f"{np.nanmin(temp):.1f} to {np.nanmax(temp):.1f} degC"
-    rows = {
-        "device": record.device,
-        "samples": f"{len(record)}, {record.duration_s:.4g} s at {record.sample_rate_hz:.4g} Hz",
-        **{name: unit for name, values, unit in triads if values is not None},
-        "temperature": seen or "",
-        "state": f"{record.state}, {'sensor axes' if record.frame == 's' else 'case axes'}",
-    }
-    return {name: text for name, text in rows.items() if text}
 
 
 LARGEST_SPAN_M = 50.0  # m, of what optics see
@@ -522,9 +406,9 @@ class Still:
     face : str or None
         Axis that points up; None for a free pose.
     recording : int
-        Which record of the session.
+        Number of the record in the session.
     temp_c : float or None
-        Chamber set-point, degC, where there is no temperature column.
+        Chamber set-point, degC, if there is no temperature column.
 
     Examples
     --------
@@ -748,9 +632,10 @@ def joined(records: Sequence[Record]) -> Record:
     first, *others = records
     if not others:
         return first
-    held = {name: [getattr(one, name) for one in records] for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
-    there = {name: not any(part is None for part in parts) for name, parts in held.items()}
-    whole: dict[str, Any] = {name: np.concatenate(parts) if there[name] else None for name, parts in held.items()}
+    whole = dict[str, Any]()
+    for name in ("time", "gyro", "accel", "temp_c", "mag_ut"):
+        parts = [getattr(record, name) for record in records]
+        whole[name] = None if any(part is None for part in parts) else np.concatenate(parts)
     return replace(first, **whole)
 
 

@@ -1,7 +1,6 @@
 """Is it the device of the calibration? At rest, corrected readings leave gravity only, and no rate."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -42,51 +41,50 @@ def check_corrected(
 def check_device(
     record: Record, calibration: Calibration, stills: tuple[Still, ...] | None = None
 ) -> tuple[Finding, ...]:
-    """Return what rests of a corrected record say against its calibration: |a| - g and the mean rate, by their uncertainty."""
+    """Return a finding if |a| - g or the mean rate at rests of a corrected record exceed their uncertainty."""
     record = record.in_si().between(record.time[0], record.time[0] + REST_LOOKED_AT_S)
     if stills is None:
         try:
             stills = find_still(record, StillSettings()).stills
         except InputError:  # shorter than a window
             return ()
-    rests = tuple(one for one in stills if one.stop <= len(record) and _whole(record, one))
+    rests = tuple(still for still in stills if still.stop <= len(record) and _whole(record, still))
     if not rests:
         return ()
-    if not np.isfinite(calibration.gravity_m_s2):  # parameters of other programs do not state it
-        calibration = replace(calibration, gravity_m_s2=STANDARD_GRAVITY)
-    departure = _departure_k(record, calibration)
-    usual = TemperatureSensitivity()
-    residuals: dict[str, tuple[float, float]] = {}
-    means = {
-        name: np.array([values[one.start : one.stop].mean(axis=0) for one in rests])
-        for name, values in (("accel", record.accel), ("gyro", record.gyro))
-        if values is not None
-    }
-    per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
+    stated = calibration.gravity_m_s2  # parameters of other programs do not state it
+    gravity = stated if np.isfinite(stated) else STANDARD_GRAVITY
+    departure, usual = _departure_k(record, calibration), TemperatureSensitivity()
     tabled = calibration.drift is not None and calibration.drift.static is not None
-    for triad, own, of_temp in zip(calibration.triads, (LEFT_RATE, LEFT_ACCEL), per_k, strict=True):
-        name, model = triad.sensor, triad.model
-        if model is None or name not in means:
+    per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
+    off, expected, reversed_ = {"gyro": np.nan, "accel": np.nan}, {"gyro": np.nan, "accel": np.nan}, False
+    for triad, readings, ideal, left, of_temp in zip(
+        calibration.triads, (record.gyro, record.accel), (0.0, gravity), (LEFT_RATE, LEFT_ACCEL), per_k, strict=True
+    ):
+        if (model := triad.model) is None or readings is None:
             continue
-        size = np.linalg.norm(means[name], axis=1) - (calibration.gravity_m_s2 if name == "accel" else 0.0)
-        columns = [k for k, parameter in enumerate(model.parameters) if parameter.startswith("offset_")]
-        offsets = model.matrix @ model.covariance[np.ix_(columns, columns)] @ model.matrix.T
-        fit = float(np.sqrt(np.nansum(np.diag(offsets)))) * triad.si  # constants of other programs state none
-        residuals[name] = float(np.sqrt(np.mean(size**2))), math.hypot(fit, own, 0.0 if tabled else of_temp * departure)
-    far = [name for name, (seen, expected) in residuals.items() if seen > FAR_SIGMAS * expected]
-    accel_left = residuals.get("accel", (0.0, 0.0))[0]
-    reversed_ = "gyro" not in far and accel_left > LEAST_LEFT and _reversed(means["accel"], calibration, accel_left)
+        means = np.array([readings[rest.start : rest.stop].mean(axis=0) for rest in rests])
+        fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # other programs state none
+        rms = off[triad.sensor] = _rms(np.linalg.norm(means, axis=1) - ideal)
+        expected[triad.sensor] = math.hypot(fit, left, 0.0 if tabled else of_temp * departure)
+        # readings with the opposite sign: M (-u - o) = -f - 2 M o, of f = M (u - o)
+        turned = -means - 2.0 * model.matrix @ model.offset * triad.si
+        reversed_ = rms > LEAST_LEFT and _rms(np.linalg.norm(turned, axis=1) - gravity) < REVERSED * rms
+    far = [sensor for sensor, rms in off.items() if rms > FAR_SIGMAS * expected[sensor]]
+    reversed_ = reversed_ and record.accel is not None and calibration.accel is not None and "gyro" not in far
     if not far and not reversed_:
         return ()
-    nothing = (float("nan"), float("nan"))
-    (accel, accel_usual), (rate, rate_usual) = residuals.get("accel", nothing), residuals.get("gyro", nothing)
-    values = {"left_mg": accel / STANDARD_GRAVITY * 1e3, "usual_mg": accel_usual / STANDARD_GRAVITY * 1e3}
-    values |= {"left_dps": rate / RADIAN_PER_DEGREE, "usual_dps": rate_usual / RADIAN_PER_DEGREE, "rests": len(rests)}
+    values = {"left_mg": off["accel"] / STANDARD_GRAVITY * 1e3, "usual_mg": expected["accel"] / STANDARD_GRAVITY * 1e3}
+    values |= {"left_dps": off["gyro"] / RADIAN_PER_DEGREE, "usual_dps": expected["gyro"] / RADIAN_PER_DEGREE}
+    values["rests"] = len(rests)
     return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
 
 
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _whole(record: Record, rest: Still) -> bool:
-    """Tell whether a rest has no gaps."""
+    """Return True if a rest has no gaps."""
     triads = (values[rest.start : rest.stop] for values in (record.gyro, record.accel) if values is not None)
     return all(np.isfinite(values).all() for values in triads)
 
@@ -96,13 +94,3 @@ def _departure_k(record: Record, calibration: Calibration) -> float:
         return UNKNOWN_DEPARTURE_K
     away = np.abs(record.temp_c - calibration.reference_temp_c)
     return float(np.nanmean(away)) if np.isfinite(away).any() else UNKNOWN_DEPARTURE_K
-
-
-def _reversed(force: FloatArray, calibration: Calibration, residual: float) -> bool:
-    """Tell whether readings with the opposite sign would be gravity: M (-u - o) = -f - 2 M o, of f = M (u - o)."""
-    model = calibration.accel
-    if model is None:
-        return False
-    turned = -force - 2.0 * model.matrix @ model.offset * si_factor(model.unit_out, "accel")
-    size = np.linalg.norm(turned, axis=1) - calibration.gravity_m_s2
-    return bool(np.sqrt(np.mean(size**2)) < REVERSED * residual)

@@ -26,7 +26,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import GYRO_CROSS_AXIS, SCALE_FACTOR
-from undrift.model import OFFSET_NAMES, TriadModel
+from undrift.model import TriadModel
 from undrift.record import Record, Still
 from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -39,7 +39,6 @@ CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
-_SHOWN = ("offset_dps", "uncertainty_dps", "prior_dps", "acceleration_m_s2")
 _KEPT = 0.7  # of the prior deviation, above which an axis keeps its prior
 _FIXED = 1e-9  # of an error of the rates while the sizes are sought: it is part of what is left
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
@@ -53,8 +52,8 @@ class MotionOffset:
     rate: FloatArray  # (S, 3), rad/s, frame b
     covariance: FloatArray  # (S, 3, 3), (rad/s)^2
     prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
-    acceleration: float  # What is left of it in a mean, rms, m/s2
-    rest: RestOffset | None  # What it began with; None where it never rested
+    acceleration: float  # left in a mean, rms, m/s2
+    rest: RestOffset | None  # None if the device never rested
     vertical: (
         FloatArray  # (3,), specific force of a body at rest in the attitude of the first sample, m/s2, frame b there
     )
@@ -87,29 +86,33 @@ class MotionOffset:
         return None if self.rest is None else self.rest.stills
 
     @property
+    def deviation(self) -> FloatArray:
+        """Standard uncertainty of each axis in the worst stretch, (3,), rad/s."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0)))
+
+    @property
     def figures(self) -> dict[str, Any]:
-        """What was subtracted, as JSON has it."""
-        spread = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
+        """The offset that was subtracted, as JSON has it."""
         return {
             "rest_s": self.rest_s,
             "offset_dps": self.rate.mean(axis=0) / RADIAN_PER_DEGREE,
-            "offset_uncertainty_dps": spread / RADIAN_PER_DEGREE,
+            "offset_uncertainty_dps": self.deviation / RADIAN_PER_DEGREE,
             "prior_dps": self.prior / RADIAN_PER_DEGREE,
             "acceleration_m_s2": self.acceleration,
         }
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was subtracted, and the axes whose offset the motion does not determine."""
-        _, *figures = self.figures.values()
-        shown = finding("correct.motion_offset", "info", **dict(zip(_SHOWN, figures, strict=True)))
-        spread = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0))
-        kept = spread > _KEPT * self.prior
+        """The offset that was subtracted, and the axes whose offset the motion does not determine."""
+        values = {name: value for name, value in self.figures.items() if name != "rest_s"}
+        values["uncertainty_dps"] = values.pop("offset_uncertainty_dps")
+        subtracted = finding("correct.motion_offset", "info", **values)
+        kept = self.deviation > _KEPT * self.prior
         if self.rest is not None or not kept.any():
-            return (shown,)
+            return (subtracted,)
         axes = ", ".join(axis for axis, hidden in zip("xyz", kept.tolist(), strict=True) if hidden)
         size = float(self.prior[kept].max()) / RADIAN_PER_DEGREE
-        return shown, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
+        return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
 
 
 def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
@@ -251,9 +254,7 @@ def _unrested(model: TriadModel | None) -> FloatArray:
     """Return the covariance of an offset that no rest shows: that of the calibration, and what a switch-on changes."""
     if model is None or not model.covariance.any():
         return np.eye(3) * RAW_RATE**2
-    offset = [model.parameters.index(name) for name in OFFSET_NAMES]
-    turned = model.matrix * si_factor(model.unit_out, "rate")
-    spread: FloatArray = turned @ model.covariance[np.ix_(offset, offset)] @ turned.T
+    spread: FloatArray = model.offset_covariance * si_factor(model.unit_out, "rate") ** 2
     return spread + np.eye(3) * CALIBRATED_RATE**2
 
 

@@ -71,16 +71,16 @@ class RestOffset:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What was subtracted, as JSON has it."""
+        """The offset that was subtracted, as JSON has it."""
         rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
         return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was subtracted, in words."""
-        (start_s, stop_s), rate, uncertainty = self.figures.values()
-        shown = {"start_s": start_s, "stop_s": stop_s, "offset_dps": rate, "uncertainty_dps": uncertainty}
-        return (finding("correct.rest_offset", "info", **shown),)
+        """The offset that was subtracted, in words."""
+        rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
+        span = {"start_s": self.start_s, "stop_s": self.stop_s}
+        return (finding("correct.rest_offset", "info", **span, offset_dps=rate, uncertainty_dps=uncertainty),)
 
 
 def moved_by(model: TriadModel | None) -> float:
@@ -144,17 +144,8 @@ def named_rest(record: Record, stretch: Stretch) -> Still | None:
     return Still(start=int(start), stop=max(int(stop), int(start) + 1))
 
 
-def no_rest(what: str, reason: str) -> InputError:
-    """Return the refusal of a recording that never rests."""
-    return InputError(
-        f"{what}: wanted a still phase, got none: {reason.removeprefix('no still phase: ')}; name a stretch at rest "
-        "(`rest_s`), use `offset` motion, or record with a pause",
-        missing="rest",
-    )
-
-
 def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset | None:
-    """Return the same as ``find_rest_offset``, or None for a record that never rests."""
+    """Return the offset at the first rest as ``find_rest_offset`` does, or None for a record that never rests."""
     try:
         return find_rest_offset(record, stretch)
     except InputError as error:
@@ -195,12 +186,13 @@ def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE)
 
 def _found(extended: Callable[[float], tuple[Record, int]], stretch: Stretch) -> RestOffset:
     """Look in a head of the recording, and in longer ones; ``extended`` gives a head and how many samples are known of."""
-    start_s, stop_s = stretch
-    if start_s is not None and stop_s is not None and start_s < stop_s:
-        head, _ = extended(FOUND_IN_S)
-        head = _rotating(extended(max(stop_s - float(head.time[0]) + 1.0, FOUND_IN_S))[0])
-    else:
-        head = _rotating(extended(FOUND_IN_S if stretch == NAMED_NONE else np.inf)[0])
+    head, _ = extended(FOUND_IN_S)
+    if head.gyro is None:
+        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
+    if stretch != NAMED_NONE:  # read as far as the stretch, or everything to say where it could be
+        start_s, stop_s = stretch
+        ordered = start_s is not None and stop_s is not None and start_s < stop_s
+        head, _ = extended(max(stop_s - float(head.time[0]) + 1.0, FOUND_IN_S) if ordered and stop_s else np.inf)
     if (still := named_rest(head, stretch)) is not None:
         return rest_offset(head, still)
     head, stills = _first(extended, "correct")
@@ -221,14 +213,12 @@ def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[
         if stills and (whole or stills[0].stop < len(head)):
             return head, stills
         if whole:
-            raise no_rest(what, found.reason)
+            raise InputError(
+                f"{what}: wanted a still phase, got none: {found.reason.removeprefix('no still phase: ')}; name a stretch at rest "
+                "(`rest_s`), use `offset` motion, or record with a pause",
+                missing="rest",
+            )
         span_s *= 2.0
-
-
-def _rotating(record: Record) -> Record:
-    if record.gyro is None:
-        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
-    return record
 
 
 def _head(record: Record, span_s: float) -> Record:

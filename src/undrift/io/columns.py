@@ -18,7 +18,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.base.codec import stored
+from undrift.base.codec import stored, tree_of
 from undrift.errors import FileFormatError, InputError, check_choices
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
@@ -265,7 +265,7 @@ def marks_of(record: Record) -> dict[str, Any]:
     """Return what undrift writes beside the columns of a record, for ``stated``."""
     marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
     if record.accel_uncertainty is not None:
-        marks["accel_uncertainty"] = record.accel_uncertainty.as_json()
+        marks["accel_uncertainty"] = tree_of(record.accel_uncertainty)
     return marks if record.offset_uncertainty is None else marks | {"offset_uncertainty": record.offset_uncertainty}
 
 

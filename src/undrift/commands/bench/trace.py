@@ -13,8 +13,9 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.commands.files import Opening
 from undrift.files import write_together
 from undrift.io.inspect import describe
-from undrift.orientation import LONGEST_HOLE_S, filtered, scale_by_gravity
+from undrift.orientation import LONGEST_HOLE_S, filtered
 from undrift.record import Record, Still
+from undrift.segments import sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 _SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
@@ -71,7 +72,7 @@ def _lying(record: Record, rests: Sequence[Still]) -> tuple[FloatArray, str]:
     still = [record.gyro[one.start : one.stop].mean(axis=0) for one in rests]
     gyro, words, follows_s = record.gyro - (np.median(still, axis=0) if rests else 0.0), "", 3.0
     if counts:  # the filter takes its tilt from the accelerometers: a rough scale is enough
-        if not rests or (scaled := scale_by_gravity(record, gyro, rests)) is None:
+        if not rests or (scaled := _scale_by_gravity(record, gyro, rests)) is None:
             return q_nb, ""
         scale, accel = scaled
         drawn = "gravity gives the drawing their scale, so it is rough"
@@ -86,3 +87,26 @@ def _lying(record: Record, rests: Sequence[Still]) -> tuple[FloatArray, str]:
             piece = record.part(start, stop), gyro[start:stop], RADIAN_PER_DEGREE
             q_nb[start:stop], _ = filtered(*piece, magnetometer=False, acc_s=follows_s)
     return q_nb, words + " Nothing is drawn in a gap; its heading begins anew after one." * (len(pieces) > 1)
+
+
+def _scale_by_gravity(record: Record, gyro: FloatArray, rests: Sequence[Still]) -> tuple[float, FloatArray] | None:
+    """Return the scale of gyroscopes, rad/s a code, and the specific force, g, of a record in counts; None without gravity.
+
+    The scale is 0 if gravity f does not follow the turns that are read, df/dt = f x w.
+    """
+    accel = np.asarray(record.accel)
+    means = np.array([accel[one.start : one.stop].mean(axis=0) for one in rests])
+    middle, centre = means.mean(axis=0), np.zeros_like(means[0])
+    # rests on several sides lie on a sphere: its centre is what the device reads of no force
+    if len(means) > 3 and np.linalg.svd(means - middle, compute_uv=False)[-1] > 0.2 * np.nanmax(np.abs(accel - middle)):
+        centre, _ = sphere_of(means)
+    elif np.nanmin(accel) >= 0.0:  # it reads some thousands of no force
+        return None
+    force = (accel - centre) / np.median(np.linalg.norm(means - centre, axis=1))
+    size = max(1, round(0.2 * record.sample_rate_hz))
+    count = len(force) // size
+    turned, seen = (values[: count * size].reshape(count, size, 3).mean(axis=1) for values in (gyro, force))
+    change, turn = np.diff(seen, axis=0), np.cross(seen[1:] + seen[:-1], turned[1:] + turned[:-1]) / 4.0
+    dot, squares, whole = (float(np.nansum(product)) for product in (change * turn, turn**2, change**2))
+    shown = dot > 0.0 and dot**2 > 0.3 * squares * whole  # not where an axis is reversed
+    return dot / squares * record.sample_rate_hz / size if shown else 0.0, force
