@@ -192,10 +192,13 @@ def test_gaps_and_noise_at_the_end_of_the_span_do_not_count():
     assert find_beyond(replace(done, gyro=gyro), calibration)[0].samples == 0
     assert find_beyond(replace(done, gyro=np.full_like(gyro, np.nan)), calibration)[0].samples == 0
     gyro[8, 1] = -0.551
+    single = find_beyond(replace(done, gyro=gyro), calibration)[0]
+    assert (single.samples, single.findings) == (1, ())  # an impact is no finding
+    gyro[8:13, 1] = -0.551
     found = find_beyond(replace(done, gyro=gyro), calibration)[0]
-    assert (found.samples, found.worst) == (1, -0.551)
+    assert (found.samples, found.worst) == (5, -0.551)
     assert found.findings[0].text == (
-        "gyroscope: 0.2 % of samples exceed the calibrated range: by more than a tenth: range -28.6 to 28.6 deg/s, "
+        "gyroscope: 1 % of samples exceed the calibrated range: by more than a tenth: range -28.6 to 28.6 deg/s, "
         f"worst {-0.551 / RADIAN_PER_DEGREE:.4g} deg/s; the model is extrapolated; calibrate over a wider range"
     )
 

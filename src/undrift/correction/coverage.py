@@ -28,6 +28,9 @@ Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 ON_NODE = 1e-9  # of a cell: a value so near to a node draws on that node only
 MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
+# share of samples beyond it that counts: single impacts exceed the range of a calibration from the same recording, whose fit takes
+# means, and do not change an orientation
+LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,8 +245,8 @@ class Beyond:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The finding, none if nothing lies beyond."""
-        if not self.samples:
+        """The finding, none if nothing lies beyond, or single samples only."""
+        if self.share < LEAST_SHARE:
             return ()
         gyro = self.sensor == "gyro"
         low, high, worst = np.array((*self.seen, self.worst)) / (RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY)
