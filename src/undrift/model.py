@@ -242,6 +242,9 @@ class StaticDrift:
     accel_extrapolated: Annotated[Marks, LATER] = None
     # half-width: offset while cooling minus offset while warming, over two, raw unit; the table is their mean
     gyro_hysteresis: Annotated[Vector, LATER] = None
+    # standard deviation, raw unit, of what one visit to a temperature adds and the next does not; part of the uncertainty
+    gyro_visit: Annotated[Vector, LATER] = None
+    accel_visit: Annotated[Vector, LATER] = None
     warm_up: Annotated[WarmUp | None, LATER] = None
 
     def __post_init__(self) -> None:
@@ -374,6 +377,10 @@ class Provenance:
     def text(self, name: str) -> str:
         """Return a setting, empty where it was not made."""
         return dict(self.settings).get(name, "")
+
+    def count(self, name: str, usual: int) -> int:
+        """Return a setting that counts something, or the usual number if it was not made."""
+        return int(self.text(name)) if self.text(name).isdigit() else usual
 
     def number(self, name: str, usual: float) -> float:
         """Return a setting that is a number, or the usual one where it was not made."""

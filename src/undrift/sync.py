@@ -430,8 +430,6 @@ def in_step(
     line = lag_line(when, late, spread)
     if abs(line.skew) * span_s > _LEAST_SKEW and abs(line.skew) > _CLEAR * line.skew_uncertainty:
         record = replace(record, time=record.time - line.skew * (record.time - lag.seconds - when.mean()))
-        late_ms = 1e3 * line.skew * span_s
-        findings.append(finding("sync.skew", "info", skew_ppm=1e6 * line.skew, late_ms=late_ms))
         lag, late = find_lag(record, poses, settings), line.off_s
     if np.ptp(late) > _OUT_OF_STEP:
         findings.append(finding("sync.out_of_step", "warn", most_ms=1e3 * float(np.ptp(late))))

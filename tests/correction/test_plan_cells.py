@@ -11,8 +11,8 @@ from undrift.correction.plan import LookupTable, TableAxis, line_cells
 from undrift.kernels.correct import cell, without_line
 
 
-def evened(nodes, **most):
-    return TableAxis(nodes=np.asarray(nodes)).evened(**most)
+def evened(nodes):
+    return TableAxis(nodes=np.asarray(nodes)).evened()
 
 
 def grid_of(nodes):
@@ -27,11 +27,11 @@ def test_even_grids_are_found_where_there_is_one():
     assert not evened([0.0, 1e-6, 1.0]).even  # too fine
 
 
-def test_a_limit_of_nodes_decides_between_an_even_grid_and_the_given_nodes():
-    assert evened(GAP, most=37).even
-    kept = evened(GAP, most=36)
+def test_an_even_grid_of_more_than_twice_the_nodes_is_not_used():
+    nodes = np.array([0.0, 1.0, 2.0, 30.0])
+    kept = evened(nodes)
     assert not kept.even
-    np.testing.assert_array_equal(kept.nodes, GAP)
+    np.testing.assert_array_equal(kept.nodes, nodes)
 
 
 @pytest.mark.slow

@@ -38,6 +38,7 @@ RESULTS = {
     "Exported",
     "ExportedC",
     "OrientSettings",
+    "Orientation",
     "OrientationError",
     "Provenance",
     "Simulated",

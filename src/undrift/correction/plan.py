@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 NOTHING = np.empty(0)
 EVERYWHERE = (-np.inf, np.inf)
-MOST_NODES = 4096  # an even grid finer than this is not worth its memory
 EVEN_WITHIN = 1e-9  # of a step
 THREADS_FROM = 100_000  # samples; below it a second thread costs more than it saves
 
@@ -82,9 +81,9 @@ class TableAxis:
 
         return Grid(np.array(self.nodes), self.start, float(self.inverse[0]) if self.even else 0.0, self.cells)
 
-    def evened(self, most: int = MOST_NODES) -> "TableAxis":
-        """Return the even grid that contains all nodes, or the nodes if that grid would have more than ``most`` nodes."""
-        span = self.stop - self.start
+    def evened(self) -> "TableAxis":
+        """Return the even grid that contains all nodes, or the nodes if that grid would be more than twice as long."""
+        span, most = self.stop - self.start, 2 * len(self.nodes) + 8
         cells = span / np.diff(self.nodes).min()
         for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
             count = round(float(cells) * parts)
@@ -109,11 +108,11 @@ class LookupTable:
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
     extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
 
-    def evened(self, most: Callable[[FloatArray], int] = lambda nodes: MOST_NODES) -> "LookupTable":
+    def evened(self) -> "LookupTable":
         """Return the table with its axes filled up to even grids, if there are such."""
-        temp, rate, values = self.temp.evened(most(self.temp.nodes)), self.turn_rate, self.values
+        temp, rate, values = self.temp.evened(), self.turn_rate, self.values
         if self.turn_rate is not None:
-            rate = self.turn_rate.evened(most(self.turn_rate.nodes))
+            rate = self.turn_rate.evened()
             values = np.moveaxis(rate.filled(self.turn_rate.nodes, np.moveaxis(values, 1, 0)), 0, 1)
         return replace(self, temp=temp, turn_rate=rate, values=temp.filled(self.temp.nodes, values))
 

@@ -45,7 +45,7 @@ def _on_grids(constants: Constants) -> Constants:
             f"export: wanted numbers throughout the model of the {constants.name}, got {missing} NaN; calibrate what is missing",
             missing=missing,
         )
-    findable: dict[str, Any] = {name: table.evened(lambda nodes: 2 * len(nodes) + 8) for name, table in tables}
+    findable: dict[str, Any] = {name: table.evened() for name, table in tables}
     return replace(constants, **findable)
 
 
