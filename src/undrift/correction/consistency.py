@@ -12,7 +12,7 @@ from undrift.model import Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
 from undrift.segments import StillSettings, find_still, unpadded
 from undrift.sync import padding
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 REST_LOOKED_AT_S = 600.0
 FAR_SIGMAS = 4.0
