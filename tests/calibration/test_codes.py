@@ -8,8 +8,8 @@ import pytest
 from testkit.data import data_path, show
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.codes import (
-    AdcFinding,
-    _sweeping,
+    CodeGrid,
+    _swept_codes,
     adc_model,
     code_grid,
     code_variance,
@@ -40,20 +40,20 @@ def test_step_and_rounding_are_found_in_codes_and_in_floats(name, scale, dtype):
     codes = ROUNDINGS[name](sweeping(np.random.default_rng(1)))
     found = identify_adc((codes * scale).astype(dtype).astype(float))
     np.testing.assert_allclose(found.lsb, scale, rtol=1e-6)
-    assert found.rounding == ("toward_zero" if name == "toward_zero" else "nearest"), found.finding.text
+    assert found.rounding == ("toward_zero" if name == "toward_zero" else "nearest"), found.reason
 
 
 def test_continuous_readings_have_no_step():
     found = identify_adc(sweeping(np.random.default_rng(2)))
     assert found.lsb is None
     assert found.rounding is None
-    assert "lie on no grid" in found.finding.text
+    assert "lie on no grid" in found.reason
 
 
 def test_a_resting_device_does_not_tell_its_rounding():
     found = identify_adc(np.trunc(np.random.default_rng(3).normal(0.0, 1.5, (20000, 3))))
     assert found.rounding is None
-    assert "fewer than two axes sweep through code 0" in found.finding.text
+    assert "fewer than two axes sweep through code 0" in found.reason
     np.testing.assert_allclose(found.lsb, 1.0)
 
 
@@ -64,7 +64,7 @@ def test_an_offset_subtracted_from_the_codes_hides_the_rounding_but_not_the_step
     assert phase == pytest.approx(0.37, abs=1e-6)
     found = identify_adc(codes)
     assert found.rounding is None
-    assert "an offset was subtracted from the codes" in found.finding.text
+    assert "an offset was subtracted from the codes" in found.reason
 
 
 def test_few_readings_or_constant_ones_have_no_grid():
@@ -74,12 +74,7 @@ def test_few_readings_or_constant_ones_have_no_grid():
 
 def test_the_model_keeps_only_what_is_certain():
     known = identify_adc(np.trunc(sweeping(np.random.default_rng(5))))
-    unknown = AdcFinding(
-        lsb=np.ones(3),
-        rounding=None,
-        ratio=np.full(3, np.nan),
-        finding=known.finding,
-    )
+    unknown = CodeGrid(lsb=np.ones(3), rounding=None)
     model = adc_model(known, unknown)
     assert model.gyro_rounding == "toward_zero"
     assert model.accel_lsb is None
@@ -113,7 +108,6 @@ def test_the_broad_gyroscopes_truncate_toward_zero(trial):
     found, force = identify_adc(gyro), identify_adc(accel)
     step = np.degrees(found.lsb)
     show(f"BROAD {trial[:2]} gyro step, deg/s", np.round(step, 5), "0.061")
-    show(f"BROAD {trial[:2]}", found.finding.text)
     show(f"BROAD {trial[:2]} accel step, m/s2", np.round(force.lsb, 5), "0.0049 within 3 %")
     np.testing.assert_allclose(step, 2000.0 / 32767.0, rtol=1e-4)
     assert found.rounding == "toward_zero"
@@ -168,6 +162,6 @@ def test_every_fit_to_rests_of_a_coarse_converter_names_its_steps(kind, methods,
 
 def test_gap_in_a_rest_is_no_sweep_through_the_codes() -> None:
     rest = np.random.default_rng(4).integers(-2, 3, 400).astype(float)
-    assert _sweeping(rest, 1.0).sum() == 0.0
+    assert _swept_codes(rest, 1.0).sum() == 0.0
     rest[100:110] = np.nan
-    assert _sweeping(rest, 1.0).sum() == 0.0
+    assert _swept_codes(rest, 1.0).sum() == 0.0

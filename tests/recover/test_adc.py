@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from testkit.data import show
 from undrift.calibration.codes import identify_adc
 from undrift.sim.device.effects import Rounding, converted
 from undrift.sim.device.model import DeviceModel
@@ -47,7 +46,6 @@ def test_step_and_rounding_of_a_logger_in_a_quarter_of_an_hour_of_motion(
     device, analog = before_the_converter(seed)
     readings = converted(analog, replace(device.gyro.adc, rounding=rounding))[0]
     found = identify_adc(readings)
-    show(f"{rounding}: samples at code 0 over those expected, each axis", f"{found.ratio}")
     assert found.lsb is not None
     np.testing.assert_allclose(found.lsb, device.gyro.adc.step, rtol=1e-6)  # deg/s; floating point alone blurs it
     assert found.rounding == told  # floor is nearest with half a step of offset: codes alone cannot tell
@@ -57,7 +55,7 @@ def test_a_minute_of_motion_says_that_it_is_too_short() -> None:
     rng = np.random.default_rng(1)
     found = identify_adc(simulate_trial("free", random_device(rng, grade="wearable"), rng=rng).record.gyro)  # type: ignore[arg-type]
     assert found.rounding is None
-    assert "sweep through code 0" in found.finding.text
+    assert "sweep through code 0" in found.reason
 
 
 def test_readings_that_were_never_codes_lie_on_no_grid() -> None:

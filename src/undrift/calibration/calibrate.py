@@ -26,8 +26,8 @@ from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
-from undrift.calibration.pieces import check_accel
 from undrift.calibration.plausibility import missing_faces, range_in_doubt
+from undrift.calibration.quality import check_accel
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
@@ -187,7 +187,9 @@ def calibrated(
     adc, seen = _observed(session, settings)
     accel_outcome = _calibrate_accel(seen, accel, mode)
     if accel_outcome.fit is not None:
-        accel_outcome = accel_outcome.after(*check_accel(seen, accel_outcome.fit.model, accel_outcome.used))
+        unused = seen.unused_stills(accel_outcome.used)
+        doubts = check_accel(seen.session, accel_outcome.fit.model, unused)
+        accel_outcome = accel_outcome.after(*doubts)
     gyro_outcome = _calibrate_gyro(seen, gyro, mode, accel_outcome)
     findings = each_once(
         (

@@ -24,7 +24,8 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.session import Observed, mean_reading, middles, piece_temperatures, whole_readings
+from undrift.calibration.quality import mean_reading, piece_temperatures, whole_readings
+from undrift.calibration.session import Observed, middles
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import student_factor
 from undrift.fit.least_squares import block_size, noise_of_means

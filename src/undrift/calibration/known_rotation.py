@@ -32,7 +32,6 @@ from undrift.arrays import FloatArray
 from undrift.calibration import multi_position
 from undrift.calibration.codes import limited_by_codes, mean_rounding
 from undrift.calibration.creep import Creep, creep_of, flicker_about_mean, in_case, walk_about_mean
-from undrift.calibration.pieces import unused_stills
 from undrift.calibration.plausibility import (
     axis_vectors,
     cause_by_gravity,
@@ -661,7 +660,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         findings = (finding("known_rotation.turns_found", "warn", turns=taken),)
     rests = seen.stills
     if _without_rest(seen.session.records, rests, turns):
-        rests = (*rests, *unused_stills(seen, (*rests, *turns)))
+        rests = (*rests, *seen.unused_stills((*rests, *turns)))
         if len(rests) > len(seen.stills):
             findings = (*findings, finding("known_rotation.rests_found", "info", rests=len(rests) - len(seen.stills)))
     if lacking := _without_rest(seen.session.records, rests, turns):

@@ -40,7 +40,8 @@ from undrift.calibration.plausibility import (
     face_vectors,
     missing_faces,
 )
-from undrift.calibration.session import Observed, Outcome, spans_of, whole_readings, with_offset
+from undrift.calibration.quality import whole_readings
+from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of

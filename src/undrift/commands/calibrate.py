@@ -423,7 +423,7 @@ def judge_pieces(
     """Return the corrected records of a session, and those of its pieces that the calibration used."""
     import numpy as np
 
-    from undrift.calibration.session import settling
+    from undrift.calibration.quality import settling
     from undrift.correction.correct import correct_whole
 
     # a triad that the calibration has no model of is left out: its unit may be counts

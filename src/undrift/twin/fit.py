@@ -337,12 +337,13 @@ def _adc_parameters(record: Record, adc: AdcModel | None) -> tuple[dict[str, flo
             continue
         codes = identify_adc(readings)
         if codes.lsb is None:
-            rows.append(unknown(f"{name}_lsb", unit, codes.finding))
+            rows.append(unknown(f"{name}_lsb", unit, finding("twin.not_fitted", "info", error=codes.reason)))
             continue
         steps[name] = float(codes.lsb.mean())
         rows.append(known(f"{name}_lsb", steps[name], float(codes.lsb.std()), unit))
         of_device = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
         rounding = of_device or codes.rounding
         word = f"{name}_rounding"
-        rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", codes.finding))
+        reason = finding("twin.not_fitted", "info", error=codes.reason)
+        rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", reason))
     return steps, rows
