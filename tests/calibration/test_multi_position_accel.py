@@ -62,7 +62,7 @@ def test_without_standard_errors_the_residuals_tell_the_noise() -> None:
 
 def test_excess_and_temperature_do_not_keep_a_fit_from_converging() -> None:
     creep = Creep(warmth=np.linspace(-0.5, 0.5, 18), offset_per_k=5e-3, scale_per_k=2e-4)
-    for seed in range(60):
+    for seed in (107, 110, 163, 216):  # whole steps of the excess oscillate here
         rng, n = np.random.default_rng(seed), directions(18, seed)
         raw = readings(n) + (rng.normal(size=(18, 3)) + creep.warmth[:, None] * rng.normal(0.0, 2.0, 3))
         fit_norm(raw, gravity=G, variances=np.full((18, 3), 0.7), creep=creep)

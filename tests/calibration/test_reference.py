@@ -134,24 +134,6 @@ def test_counts_and_a_turned_mounting_are_taken_up_by_the_matrix():
 
 
 @pytest.mark.slow
-def test_g_sensitivity_is_found_where_it_is_large():
-    g = np.array([[2e-4, 0.0, -1e-4], [0.0, 3e-4, 0.0], [1e-4, 0.0, -2e-4]])
-    device = Device(forward=FORWARD, g_sensitivity=g, lag_s=0.002)
-    settings = ReferenceSettings(g_sensitivity=True)
-    fit = fit_reference(*recordings((21, 22), device), settings=settings)
-    model = fit.triad.model
-    assert model.g_sensitivity is not None
-    assert np.abs(np.linalg.inv(FORWARD) @ FORWARD @ g - model.g_sensitivity).max() < 1e-5
-    assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 5e-5
-    assert len(model.parameters) == 21
-
-
-def test_a_g_sensitivity_of_zero_is_not_significant(noisy):
-    fit = fit_reference(*noisy, settings=ReferenceSettings(g_sensitivity=True))
-    assert only(fit.triad.verdict.findings, "reference.g_sensitivity").level == "warn"
-
-
-@pytest.mark.slow
 def test_offsets_that_differ_between_recordings_are_named():
     device = Device(forward=FORWARD, offset=REST)
     warmer = Device(forward=FORWARD, offset=REST + 2e-3)
@@ -248,9 +230,6 @@ def test_calls_that_cannot_be_are_refused(exact):
         fit_reference([records[0], replace(records[1], gyro_unit="dps")], references)
     with pytest.raises(InputError, match="wanted two recordings of a device or more, got 1"):
         leave_one_out(records[:1], references[:1])
-    bare = [Record(time=r.time, gyro=r.gyro) for r in records]
-    with pytest.raises(InputError, match="wanted gyro and accel for a g-sensitivity"):
-        fit_reference(bare, references, settings=ReferenceSettings(g_sensitivity=True))
 
 
 def test_a_rest_without_readings_is_refused(exact):

@@ -83,11 +83,6 @@ class NormFit:
         return _of_reading(self.covariance, self.gravity)
 
     @property
-    def linear_uncertainty(self) -> float:
-        """Part of ``uncertainty`` that a linear sensor has, m/s2."""
-        return _of_reading(self.covariance - self.quadratic, self.gravity)
-
-    @property
     def quadratic_uncertainty(self) -> float:
         """Part of ``uncertainty`` that quadratic terms contribute, m/s2."""
         return _of_reading(self.quadratic, self.gravity)

@@ -1,6 +1,6 @@
 """Gyroscope against an orientation reference: mocap, a robot arm, anything that gives poses of the same body.
 
-w = M (u + c sign(u) - o) - m(t) d - G a, with w the body rate of the reference. Rates are never differentiated from poses: readings
+w = M (u + c sign(u) - o) - m(t) d, with w the body rate of the reference. Rates are never differentiated from poses: readings
 are integrated over windows and compared with how far the reference turned, so pose noise enters twice a window whatever the rate.
 Windows grow from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose errors do not grow with the
 window, the rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose
@@ -9,7 +9,7 @@ recording's offset is its own mean at rest, and a change d that all recordings s
 m = 1: a new recording needs its own rest alone. Where it never rests, its offset is that of all recordings and a change of its own
 with a prior.
 Where the codes show how they were rounded, c is fitted about half a step, or none, within a third of a step. Each recording has a
-small rotation R of its own between device and body, w = R (M (u - o) - G a), whose mean over the recordings is none: markers are
+small rotation R of its own between device and body, w = R M (u - o), whose mean over the recordings is none: markers are
 put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all. Motion that does not show the
 matrix leaves it a prior about the rotation that the rates show, and the verdict names the elements that keep it.
 """
@@ -35,7 +35,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.equations import offset_of
 from undrift.fit.least_squares import TriadFit
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
-from undrift.model import CODE_NAMES, G_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
+from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
 from undrift.segments import StillSettings, find_still, find_turning, unpadded
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -51,7 +51,6 @@ class ReferenceSettings:
     # Last window, s. Longer weighs pose noise less and slow changes of the offset more
     longest_window_s: float = 16.0
     stride_s: float = 0.5  # From the start of one window to the next, s
-    g_sensitivity: bool = False  # Fit G as well; needs accelerometer readings
     # d acts while the device turns, beside priors for it and for codes; False: from the first to the last rest
     turning: bool = True
     # "each": device and reference body are turned against each other anew in each recording. "one": by the matrix alone
@@ -147,8 +146,6 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
 def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     """Return the rest of a recording, and its poses at the ends of windows."""
     record, gyro, time, motion = aligned.record, aligned.gyro, aligned.record.time, aligned.span
-    if settings.g_sensitivity and record.accel is None:
-        raise InputError("reference: wanted gyro and accel for a g-sensitivity, got one only; map the other's columns")
     poses, lag = aligned.reference, aligned.lag
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = np.diff(time)
@@ -164,7 +161,6 @@ def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
     return Recording(
         time=time,
         gyro=np.where(gap[:, None], 0.0, gyro),
-        accel=record.in_units(record.gyro_unit, "m/s2").accel if settings.g_sensitivity else None,
         gaps=np.cumsum(gap | late),
         lag=lag,
         moving=(time >= motion.start_s) & (time < motion.stop_s),
@@ -223,7 +219,7 @@ def fit_reference(
     adc: AdcModel | None = None,
     lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
-    """Fit matrix, offset while it turns, what codes lose and, on request, g-sensitivity of a gyroscope to references."""
+    """Fit matrix, offset while it turns and what codes lose of a gyroscope to references."""
     return fit_aligned(align_all(records, references, lag_settings), settings, adc)
 
 
@@ -315,7 +311,7 @@ def _rotations(prepared: Sequence[Recording]) -> tuple[FloatArray | None, float]
 
 
 class _Estimate:
-    """M, d, c and G; turns of all recordings but the last; a change of the offset of each one without a rest, about the others'."""
+    """M, d and c; turns of all recordings but the last; a change of the offset of each one without a rest, about the others'."""
 
     def __init__(
         self,
@@ -337,7 +333,7 @@ class _Estimate:
             size = float(np.linalg.norm(nominal[0], 2))
             each = nominal @ nominal[0].T / size**2
             self.mounted = each if settings.mounting == "each" else np.tile(np.eye(3), (len(prepared), 1, 1))
-            self.guess = np.append(nominal[0].reshape(-1), np.zeros(15 if settings.g_sensitivity else 6))
+            self.guess = np.append(nominal[0].reshape(-1), np.zeros(6))
         self.turning = len(prepared) if settings.mounting == "each" else 1
         self.size, self.turns = len(self.guess), np.zeros(3 * (self.turning - 1))
         self.changes = np.zeros((len(self.unrested), 3))  # rad/s
@@ -455,10 +451,9 @@ def _of_device(
 
 
 def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return M, d, c and G, one after the other, turned by a matrix (3, 3); c belongs to the sensors."""
-    matrix, moving, codes, force = np.split(parameters, (9, 12, 15))
-    turned = [(rotation @ part.reshape(3, -1)).reshape(-1) for part in (matrix, moving, force)]
-    return np.concatenate((*turned[:2], codes, turned[2]))
+    """Return M, d and c, one after the other, turned by a matrix (3, 3); c belongs to the sensors."""
+    matrix, moving, codes = np.split(parameters, (9, 12))
+    return np.concatenate(((rotation @ matrix.reshape(3, 3)).reshape(-1), rotation @ moving, codes))
 
 
 def _lengths(settings: ReferenceSettings) -> list[float]:
@@ -508,35 +503,34 @@ def _first_guess(
             difference=worst,
         )
     constants = [-r @ p.lag.constant - matrix @ o for p, r, o in zip(prepared, back, offsets, strict=True)]
-    g = np.zeros(9 if settings.g_sensitivity else 0)
-    return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), np.zeros(3), g))
+    return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), np.zeros(3)))
 
 
 def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float) -> ReferenceFit:
     from scipy.spatial.transform import Rotation
 
-    prepared, settings, guess = estimate.prepared, estimate.settings, estimate.guess
+    prepared, guess = estimate.prepared, estimate.guess
     free = estimate.free[estimate.free < estimate.size]
-    matrix, moving, codes, g = guess[:9].reshape(3, 3), guess[9:12], guess[12:15], guess[15:]
+    matrix, moving, codes = guess[:9].reshape(3, 3), guess[9:12], guess[12:]
     rest = np.array([p.rest_offset for p in prepared])
     rested = np.isfinite(rest).all(axis=1)
     signs = np.array([p.rest_sign for p in prepared])[rested].mean(axis=0) if rested.any() else np.zeros(3)
     base = rest[rested].mean(axis=0) + signs * codes if rested.any() else np.zeros(3)
     apart, coded = estimate.apart, bool(estimate.code_sd.any())
-    # From (M, d, c, G) to (M, o, G, d, c), the last two where the model has them
+    # From (M, d, c) to (M, o, d, c), the last two where the model has them
     motion_offset, to_offset = offset_of(matrix, moving, len(guess))
     to_offset[9:12, : 12 * apart] = 0.0
     to_offset[9:12, 12:15] = np.diag(signs)
     unit_rows = np.eye(len(guess))
-    jacobian = np.vstack((to_offset[:12], unit_rows[15:], unit_rows[9 : 9 + 3 * apart], unit_rows[12 : 12 + 3 * coded]))
+    jacobian = np.vstack((to_offset[:12], unit_rows[9 : 9 + 3 * apart], unit_rows[12 : 12 + 3 * coded]))
     covariance = np.zeros((len(guess), len(guess)))
     covariance[np.ix_(free, free)] = solution.covariance()[: len(free), : len(free)]
     covariance = jacobian @ covariance @ jacobian.T
     if rested.any():  # what the mean at rest is off by, d takes back
         spread = np.sqrt((np.array([p.rest_uncertainty for p in prepared]) ** 2).sum(axis=0)) / rested.sum()
         shift = np.zeros((len(covariance), 3))
-        shift[9:12], last = np.eye(3), 12 + len(g)
-        shift[last : last + 3 * apart] = -matrix[: 3 * apart]
+        shift[9:12] = np.eye(3)
+        shift[12 : 12 + 3 * apart] = -matrix[: 3 * apart]
         covariance += (shift * spread**2) @ shift.T
     seen = [(p.gyro[p.moving] - base - motion_offset) @ matrix.T for p in prepared]
     model = TriadModel(
@@ -545,9 +539,8 @@ def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float)
         unit_out="rad/s",
         matrix=matrix,
         offset=base if apart else base + motion_offset,
-        g_sensitivity=g.reshape(3, 3) if settings.g_sensitivity else None,
         parameters=(
-            *(*MATRIX_NAMES, *OFFSET_NAMES, *(G_NAMES if settings.g_sensitivity else ())),
+            *(*MATRIX_NAMES, *OFFSET_NAMES),
             *(*(MOVING_NAMES if apart else ()), *(CODE_NAMES if coded else ())),
         ),
         covariance=covariance,
@@ -582,17 +575,14 @@ def _judged(model: TriadModel, rest: FloatArray) -> Iterator[Finding]:
         spread_dps = np.degrees(rest.std(axis=0, ddof=1).max() * scale)
         if spread_dps > 0.03:
             yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)
-    if model.g_sensitivity is not None and (np.abs(model.g_sensitivity).reshape(-1) < 3.0 * sigma[12:21]).all():
-        yield finding("reference.g_sensitivity", "warn")
 
 
 def _left(
     recording: Recording, model: TriadModel, turn: FloatArray, window_s: float, settings: ReferenceSettings
 ) -> float:
     """Return the rms rotation that a model leaves over the windows of a recording, rad; ``turn`` leads from the model's body."""
-    g = np.zeros(0) if model.g_sensitivity is None else model.g_sensitivity.reshape(-1)
     moving, codes = (np.zeros(3) if part is None else part for part in (model.moving_offset, model.code_offset))
-    parameters = _turned(np.concatenate((model.matrix.reshape(-1), moving, codes, g)), turn)
+    parameters = _turned(np.concatenate((model.matrix.reshape(-1), moving, codes)), turn)
     offset = model.offset - recording.rest_sign * codes
     windows = window_equations(recording, parameters, offset, max(1, round(window_s / settings.stride_s)))
     return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))

@@ -18,10 +18,10 @@ from undrift.sync import Lag
 # Over a window from pose i to pose j, with M, offset and d at their present values:
 #
 #     u  = y + c sign(y)                                    readings y; c of each sensor
-#     w  = M (u - offset) - m(t) d - G a                    m = 1 while the device turns, specific force a
+#     w  = M (u - offset) - m(t) d                          m = 1 while the device turns
 #     R_w = exp(w dt) ... exp(w dt)                         product over the window's samples
 #     y  = log(R_w^T R_i^T R_j)                             what is left, rad, in the body at j
-#     y  = J (dM, dd, dc, dG) + pose noise                  J from one running sum of R regressor dt along the recording
+#     y  = J (dM, dd, dc) + pose noise                      J from one running sum of R regressor dt along the recording
 #
 # Poses are taken at their own times; the integration is read off there, the lag added. So no pose is ever interpolated.
 
@@ -32,7 +32,6 @@ class Recording:
 
     time: FloatArray  # (N,), s, record clock
     gyro: FloatArray  # (N, 3), readings, raw unit; gaps are zero
-    accel: FloatArray | None  # (N, 3), m/s2, where a g-sensitivity is wanted
     gaps: IntArray  # (N,), gaps counted from the start: a window without one has the same count at both ends
     lag: Lag  # Of the record against the reference
     moving: BoolArray  # (N,), between the first and the last rest
@@ -60,13 +59,13 @@ class Windows:
     """Equations of one recording."""
 
     turn: FloatArray  # (n, 3), y, rad
-    # (n, 3, P), J: matrix row by row, d, c, then G where accel readings are given, then the rotations of the recordings
+    # (n, 3, P), J: matrix row by row, d, c, then the rotations of the recordings
     design: FloatArray
     first: IntArray  # (n,), number of the pose at which each window starts
 
 
 def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray, reach: int) -> Windows:
-    """Return the equations of all windows that span ``reach`` strides, at M row by row, d, c and, with accel readings, G.
+    """Return the equations of all windows that span ``reach`` strides, at M row by row, d and c.
 
     ``offset`` (3,) is that of readings without c: its own part of it goes with c, c sign(u) less what it is at rest.
     """
@@ -76,11 +75,7 @@ def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray
     sign = np.sign(recording.gyro) - recording.rest_sign
     u = recording.gyro + sign * guess[12:15] - offset
     rate = u @ matrix.T - moving * guess[9:12]
-    columns: list[FloatArray] = [u, moving, sign]
-    if recording.accel is not None:
-        columns.append(np.nan_to_num(recording.accel))
-        rate = rate - columns[3] @ guess[15:].reshape(3, 3).T
-    regressors = np.concatenate(columns, axis=1)
+    regressors = np.concatenate((u, moving, sign), axis=1)
     points, channels = len(recording.at), regressors.shape[1]
     q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
     accumulate(
@@ -101,8 +96,7 @@ def window_equations(recording: Recording, guess: FloatArray, offset: FloatArray
     design = np.moveaxis(rotate(back, np.moveaxis(gain, 1, -1)), -1, 1)  # (n, 3 residual, 3 row, C regressor)
     n = len(first)
     of_codes = np.einsum("narj,rj->naj", design[..., 4:7], matrix)
-    of_force = -design[..., 7:].reshape(n, 3, 3 * (channels - 7))
-    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], of_codes, of_force)
+    blocks = (design[..., :3].reshape(n, 3, 9), -design[..., 3], of_codes)
     return Windows(turn=turn, design=np.concatenate(blocks, axis=2), first=first)
 
 
