@@ -167,9 +167,7 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
     assert len(found.record) == len(rows)  # type: ignore[attr-defined]
     assert found.record.sample_rate_hz == pytest.approx(RATE, rel=1e-3)  # type: ignore[attr-defined]
     rows[600, 0] -= 1.0
-    with pytest.raises(
-        InputError, match=r"t.csv: clock: wanted stamps that never go back.*in data row 601; set repair_time"
-    ):
+    with pytest.raises(InputError, match=r"t.csv: clock: wanted stamps that never go back.*in data row 601; set"):
         read(clock="regular")
     repaired = read(clock="regular", repair_time=True)
     assert (len(repaired.record), repaired.repaired_rows) == (len(rows) - 1, 1)  # type: ignore[attr-defined]

@@ -85,18 +85,6 @@ def test_dates_in_the_index_are_the_clock(index):
     np.testing.assert_allclose(record.time, np.arange(N) * 0.02, atol=1e-12)
 
 
-def test_seconds_in_an_index_of_undrifts_name_are_the_clock():
-    frame = pd.DataFrame(
-        {f"gyro_{axis}_dps": np.zeros(N) for axis in "xyz"}, index=pd.Index(np.arange(N) / 8.0, name="time_s")
-    )
-    assert Record.from_frame(frame).sample_rate_hz == pytest.approx(8.0)
-
-
-def test_a_date_column_is_a_clock_too():
-    frame = pd.DataFrame({"time": pd.date_range("2026-11-22", periods=N, freq="10ms"), **PLAIN})
-    np.testing.assert_allclose(Record.from_frame(frame, units=UNITS).time, np.arange(N) * 0.01, atol=1e-12)
-
-
 def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
     frame = pd.DataFrame({**PLAIN, "gyro_x": pd.array([None, *range(N - 1)], dtype="Int64")})
     with pytest.raises(InputError, match="wanted a number in every row, got 1 empty or NaN cells"):
@@ -123,13 +111,6 @@ def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
 def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):
     with pytest.raises(error, match=said):
         Record.from_frame(pd.DataFrame(frame), **how)
-
-
-def test_attrs_that_are_not_undrifts_are_refused():
-    frame = Record.from_frame(pd.DataFrame(PLAIN), units=UNITS, sample_rate_hz=10.0).to_frame()
-    frame.attrs["undrift"] = {"frame": "q", "state": "raw"}
-    with pytest.raises(FileFormatError, match="DataFrame: wanted attrs of undrift, got others"):
-        Record.from_frame(frame)
 
 
 def test_without_pandas_a_frame_is_refused_and_the_rest_works(monkeypatch):

@@ -109,9 +109,3 @@ def test_xsens_orientations_without_a_rate_or_without_angles_are_refused(tmp_pat
     )
     with pytest.raises(FileFormatError, match="wanted columns of orientations, got none"):
         read_reference(put(tmp_path, "m.txt", text))
-
-
-def test_packets_that_an_orientation_file_lost_are_drop_outs():
-    found = describe(data_path("makers", "xsens_dot", "LFemur_20210820_202113_831.csv"))
-    assert "recording.dropouts" in [item.code for item in found.findings]
-    assert "157 of 352 packets lost by PacketCounter" in found.summary

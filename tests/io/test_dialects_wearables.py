@@ -6,7 +6,7 @@ import pytest
 from undrift.errors import FileFormatError, InputError
 from undrift.io.columns import ReadSettings
 from undrift.io.dialects import dialects
-from undrift.io.formats import detect, read_counted, read_record
+from undrift.io.formats import detect, read_record
 
 GYRO = [f"Gyroscope {a} (deg/s)" for a in "XYZ"]
 ACCEL = [f"Accelerometer {a} (g)" for a in "XYZ"]
@@ -40,19 +40,6 @@ def test_each_apdm_sensor_has_its_own_columns(tmp_path, sensors):
         np.testing.assert_array_equal(record.mag_ut, values[:, 9 * k + 6 : 9 * k + 9])
         np.testing.assert_array_equal(record.temp_c, values[:, 9 * len(sensors) + k])
         assert (record.gyro_unit, record.accel_unit, record.device) == ("rad/s", "m/s2", sensor)
-
-
-def test_apdm_rate_that_contradicts_the_time_is_refused(tmp_path):
-    (tmp_path / "c.csv").write_text(apdm(["U"], rate="64")[0])
-    with pytest.raises(InputError, match="64 Hz as stated, got 128 Hz"):
-        read_record(tmp_path / "c.csv")
-
-
-def test_apdm_sensor_without_one_axis_is_left_out_with_a_note(tmp_path):
-    (tmp_path / "a.csv").write_text(apdm(["Upper"])[0].replace("Velocity/Y", "Velocity/Q"))
-    read = read_counted(tmp_path / "a.csv")
-    assert read.record.gyro is None
-    assert "turn rate left out: it has axes x, z alone" in read.notes
 
 
 def test_temperature_of_its_own_rate_is_interpolated_and_held_at_the_ends(tmp_path):

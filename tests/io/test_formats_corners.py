@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from testkit.data import data_path
 from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
-from undrift.io import mocap as c3d_module
 from undrift.io.columns import ColumnMap, two_rates
 from undrift.io.formats import detect
 from undrift.io.inspect import describe
@@ -33,14 +31,6 @@ def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
         read_csv(tmp_path / "r.csv", unmapped)
 
 
-def test_folders_are_told_by_the_files_in_them(tmp_path):
-    for name, kind in (("sensors.csv", "ngimu"), ("Inertial.csv", "ximu3"), ("1_CalInertialAndMag.csv", "ximu")):
-        folder = tmp_path / kind
-        folder.mkdir()
-        (folder / name).touch()
-        assert detect(folder) == kind
-
-
 def test_json_is_told_without_its_ending_and_a_brace_alone_is_text(tmp_path):
     (tmp_path / "a").write_text('{"k": 1}')
     (tmp_path / "b").write_text("{ not json\nmore words here\nand more\n")
@@ -57,17 +47,6 @@ def test_a_file_without_rights_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr("pathlib.Path.open", refuse)
     with pytest.raises(InputError, match="cannot be read: Permission denied; check its rights"):
         read_bytes(tmp_path / "r.csv")
-
-
-def test_a_c3d_file_without_a_frame_rate_is_refused(monkeypatch):
-    held = {
-        "parameters": {"POINT": {}},
-        "data": {"points": np.ones((4, 1, 3)), "meta_points": {"residuals": np.zeros((1, 1, 3))}},
-        "header": {"points": {"frame_rate": 0.0, "first_frame": 0}},
-    }
-    monkeypatch.setattr(c3d_module, "_load", lambda path: held)
-    with pytest.raises(FileFormatError, match="wanted a frame rate above 0, got 0 Hz"):
-        c3d_module.parse_c3d(data_path("c3d", "dec_int.c3d"))
 
 
 def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():

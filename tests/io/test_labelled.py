@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings, TempFile
+from undrift.io.columns import ColumnMap, ReadSettings
 from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
 from undrift.io.labelled import Label, label_of, open_sheet, split_unit
@@ -98,12 +98,6 @@ def test_an_st_log_in_latin_1_with_a_cut_header_loses_no_row(tmp_path):
     np.testing.assert_allclose(read.record.temp_c, 24.5)
     assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
     assert read.notes == ("lines before the header skipped: 1",)
-
-
-def test_blanks_around_tabs_and_a_trailing_tab_read(tmp_path):
-    path = put(tmp_path, "BOARD (CHIP)\n\nA_X [mg] \t A_Y [mg] \t A_Z [mg] \t\n" + "1 \t -2.5 \t 998 \t\n" * 4, "u.txt")
-    record = read_record(path, settings=ReadSettings(sample_rate_hz=26.0))
-    np.testing.assert_allclose(record.accel, [[1.0, -2.5, 998.0]] * 4)
 
 
 def test_a_preamble_is_skipped_and_a_unit_row_is_used_and_both_are_stated(tmp_path):
@@ -196,11 +190,6 @@ def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path)
         [7.0, 7.0, 7.0],
         "right",
     )
-
-
-def test_a_text_without_rows_of_numbers_is_no_sheet(tmp_path):
-    with pytest.raises(FileFormatError, match="wanted a header line over rows of numbers, got none; check the export"):
-        open_sheet(put(tmp_path, "a,b\nc,d\n"))
 
 
 def test_a_unit_row_over_a_table_that_lacks_units_is_passed_over_by_the_proposed_map(tmp_path):
@@ -315,13 +304,6 @@ def test_other_dates_are_refused(tmp_path, cell, words):
     columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
     with pytest.raises(FileFormatError, match=f"column 'when': {words}"):
         read_record(path, columns)
-
-
-def test_a_thermometer_may_log_dates(tmp_path):
-    put(tmp_path, "when,T\n2026-01-31 12:00:00,20.0\n2026-01-31 12:00:10,21.0\n", "thermometer.csv")
-    path = put(tmp_path, "time (s),ax (g),ay (g),az (g)\n0,0,0,1\n5,0,0,1\n10,0,0,1\n")
-    thermometer = TempFile(path=tmp_path / "thermometer.csv", time="when", temp="T", time_unit="date")
-    assert read_record(path, settings=ReadSettings(temp_file=thermometer)).temp_c.tolist() == [20.0, 20.5, 21.0]
 
 
 def test_a_table_that_states_one_unit_of_two_is_not_read_by_halves(tmp_path):

@@ -44,9 +44,7 @@ def test_an_xdf_clock_that_was_reset_keeps_its_rate_and_shows_the_gap():
 
 def test_an_xdf_stream_without_labels_and_units_asks_for_a_map():
     path = data_path("makers", "xdf", "minimal.xdf")
-    with pytest.raises(
-        InputError, match=r"labelled as accelerometer or gyroscope with units, got 0, 1, 2; name them in a map"
-    ):
+    with pytest.raises(InputError, match=r"labelled as accelerometer or gyroscope with units, got 0, 1, 2; name them"):
         read_record(path)
     found = describe(path)
     assert (found.kind, found.format, found.findings[0].values["missing"]) == ("table", "xdf", "columns")
@@ -179,12 +177,6 @@ def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):
         read_record(path)
 
 
-def test_a_bag_without_imu_messages_holds_no_recording(tmp_path):
-    path = bag(tmp_path / "walk", [("/t", "Temperature", [{"temperature": 20.0, "variance": 0.0}])])
-    with pytest.raises(FileFormatError, match=r"wanted a topic with readings, got none; the file holds no recording"):
-        read_record(path)
-
-
 # ---- PX4: figures of makers/px4_ulog/SOURCE.md
 
 LOG = ("makers", "px4_ulog", "sample_log_small.ulg")
@@ -215,9 +207,7 @@ def test_each_imu_of_a_ulog_has_its_own_readings_and_temperature(number, size, t
 
 def test_a_ulog_of_several_imus_lists_them():
     path = data_path(*LOG)
-    with pytest.raises(
-        InputError, match=r"wanted the name of one sensor, got a file with sensor_combined, 0, 1, 2; name"
-    ):
+    with pytest.raises(InputError, match=r"wanted the name of one sensor, got a file with sensor_combined, 0, 1, 2"):
         read_record(path)
     assert describe(path).columns == ("sensor_combined", "0", "1", "2")
 
@@ -285,14 +275,6 @@ def test_a_nilspod_reads_in_the_units_of_its_factory():
     assert "factory scale applied" in read.notes[0]
 
 
-def test_an_older_nilspod_reads_as_its_export_does():
-    record = read_record(data_path("ferraris_nilspod", "example_calibration.bin"))
-    export = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
-    assert (len(record), record.device) == (10_376, "NilsPod 03f5")
-    np.testing.assert_allclose(record.gyro, export[:, 1:4], atol=1e-6)
-    np.testing.assert_allclose(record.accel, export[:, 4:7], atol=1e-6)
-
-
 def test_a_nilspod_of_unknown_firmware_says_so_and_a_converted_one_is_read(tmp_path):
     content = bytearray(data_path("makers", "nilspod_bin", "NilsPodX-6F13_20210109_162824.bin").read_bytes())
     content[0x31:0x34] = bytes((0, 9, 1))
@@ -332,17 +314,6 @@ def test_random_bytes_are_no_nilspod(tmp_path):
     for seed in range(200):
         (tmp_path / "a.bin").write_bytes(b"\x34\x20\0" + np.random.default_rng(seed).bytes(400))
         assert detect(tmp_path / "a.bin") == "binary"
-
-
-# ---- Mobilise-D: figures of makers/mobilised_mat/SOURCE.md
-
-
-def mobilised(path, **unit):
-    from scipy.io import savemat
-
-    trial = {"SU": {"LowerBack": unit}, "SU_INDIP": {"Wrist": {"Acc": np.ones((30, 3)), "Fs": {"Acc": 100.0}}}}
-    savemat(path, {"data": {"TimeMeasure1": {"Test1": {"Trial1": trial}}}})
-    return path
 
 
 # ---- all of them

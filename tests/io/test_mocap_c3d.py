@@ -1,7 +1,5 @@
 """C3D: points come back, gaps as NaN; cut files never reach the parser."""
 
-import gzip
-
 import ezc3d
 import numpy as np
 import pytest
@@ -56,16 +54,8 @@ def test_the_axis_that_points_up_comes_from_the_file_or_from_the_caller(tmp_path
         write(tmp_path / "m.c3d", points, ("A",), unit="m", screen=screen)
         np.testing.assert_allclose(read_c3d(tmp_path / "m.c3d", up=up).points[0, 0], wanted)
     write(tmp_path / "m.c3d", points, ("A",), screen="")
-    with pytest.raises(
-        InputError, match=r"wanted the axis that points up, got none; POINT:Y_SCREEN does not say: state up ="
-    ):
+    with pytest.raises(InputError, match=r"wanted the axis that points up, got none; POINT:Y_SCREEN does not say"):
         read_c3d(tmp_path / "m.c3d")
-
-
-def test_a_packed_file_reads_as_its_plain_one(tmp_path):
-    write(tmp_path / "m.c3d", np.ones((5, 2, 3)), ("A", "B"))
-    (tmp_path / "m.c3d.gz").write_bytes(gzip.compress((tmp_path / "m.c3d").read_bytes()))
-    np.testing.assert_array_equal(read_c3d(tmp_path / "m.c3d.gz").points, read_c3d(tmp_path / "m.c3d").points)
 
 
 def test_a_file_longer_than_its_header_promises_is_refused(tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import few, numbers, one_line
 from testkit.trc_text import trc
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import InputError
 from undrift.io.inspect import describe
 from undrift.io.mocap import read_trc
 
@@ -47,14 +47,6 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
     assert finding.text.startswith("Rows end before the last marker: in 1 rows; their last markers are read as lost")
 
 
-def test_a_row_that_ends_within_a_marker_is_refused(tmp_path):
-    lines = trc(np.ones((4, 2, 3)), ("A", "B")).splitlines()
-    lines[7] = "\t".join(lines[7].split("\t")[:-2])
-    (tmp_path / "m.trc").write_text("\n".join(lines))
-    with pytest.raises(FileFormatError, match="wanted 8 columns in line 8, got 6; the header disagrees"):
-        read_trc(tmp_path / "m.trc", up="z")
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -74,9 +66,3 @@ def test_a_file_that_is_not_what_it_says_is_refused_in_one_line(tmp_path, change
     with pytest.raises(InputError, match=words) as caught:
         read_trc(tmp_path / "m.trc", up="z")
     one_line(caught)
-
-
-def test_other_bytes_are_refused(tmp_path):
-    (tmp_path / "m.trc").write_bytes(b"PathFileType\t\xff\n" * 9)
-    with pytest.raises(FileFormatError, match="wanted a TRC file in UTF-8"):
-        read_trc(tmp_path / "m.trc", up="z")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import assert_same, few, records
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.columns import ColumnMap
 from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
 from undrift.record import Record
 
@@ -120,14 +120,6 @@ def test_foreign_parquet_reads_through_a_map(tmp_path):
         read_parquet(tmp_path / "f.parquet")
 
 
-def test_gaps_are_refused_in_files_of_others_and_on_request(tmp_path):
-    columns = {"time_s": [0.0, 1.0], "gyro_x_dps": [1.0, None], "gyro_y_dps": [1.0, 2.0], "gyro_z_dps": [1.0, 2.0]}
-    pq.write_table(pa.table(columns), tmp_path / "f.parquet")
-    with pytest.raises(InputError, match="got 1 empty or NaN cells"):
-        read_parquet(tmp_path / "f.parquet")
-    assert np.isnan(read_parquet(tmp_path / "f.parquet", settings=ReadSettings(gaps="keep")).record.gyro[1, 0])
-
-
 def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
     columns = {"time_s": [0.0, 1.0, 0.5, 2.0], **{f"gyro_{a}_dps": [0.0] * 4 for a in "xyz"}}
     pq.write_table(pa.table(columns), tmp_path / "f.parquet")
@@ -135,14 +127,6 @@ def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
         list(iter_parquet(tmp_path / "f.parquet", rows=2))
     with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
         list(iter_parquet(tmp_path / "f.parquet", rows=1))
-
-
-def test_chunks_need_a_time_column(tmp_path):
-    pq.write_table(pa.table({k: [0.0, 1.0] for k in "abc"}), tmp_path / "f.parquet")
-    columns = ColumnMap(gyro=("a", "b", "c"), gyro_unit="dps", sample_rate_hz=10.0)
-    assert len(read_parquet(tmp_path / "f.parquet", columns).record) == 2
-    with pytest.raises(InputError, match="wanted a time column to read in chunks"):
-        list(iter_parquet(tmp_path / "f.parquet", columns))
 
 
 def test_an_unknown_version_a_cut_file_and_other_content_are_refused(tmp_path):

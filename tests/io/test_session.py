@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from testkit.strategies import assert_same, few, one_line, records
+from testkit.strategies import assert_same, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
 from undrift.io.parquet import write_parquet
@@ -218,55 +216,34 @@ def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
             read_session(tmp_path)
 
 
-@pytest.mark.slow
-@few
-@given(data=st.data(), serial=st.text(max_size=8).filter(str.isprintable), gravity=st.floats(9.71, 9.89))
-def test_a_session_comes_back_as_it_was_written(tmp_path_factory, data, serial, gravity):
-    held = tuple(data.draw(st.lists(records(gaps=True), min_size=1, max_size=3)))
-
-    def piece(kind):
-        recording = data.draw(st.integers(0, len(held) - 1))
-        start = data.draw(st.integers(0, len(held[recording]) - 1))
-        stop = data.draw(st.integers(start + 1, len(held[recording])))
-        temp_c = data.draw(st.none() | st.floats(-20, 80))
-        if kind is Still:
-            face = data.draw(st.sampled_from([None, "+x", "-z"]))
-            return Still(start=start, stop=stop, face=face, recording=recording, temp_c=temp_c)
-        rate, angle = data.draw(st.sampled_from([(1.5, None), (None, -6.2), (None, None)]))
-        axis = data.draw(st.sampled_from([None, "x"]))
-        return Turn(start=start, stop=stop, axis=axis, turn_rate=rate, angle=angle, recording=recording, temp_c=temp_c)
-
-    session = Session(
-        kind="thermal",
-        serial=serial,
-        gravity_m_s2=gravity,
-        records=held,
-        stills=tuple(piece(Still) for _ in range(data.draw(st.integers(0, 3)))),
-        turns=tuple(piece(Turn) for _ in range(data.draw(st.integers(0, 3)))),
-        rate_table=data.draw(
-            st.builds(
-                RateTable,
-                table_level_deg=st.floats(0.0, 10.0),
-                mount_tilt_deg=st.floats(0.0, 10.0),
-                rate_uncertainty=st.floats(0.0, 0.1),
-                wobble_deg=st.floats(0.0, 10.0),
-            )
-            | st.just(RateTable())
-        ),
-        sensitivity=data.draw(
-            st.builds(
-                TemperatureSensitivity, gyro_offset_dps_per_k=st.floats(0.0, 1.0), span_limit_k=st.floats(0.0, 9.0)
-            )
-            | st.just(TemperatureSensitivity())
-        ),
+def test_a_session_comes_back_as_it_was_written(tmp_path):
+    rng = np.random.default_rng(5)
+    gyro = rng.normal(size=(40, 3))
+    gyro[3:5] = np.nan
+    held = tuple(
+        Record(
+            time=start + np.arange(40) / 7,
+            gyro=gyro,
+            accel=rng.normal(size=(40, 3)),
+            temp_c=rng.normal(size=40),
+            device="A",
+        )
+        for start in (0.0, 1.6e9)
     )
-    path = tmp_path_factory.mktemp("session") / "run"
-    write_session(session, path)
-    back = read_session(path)
-    assert (back.kind, back.serial, back.gravity_m_s2) == (session.kind, session.serial, session.gravity_m_s2)
-    assert back.rate_table == session.rate_table
-    assert back.sensitivity == session.sensitivity
-    assert back.stills == session.stills
+    session = Session(
+        kind="thermal", serial='A "1"', gravity_m_s2=9.8123, records=held,
+        stills=(Still(start=0, stop=40, face="-z", temp_c=-20.5), Still(start=39, stop=40, recording=1), Still(start=3, stop=4)),
+        turns=(
+            Turn(start=1, stop=2, axis="x", turn_rate=1.5, recording=1, temp_c=80.0), Turn(start=0, stop=9, angle=-6.2),
+            Turn(start=5, stop=40, recording=1),
+        ),
+        rate_table=RateTable(table_level_deg=1.0, mount_tilt_deg=0.25, rate_uncertainty=1e-3, wobble_deg=0.0),
+        sensitivity=TemperatureSensitivity(gyro_offset_dps_per_k=0.5, span_limit_k=9.0),
+    )  # fmt: skip
+    write_session(session, tmp_path / "run")
+    back = read_session(tmp_path / "run")
+    for name in ("kind", "serial", "gravity_m_s2", "rate_table", "sensitivity", "stills"):
+        assert getattr(back, name) == getattr(session, name), name
     for a, b in zip(back.turns, session.turns, strict=True):
         assert (a.start, a.stop, a.axis, a.recording, a.temp_c) == (b.start, b.stop, b.axis, b.recording, b.temp_c)
         # degrees in the file: one rounding each way
@@ -295,9 +272,7 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
         read_session(tmp_path)
     (tmp_path / "session.toml").write_text(text)
     write_parquet(replace(record, gyro=np.full((200, 3), 1.001)), tmp_path / "recording_0.parquet")
-    with pytest.raises(
-        FileFormatError, match=r"recording_0.parquet: wanted the readings as they were written, got others"
-    ):
+    with pytest.raises(FileFormatError, match=r"recording_0.parquet: wanted the readings as they were written, got"):
         read_session(tmp_path)
 
 

@@ -92,11 +92,6 @@ def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
             read_map(path)
 
 
-def test_a_map_may_leave_out_stretches(tmp_path):
-    (tmp_path / "map.toml").write_text("leave_out = [[0.0, 1.5]]\n")
-    assert read_map(tmp_path / "map.toml") == (None, ReadSettings(leave_out=((0.0, 1.5),)))
-
-
 @pytest.mark.parametrize("name", ["r.csv", "r.parquet"])
 def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path, name):
     time = np.array([0.0, 0.01, 0.02, 0.015, 0.03, 0.04])

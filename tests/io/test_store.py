@@ -173,15 +173,6 @@ def test_a_file_that_is_not_a_calibration_is_refused_on_one_line(content: str, t
     assert "\n" not in str(caught.value)
 
 
-def test_bytes_that_are_no_text_and_files_that_are_not_there_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.json"
-    path.write_bytes(b"\xff\xfe\x80")
-    with pytest.raises(FileFormatError, match="wanted JSON"):
-        read_calibration(path)
-    with pytest.raises(FileFormatError, match="No such file"):
-        read_calibration(tmp_path / "absent.json")
-
-
 def test_a_covariance_of_another_size_is_refused(tmp_path: Path) -> None:
     content = calibration_json(example())
     content["accel"]["covariance"] = [[1.0]]
@@ -217,16 +208,6 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path, mon
         write_calibration(example(device="B"), path)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_tables_without_the_later_keys_are_written_as_before(tmp_path: Path) -> None:
-    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.ones((2, 3)))
-    dynamic = DynamicDrift(temp_c=[20.0, 30.0], turn_rate=[-1.0, 1.0], error=np.zeros((2, 2, 3)))
-    drift = calibration_json(example(drift=DriftTables(static=static, dynamic=dynamic)))["drift"]
-    assert list(drift) == ["static", "scale", "dynamic"]
-    assert list(drift["static"]) == ["temp_c", "gyro_offset", "accel_offset"]
-    assert drift["scale"] is None
-    assert list(drift["dynamic"]) == ["temp_c", "turn_rate", "error"]
 
 
 def test_a_mark_is_true_or_false_and_each_node_has_one(tmp_path: Path) -> None:
