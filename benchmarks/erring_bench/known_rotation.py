@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
-from undrift.calibration.creep import offset_drift
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
+from undrift.calibration.sources import offset_drift
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
 from undrift.segments import StillSettings

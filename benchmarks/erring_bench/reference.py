@@ -14,7 +14,7 @@ from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, ev
 from undrift.arrays import FloatArray
 from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
-from undrift.fit.least_squares import TriadFit
+from undrift.fit.triad import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference

@@ -12,11 +12,11 @@ from testkit.published_poses import variance_with_rest
 from testkit.stepper_jig import RUNS, turned
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.dwells import dwell_means
 from undrift.calibration.multi_position import fit_multi_position
 from undrift.calibration.noise import allan_deviation
 from undrift.calibration.norm import MG, fit_norm, judged
 from undrift.calibration.rate_table import fit_rate_table
+from undrift.calibration.table import dwell_means
 from undrift.drift.observe import RestBlocks, observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
 from undrift.model import TriadModel

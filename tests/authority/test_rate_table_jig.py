@@ -11,8 +11,8 @@ from testkit.data import show
 from testkit.findings import only
 from testkit.stepper_jig import RUNS, clock_lag, turned
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.dwells import dwell_means
 from undrift.calibration.rate_table import fit_rate_table
+from undrift.calibration.table import dwell_means
 from undrift.errors import Implausible, NotObservable
 from undrift.record import Session
 

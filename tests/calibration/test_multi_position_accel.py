@@ -5,11 +5,10 @@ import pytest
 
 from testkit.findings import only
 from testkit.poses import fit_poses
-from undrift.calibration.creep import Creep
 from undrift.calibration.norm import QUADRATIC_SD, NormFit, _linearised, fit_norm
+from undrift.calibration.sources import Creep
 from undrift.errors import Implausible, NotObservable, PoorFit
-from undrift.fit.gls import student_factor
-from undrift.fit.least_squares import excess_variance
+from undrift.fit.gls import excess_variance, student_factor
 
 G = 9.81
 MATRIX = np.array([[0.0024, -3e-5, 2e-5], [0.0, 0.00243, -5e-5], [0.0, 0.0, 0.00241]])

@@ -246,7 +246,7 @@ def twin() -> Numbers:
 
 STAGES: dict[str, Callable[[], Numbers]] = {
     "six faces and turns by the paper": lambda: constants(calibrate(foot_sensor(), mode="paper")),
-    "six faces levelled, turns affine": lambda: constants(calibrate(foot_sensor())),
+    "six faces and turns, affine": lambda: constants(calibrate(foot_sensor())),
     "rate table": lambda: constants(calibrate(rate_table())),
     "poses by hand": lambda: constants(calibrate(turned_by_hand())),
     "free poses in counts": lambda: constants(calibrate(free_poses())),

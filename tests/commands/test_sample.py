@@ -36,7 +36,7 @@ def test_the_sample_runs_through_the_commands(undrift, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "sample")
     made = undrift.good("calibrate", "bench", "-o", "calibration.json", "--json").json()
     assert made["gyro"]["method"] == "rate-table/affine"
-    assert made["accel"]["method"] == "six-face/levelled"
+    assert made["accel"]["method"] == "six-face/affine"
     assert undrift.good("noise", "rest.parquet", "--calibration", "calibration.json", "--json").json()["gyro"]
     undrift.good("drift", "bench", "thermal", "--calibration", "calibration.json", "-o", "tables.json", "--json")
     undrift.good("correct", "sit_to_stand.parquet", "--calibration", "tables.json", "-o", "corrected.parquet", "--json")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.fit.gls import Prior, solve, student_factor
+from undrift.fit.gls import Prior, excess_variance, noise_of_means, solve, student_factor
 
 
 def line(count=40):
@@ -97,3 +97,19 @@ def test_columns_of_very_different_units_are_solved():
     design = line() * [1e-3, 1e3]
     fit = solve(design, design @ [3.0, 2.0], {"noise": np.eye(40)})
     np.testing.assert_allclose(fit.theta, [3.0, 2.0], rtol=1e-9)
+
+
+def test_the_noise_of_a_mean_counts_blocks_less_what_was_removed_from_each_window():
+    rng = np.random.default_rng(15)
+    windows = [rng.standard_normal((n, 3)) for n in (200, 300, 400) * 100]
+    noise = noise_of_means(windows, [50] * 300)
+    share = np.sqrt(np.mean(noise**2, axis=1)) * np.sqrt([len(window) for window in windows])
+    # 1800 blocks less 300 means, three axes: known to 1.1 %. Without the means it would be 0.91
+    np.testing.assert_allclose(share, 1.0, atol=0.035)
+
+
+def test_excess_variance_brings_the_weighted_squares_to_their_degrees_of_freedom():
+    rng = np.random.default_rng(16)
+    stated, residuals = rng.uniform(0.5, 2.0, 20), 3.0 * rng.standard_normal(20)
+    excess = excess_variance(residuals, stated, 13)
+    assert float((residuals**2 / (stated + excess)).sum()) == pytest.approx(13.0, rel=1e-6)

@@ -9,9 +9,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
-from testkit.cohorts import COHORTS, FALSE_ALARM, ratio_limit, share_limits
+from testkit.cohorts import COHORTS, ratio_limit, share_limits
 from testkit.cramer_rao import (
     Array,
     carried,
@@ -21,10 +20,11 @@ from testkit.cramer_rao import (
 )
 from testkit.data import show
 from testkit.findings import codes, only
+from undrift.calibration import rate_table
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.dwells import DwellMeans, dwell_means
 from undrift.calibration.rate_table import RateTableFit, RestMeans, fit_rate_table
-from undrift.calibration.session import middles
+from undrift.calibration.session import spans_of
+from undrift.calibration.table import DwellMeans, dwell_means
 from undrift.sim.device.effects import RandomWalk
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -71,6 +71,17 @@ def plan() -> Plan:
     )
 
 
+@pytest.fixture(autouse=True)
+def no_flicker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """State no flicker: the devices here have white noise and walks only."""
+    monkeypatch.setattr(rate_table, "GYRO_FLICKER", 0.0)
+
+
+def spans(p: Plan) -> Array:
+    """Return start and stop of each piece, (E, 2), s."""
+    return p.time[:, None] + 0.5 * p.length_s[:, None] * np.array([-1.0, 1.0])
+
+
 def walk_of(rng: np.random.Generator, q: Array) -> Array:
     """Return a random walk at the times of the plan, less its mean from the first to the last, (E, 3)."""
     p = plan()
@@ -101,9 +112,11 @@ def fitted(device: DeviceModel, rng: np.random.Generator, walk: float) -> RateTa
     n = p.dwells
     dwells = DwellMeans(
         reading=reading[:n], turn_rate=p.rate[:n].sum(axis=1), axis=p.axes, noise=sigma[:n], up=np.ones(n), unit="count",
-        time=p.time[:n],
+        span=spans(p)[:n],
     )  # fmt: skip
-    rests = RestMeans(dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], time=p.time[n:])
+    rests = RestMeans(
+        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], span=spans(p)[n:]
+    )
     return fit_rate_table(dwells, rests)
 
 
@@ -227,20 +240,6 @@ def test_error_reaches_the_bound_whether_the_offset_drifts_or_not(walk: float, g
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("devices", COHORTS)
-def test_a_walk_that_is_not_there_is_rarely_reported_and_one_that_is_mostly(devices: int) -> None:
-    reported = [
-        sum("rate_table.drift" in codes(fit.verdict.findings) for _, fit in cohort(walk, False, devices))
-        for walk in (0.0, CONSUMER_WALK, 0.3)
-    ]
-    show(f"walk reported of {devices} devices: none, consumer, five times that", reported)
-    # q cannot be less than zero, so that 5 % of each sensor are 2.5 %; three sensors 7.3 %
-    assert reported[0] <= binom.ppf(1.0 - FALSE_ALARM, devices, 0.073)
-    assert reported[1] > devices // 2
-    assert reported[2] == devices
-
-
-@pytest.mark.slow
 def test_the_offset_is_the_mean_over_the_session() -> None:
     motion = bench_motion("bench", rng=np.random.default_rng(0), settings=SHORT)
     apart, stale = [], []
@@ -301,10 +300,10 @@ def fitted_recording(device: DeviceModel, record, motion: Motion) -> tuple[RateT
         reading=np.array([record.gyro[p].mean(axis=0) for p in parts]),
         force=np.array([motion.force_b[p].mean(axis=0) for p in parts]),
         noise=white(device) / np.sqrt(length_s)[:, None],
-        time=middles((record,), motion.stills),
+        span=spans_of((record,), motion.stills),
     )
-    assert dwells.time is not None
-    both = np.concatenate((dwells.time, rests.time))
+    assert dwells.span is not None
+    both = np.concatenate((dwells.span, rests.span)).mean(axis=1)
     return fit_rate_table(dwells, rests), np.array([both.min(), both.max()])
 
 
@@ -321,10 +320,10 @@ def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMea
         axis=p.axes,
         noise=sigma[:n],
         up=np.ones(n),
-        time=p.time[:n],
+        span=spans(p)[:n],
     )
     return dwells, RestMeans(
-        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], time=p.time[n:]
+        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], span=spans(p)[n:]
     )
 
 
@@ -342,19 +341,6 @@ def test_a_quiet_session_has_no_finding() -> None:
     assert fit.verdict.reasons == ()
     assert fit.model.count == fit.residuals.size == 3 * len(plan().time)
     assert fit.model.rank == 21
-
-
-def test_g_sensitivity_is_reported_in_degrees_per_second_and_g() -> None:
-    dwells, rests = steady()
-    H = np.zeros((3, 3))
-    H[1, 2] = np.radians(0.25) / STANDARD_GRAVITY
-    dwells, rests = felt(dwells, rests, H)
-    fit = fit_rate_table(dwells, rests)
-    size = only(fit.verdict.findings, "rate_table.g_sensitivity").values["dps_per_g"]
-    assert f"{size:.2g}" == "0.25"
-    assert fit.model.rank == 21
-    assert fit.model.parameters[12:] == tuple(f"g_{row}{column}" for row in "xyz" for column in "xyz")
-    assert fit.model.covariance.shape == (21, 21)
 
 
 def test_without_rests_dwells_alone_leave_gravity_out() -> None:
@@ -377,25 +363,25 @@ def test_rests_on_one_face_alone_leave_gravity_out() -> None:
 
 
 def test_a_walk_is_reported_with_what_to_do_about_it() -> None:
-    walk = np.radians(0.01)  # deg/s/sqrt(s): 0.077 deg/s in a minute
+    walk = np.radians(0.02)  # deg/s/sqrt(s): 0.155 deg/s in a minute
     fit = fit_rate_table(*steady(walk))
     (drift,) = fit.verdict.findings
-    assert (drift.code, drift.level) == ("rate_table.drift", "info")
+    assert (drift.code, drift.level) == ("rate_table.drift", "warn")
     size = drift.values["dps_per_minute"]
     # the largest of three q, each known to 1 / sqrt(2 * 38) = 11 %: up to 3 of them above, and one below
-    assert 0.9 * 0.077 <= size <= 1.35 * 0.077
+    assert 0.9 * 0.155 <= size <= 1.35 * 0.155
     assert drift.action == "warm the device up before, and rest before and after the dwells"
 
 
 def test_without_times_no_walk_is_looked_for() -> None:
     dwells, rests = steady(np.radians(0.01))
-    fit = fit_rate_table(replace(dwells, time=None), rests)
+    fit = fit_rate_table(replace(dwells, span=None), rests)
     assert "rate_table.drift" not in codes(fit.verdict.findings)
     assert "rate_table.uneven_rate" in codes(fit.verdict.findings)
 
 
 def test_the_earth_is_taken_off_dwells_whose_axis_is_upright() -> None:
-    dwells = replace(steady()[0], time=None)
+    dwells = replace(steady()[0], span=None)
     with_earth = fit_rate_table(dwells, latitude_deg=90.0)
     without = fit_rate_table(dwells)
     # Each axis is up in a third of the dwells: the offset of its sensor falls by a third of 7.2921e-5 rad/s,

@@ -7,8 +7,8 @@ import pytest
 
 from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, information, inverse_model, jacobian, white_device
-from undrift.calibration.dwells import DwellMeans, dwell_means
 from undrift.calibration.rate_table import RateTableMode, fit_rate_table
+from undrift.calibration.table import DwellMeans, dwell_means
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion

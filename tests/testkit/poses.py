@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.calibration.norm import check_count, fit_norm, judged
-from undrift.fit.least_squares import TriadFit
+from undrift.fit.triad import TriadFit
 
 
 def fit_poses(

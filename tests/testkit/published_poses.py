@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from undrift.arrays import runs
 from undrift.calibration.multi_position import cut_moves, gravity_directions, rough_matrix, turned_in
 from undrift.calibration.norm import NormFit, fit_norm, judged
-from undrift.fit.least_squares import TriadFit
+from undrift.fit.triad import TriadFit
 from undrift.record import Record, Still
 
 

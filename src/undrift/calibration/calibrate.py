@@ -21,7 +21,6 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, identify_record_adc, restored
-from undrift.calibration.creep import creep_of, offset_drift
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
@@ -34,11 +33,12 @@ from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, Outcome, at_one_temperature, in_one_unit, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
+from undrift.calibration.sources import creep_of, offset_drift
 from undrift.calibration.triads import check_triads
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice
 from undrift.findings import Finding, Level, finding
-from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.fit.priors import SCALE_FACTOR
+from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
@@ -117,7 +117,7 @@ def calibrate(
     gyro : str, optional
         rate-table, known-rotation, multi-position, or rest (only the offset); "none" leaves the gyroscope out; None chooses.
     mode : str, optional
-        paper, affine or levelled; None is levelled for six faces and affine for turns.
+        paper or affine; None is affine.
     gravity_m_s2 : float, optional
         Local gravity of recordings, m/s2; None assumes standard gravity, and the verdict says so. A session states its own.
     serial : str
@@ -146,7 +146,7 @@ def calibrate(
     >>> session = undrift.simulate_session("bench", device, rng=np.random.default_rng(8))
     >>> made = undrift.calibrate(session)
     >>> made.gyro.method, made.accel.method, made.verdict.status
-    ('rate-table/affine', 'six-face/levelled', 'good')
+    ('rate-table/affine', 'six-face/affine', 'good')
     """
     if isinstance(session, Record):
         session = _session_of((session, *more), gravity_m_s2, "stated", serial)
@@ -363,7 +363,7 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
 def _mode_not_used(mode: Mode | None, triad: str, outcome: Outcome) -> Iterator[Finding]:
     accel = triad == "accelerometer"
     without = outcome.method != "six-face" if accel else mode == "paper" and outcome.method == "multi-position"
-    if outcome.fit is not None and mode in ("paper", "levelled") and without:
+    if outcome.fit is not None and mode == "paper" and without:
         needs = "rests on all six faces" if accel else "turns by known rates or angles"
         yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
 

@@ -26,8 +26,8 @@ from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
-from undrift.fit.least_squares import TriadFit, triad_fit
 from undrift.fit.priors import SCALE_FACTOR
+from undrift.fit.triad import TriadFit, triad_fit
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still

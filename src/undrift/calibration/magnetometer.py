@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, Level, finding
-from undrift.fit.least_squares import triad_fit
+from undrift.fit.triad import triad_fit
 from undrift.frames import rotation
 from undrift.model import AXES, Magnetometer, Verdict
 from undrift.units import RADIAN_PER_DEGREE

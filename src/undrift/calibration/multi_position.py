@@ -24,15 +24,15 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, limited_by_codes
-from undrift.calibration.creep import Creep, Kind, creep_of, flicker_of_means, walk_about_mean
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
+from undrift.calibration.sources import Creep, Kind, creep_of, flicker_of_means, walk_about_mean
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, solve
-from undrift.fit.least_squares import TriadFit, parameter_names, scaled_condition, triad_fit
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
+from undrift.fit.triad import TriadFit, parameter_names, scaled_condition, triad_fit
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.segments import find_poses

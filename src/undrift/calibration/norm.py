@@ -28,12 +28,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.creep import Creep
 from undrift.calibration.plausibility import check_gravity, check_own_scale
+from undrift.calibration.sources import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
-from undrift.fit.gls import student_factor
-from undrift.fit.least_squares import TriadFit, excess_variance, parameter_names, scaled_condition, triad_fit
+from undrift.fit.gls import excess_variance, student_factor
+from undrift.fit.triad import TriadFit, parameter_names, scaled_condition, triad_fit
 from undrift.model import AXES, Verdict
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor

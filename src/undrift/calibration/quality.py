@@ -29,7 +29,7 @@ from undrift.calibration.codes import code_steps, mean_rounding
 from undrift.calibration.plausibility import stuck_at_rate, stuck_in_motion
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import block_size, noise_of_means
+from undrift.fit.gls import block_size, noise_of_means
 from undrift.model import AXES, TriadModel, level_of
 from undrift.record import Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor

@@ -32,8 +32,7 @@ from undrift.calibration.reference_windows import (
 )
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
-from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import TriadFit
+from undrift.fit.triad import TriadFit, offset_of
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference

@@ -26,8 +26,8 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.quality import check_gravity_length
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import HUBER, TriadFit, huber_weight, scaled_condition, triad_fit
+from undrift.fit.gls import HUBER, huber_weight
+from undrift.fit.triad import TriadFit, offset_of, scaled_condition, triad_fit
 from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Reference, Session, Still

@@ -8,8 +8,8 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import NotObservable
 from undrift.findings import Finding
-from undrift.fit.gls import student_factor
-from undrift.fit.least_squares import fit_huber, scaled_condition
+from undrift.fit.gls import fit_huber, student_factor
+from undrift.fit.triad import scaled_condition
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation_vector
 from undrift.sync import Lag
 

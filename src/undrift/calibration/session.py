@@ -30,8 +30,8 @@ from undrift.calibration.quality import (
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, finding, told_apart
-from undrift.fit.gls import solve
-from undrift.fit.least_squares import TriadFit, block_size, noise_of_means
+from undrift.fit.gls import block_size, noise_of_means, solve
+from undrift.fit.triad import TriadFit
 from undrift.model import Verdict
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor

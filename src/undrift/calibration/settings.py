@@ -11,7 +11,7 @@ from undrift.segments import StillSettings
 
 AccelFit = Literal["six-face", "multi-position"]
 GyroFit = Literal["rate-table", "known-rotation", "multi-position", "rest", "none"]
-Mode = Literal["paper", "affine", "levelled"]
+Mode = Literal["paper", "affine"]
 
 METHODS = {  # a method's name and its description on a certificate
     "six-face": "six faces against gravity",

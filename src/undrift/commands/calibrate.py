@@ -126,7 +126,7 @@ def calibrate(
     magnetometer: Flag = False,
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
-    mode: Literal["paper", "affine", "levelled"] | None = None,
+    mode: Literal["paper", "affine"] | None = None,
     adc: Literal["auto", "none"] = "auto",
     progress: Progress = silent,
 ) -> Calibrated:
@@ -156,7 +156,7 @@ def calibrate(
     gyro : str or None
         How to calibrate the gyroscopes; what the session allows by default. rest takes their offset alone, none leaves them out.
     mode : str or None
-        paper (the note's equations to the letter), affine, or levelled (six faces, weighted by how level they lay).
+        paper (the note's equations to the letter) or affine.
     adc : str
         "auto" looks for the step and rounding of the codes; "none" leaves them.
     """

@@ -42,7 +42,7 @@ from undrift.drift.rates import DynamicFit, ScaleFit, Steps, fit_dynamic, fit_sc
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
-from undrift.fit.least_squares import determined
+from undrift.fit.gls import determined
 from undrift.model import (
     BEYOND_SEEN_C,
     Calibration,

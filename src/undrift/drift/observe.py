@@ -25,11 +25,11 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_variance, restored
-from undrift.calibration.dwells import dwell_means
 from undrift.calibration.plausibility import axis_vectors
+from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
-from undrift.fit.least_squares import block_size
+from undrift.fit.gls import block_size
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session, Still, Turn
 from undrift.segments import StillSettings, find_still
@@ -392,7 +392,7 @@ def _steps(
     return RateSteps(
         session=np.full(count, session_number, np.int64),
         soak=first_soak + _soaks(temp, stated),
-        time=dwells.time if dwells.time is not None else np.zeros(count),
+        time=np.zeros(count) if dwells.span is None else dwells.span.mean(axis=1),
         temp_c=temp,
         rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
         gyro=dwells.reading,

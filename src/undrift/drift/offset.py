@@ -29,8 +29,7 @@ from undrift.drift.observe import FAR, ROBUST, RestBlocks
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, Curve, NodeValues, fit_curve, not_a_knot
-from undrift.fit.gls import student_factor
-from undrift.fit.least_squares import determined, excess_variance
+from undrift.fit.gls import determined, excess_variance, student_factor
 from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 

@@ -37,8 +37,8 @@ from undrift.drift.offset import bins_of, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, fit_curve
-from undrift.fit.equations import inverse_jacobian
-from undrift.fit.least_squares import determined, excess_variance
+from undrift.fit.gls import determined, excess_variance
+from undrift.fit.triad import inverse_jacobian
 from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 

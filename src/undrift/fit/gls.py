@@ -21,12 +21,14 @@ projection s^ on the known columns (f, a, 1) takes their place, and what is left
     M s^ - c - G a = f - M (s - s^) + e
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.errors import NotObservable
 
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-4  # relative change of the excess variances at which the iteration ends
@@ -67,6 +69,18 @@ class GlsFit:
         return self.excess[kind] * student_factor(self.freedom[kind])
 
 
+@contextmanager
+def determined(quantity: str) -> Iterator[None]:
+    """Raise ``NotObservable`` in place of a ``LinAlgError``: the readings do not determine a quantity."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NotObservable(
+            f"{quantity}: the readings do not determine it ({error}). Record more temperatures, and check that no axis repeats "
+            "one reading."
+        ) from error
+
+
 def student_factor(freedom: float) -> float:
     """Return (t / 1.96)^2 for the 97.5 % quantile t of Student's distribution; one degree of freedom at least."""
     from scipy.special import stdtrit
@@ -86,7 +100,8 @@ def solve(
 
     ``design`` is X (E, P) and ``value`` is y (E,). ``sources`` are the stated covariances S_i by name, and ``excess`` the shapes
     E_j of errors of unknown size; each is a matrix (E, E), or the diagonal (E,) of one. The sum of the sources must be positive
-    definite. Raises ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
+    definite. In the budget, an excess counts as the source that is the first word of its kind. Raises
+    ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
     """
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
@@ -95,7 +110,7 @@ def solve(
         value=value,
         prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
         mean=np.zeros(len(length)) if prior is None else prior.mean * length,
-        stated=np.sum([np.diag(part) if part.ndim == 1 else part for part in sources.values()], axis=0),
+        stated=np.sum([_matrix(part) for part in sources.values()], axis=0),
         shapes=tuple(_Shape.of(shape) for shape in (excess or {}).values()),
     )
     kinds = tuple(excess or {})
@@ -105,8 +120,9 @@ def solve(
     gains = state.gains / length[:, None]
     budget = {name: _carried(gains, part) for name, part in sources.items()}
     for kind, variance, nu in zip(kinds, variances, freedom, strict=True):
-        own = variance * student_factor(nu) * _carried(gains, (excess or {})[kind])
-        budget[kind] = budget.get(kind, 0.0) + own
+        source = kind.partition(" ")[0]
+        part = variance * student_factor(nu) * _carried(gains, (excess or {})[kind])
+        budget[source] = budget.get(source, 0.0) + part
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
         budget["prior"] = covariance @ prior.precision @ covariance
@@ -146,15 +162,18 @@ def solve_inverse(
         np.einsum("ij,ek->eijk", np.eye(3), part) for part in (smooth, -np.ones((count, 1)), *(-f for f in forces))
     ]
     design, away = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
-    smallest = float(
-        np.sqrt(np.sum([part if part.ndim == 1 else np.diag(part) for part in sources.values()], axis=0).min())
-    )
+    smallest = float(np.sqrt(np.diag(np.sum([_matrix(part) for part in sources.values()], axis=0)).min()))
     for _ in range(ROUNDS):
         fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=prior)
         change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
         if np.abs(away @ change.T).max() <= CONVERGED * smallest:
             break
     return fit
+
+
+def _matrix(covariance: FloatArray) -> FloatArray:
+    """Return a covariance (E, E), also if its diagonal (E,) was given."""
+    return np.diag(covariance) if covariance.ndim == 1 else covariance
 
 
 def _root(precision: FloatArray) -> FloatArray:
@@ -176,38 +195,25 @@ class _Shape:
     """Shape of an excess variance: the rows that it touches, and its block there."""
 
     rows: IntArray  # (K,)
-    block: FloatArray  # (K, K), or its diagonal (K,)
+    block: FloatArray  # (K, K)
 
     @classmethod
     def of(cls, shape: FloatArray) -> "_Shape":
-        if shape.ndim == 1:
-            rows = np.flatnonzero(shape)
-            return cls(rows=rows, block=shape[rows])
-        rows = np.flatnonzero(shape.any(axis=1))
-        return cls(rows=rows, block=shape[np.ix_(rows, rows)])
+        full = _matrix(shape)
+        rows = np.flatnonzero(full.any(axis=1))
+        return cls(rows=rows, block=full[np.ix_(rows, rows)])
 
     def product(self, matrix: FloatArray) -> FloatArray:
         """Return the columns (E, K) of a matrix (E, E) times the shape that are not zero."""
-        own = matrix[:, self.rows]
-        return np.asarray(own * self.block if self.block.ndim == 1 else own @ self.block)
+        return np.asarray(matrix[:, self.rows] @ self.block)
 
     def square(self, vector: FloatArray) -> float:
         """Return v' E_j v."""
-        own = vector[self.rows]
-        return float(own @ (self.block * own if self.block.ndim == 1 else self.block @ own))
+        return float(vector[self.rows] @ self.block @ vector[self.rows])
 
     def trace(self, matrix: FloatArray) -> float:
         """Return the trace of a symmetric matrix (E, E) times the shape."""
-        if self.block.ndim == 1:
-            return float(np.diag(matrix)[self.rows] @ self.block)
         return float((matrix[np.ix_(self.rows, self.rows)] * self.block).sum())
-
-    def add(self, covariance: FloatArray, variance: float) -> None:
-        """Add the shape times its variance to a covariance (E, E)."""
-        if self.block.ndim == 1:
-            covariance[self.rows, self.rows] += variance * self.block
-        else:
-            covariance[np.ix_(self.rows, self.rows)] += variance * self.block
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -240,7 +246,7 @@ class _ScaledRows:
 
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
-            shape.add(covariance, float(variance))
+            covariance[np.ix_(shape.rows, shape.rows)] += variance * shape.block
         factor = np.linalg.cholesky(covariance)
         orthonormal, triangle = np.linalg.qr(np.vstack((solve_triangular(factor, self.design, lower=True), self.prior)))
         pivots = np.abs(np.diag(triangle))
@@ -318,3 +324,92 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     # a step may end at zero, but it goes there by a twentieth, so that a variance that overshoots can return
     reached = np.where((variances > 0.0) & (reached < 0.05 * variances), 0.05 * variances, np.maximum(reached, 0.0))
     return np.where(reached < 1e-12 * max(float(reached.max(initial=0.0)), 1e-300), 0.0, reached)
+
+
+# ---- excess variance: what the residuals show beyond the stated noise
+
+
+def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float) -> float:
+    """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
+
+    Noise within a rest does not show a hand that sways or a nonlinearity: they move whole poses, and show in the residuals only
+    (Paule and Mandel, "Consensus values and weighting factors", 1982).
+    """
+    from scipy.optimize import brentq
+
+    square = residuals**2
+    if freedom <= 0 or not square.any():
+        return 0.0
+    high = float(square.sum()) / freedom  # there the weighted sum is at most the degrees of freedom
+    low = 1e-12 * high
+
+    def beyond(excess: float) -> float:
+        return float((square / (variances + excess)).sum()) - freedom
+
+    return 0.0 if beyond(low) <= 0.0 else float(brentq(beyond, low, high, xtol=low, rtol=1e-9))
+
+
+# ---- robust least squares: a residual beyond k standard deviations s counts k s / |r|, s from the median of all
+#
+# P. J. Huber, "Robust estimation of a location parameter", 1964. To first order the estimate follows the rows within the bound.
+
+HUBER = 1.345  # k: for normal residuals as good as 95 % of the rows by least squares
+
+
+def huber_weight(size: FloatArray, scale: float) -> FloatArray:
+    """Return the weight of residuals of a size (n,) whose robust standard deviation is ``scale``."""
+    return np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-15))
+
+
+def fit_huber(
+    design: FloatArray,
+    reading: FloatArray,
+    *,
+    together: int = 1,
+    to_sigma: float = 1.4826,
+    passes: int = 15,
+    prior: int = 0,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return parameters (P,), weights (E,) and robust scale; ``together`` neighbouring rows weigh alike, by their rms.
+
+    The last ``prior`` rows are no readings: they keep their weight and say nothing of the scale.
+    """
+    length = np.linalg.norm(design, axis=0)
+    scaled, weight = design / length, np.ones(len(reading))
+    x, scale = np.zeros(design.shape[1]), 0.0
+    for _ in range(passes):
+        previous = x
+        x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * reading))
+        size = np.sqrt(((reading - scaled @ x) ** 2).reshape(-1, together).mean(axis=1))
+        scale = to_sigma * float(np.median(size[: len(size) - prior]))
+        weight = np.repeat(huber_weight(size, scale), together) if scale > 0.0 else weight
+        weight[len(weight) - prior :] = 1.0
+        if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
+            break
+    return x / length, weight, scale
+
+
+# ---- noise of a mean reading, from the scatter of short block means within the windows
+
+BLOCK_S = 0.5  # means of this length count as independent of each other
+_LEAST_SPARE_BLOCKS = 6  # with fewer, the estimate is too uncertain to use
+
+
+def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed: int = 1) -> FloatArray | None:
+    """Return the standard deviation (P, 3) of the mean of each window (N, 3); None where there are too few blocks."""
+    square, spare = np.zeros(3), 0
+    for values, size in zip(windows, sizes, strict=True):
+        count = len(values) // size
+        if count > removed:
+            means = values[: count * size].reshape(count, size, 3).mean(axis=1)
+            square += ((means - means.mean(axis=0)) ** 2).sum(axis=0)
+            spare += count - removed
+    if spare < _LEAST_SPARE_BLOCKS:
+        return None
+    share = np.array([size / max(1, len(values)) for values, size in zip(windows, sizes, strict=True)])
+    return np.asarray(np.sqrt(square / spare * share[:, None]))
+
+
+def block_size(sample_rate_hz: float) -> int:
+    """Return the samples in one block."""
+    return max(1, round(BLOCK_S * sample_rate_hz))

@@ -24,7 +24,8 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.reference import ReferenceSettings
 from undrift.errors import AlignmentError, CalibrationError, NotObservable
-from undrift.fit.least_squares import fit_forward, triad_from_forward
+from undrift.fit.gls import solve_inverse
+from undrift.fit.triad import first_matrix, fit_of, parameters_of
 from undrift.model import Calibration, TriadModel
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel
@@ -59,7 +60,7 @@ POSES = {
 RATE_HZ = 100.0
 STILL_S = 2.0
 SINUSOID_S = 10.0
-BLOCK = 10  # samples
+BLOCK, BLOCK_AT_REST = 10, 100  # samples that are averaged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,17 +122,21 @@ def _by_known_forces(
     record = simulate_device(
         settled, motion, rng=streams(f"{rival} noise"), temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S
     ).record
-    forward = fit_forward(_block_means(stated), _block_means(np.asarray(record.accel)), None)
-    reach = float(np.abs(stated).max())
-    accel = triad_from_forward(
-        forward, method=f"known-force/{rival}", valid_range=(-reach, reach), unit_in=record.accel_unit, unit_out="m/s2"
-    ).model
+    block = BLOCK_AT_REST if rival == "inclined plane" else BLOCK
+    force, reading = _block_means(stated, block), _block_means(np.asarray(record.accel), block)
+    matrix = first_matrix(force, reading)
+    scatter = (reading @ matrix.T - force).var(axis=0).mean()
+    gls = solve_inverse(reading, force, None, matrix, {"noise": np.full(force.size, scatter)})
+    accel = fit_of(
+        parameters_of(gls), force, -gls.residuals.reshape(-1, 3),
+        method=f"known-force/{rival}", unit_in=record.accel_unit, unit_out="m/s2",
+    ).model  # fmt: skip
     return replace(_data_sheet(device, kind, record), accel=accel)
 
 
-def _block_means(values: FloatArray) -> FloatArray:
-    """Return the means (N / BLOCK, 3) of successive blocks; the solver of dense equations takes hundreds of rows, not thousands."""
-    return np.asarray(values.reshape(-1, BLOCK, 3).mean(axis=1))
+def _block_means(values: FloatArray, block: int) -> FloatArray:
+    """Return the means (N / block, 3) of successive blocks; the solver of dense equations takes hundreds of rows, not thousands."""
+    return np.asarray(values.reshape(-1, block, 3).mean(axis=1))
 
 
 def _data_sheet(device: DeviceModel, kind: str, rest: Record | None = None) -> Calibration:

@@ -19,9 +19,9 @@ from typing import Literal
 import numpy as np
 
 from undrift.calibration.calibrate import calibrate, calibrate_from_motion
-from undrift.calibration.dwells import DwellMeans
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.six_face import FaceMeans, fit_six_face
+from undrift.calibration.table import DwellMeans
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.offset import StaticSettings
 from undrift.model import Calibration

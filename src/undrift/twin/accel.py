@@ -23,8 +23,8 @@ from undrift.calibration.reference import MARGIN_S, Aligned, align, rest_reading
 from undrift.calibration.reference_accel import pose_columns
 from undrift.calibration.reference_windows import full_rank
 from undrift.errors import InputError, NotObservable
-from undrift.fit.equations import offset_of
-from undrift.fit.least_squares import fit_huber, triad_fit
+from undrift.fit.gls import fit_huber
+from undrift.fit.triad import offset_of, triad_fit
 from undrift.frames import rotation
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference

@@ -51,7 +51,7 @@ def test_a_lost_connection_begins_another_recording_and_all_of_them_calibrate(gu
     session = read_session(guide.capture.folder)
     assert len(session.records) == 2
     assert {still.recording for still in session.stills if still.face == "+x"} == {0}
-    assert calibrate(session).accel.method == "six-face/levelled"
+    assert calibrate(session).accel.method == "six-face/affine"
     guide.redo("+x")
     with HandFeed(seed=5) as feed:
         feed.held.lay("+x")

@@ -1,0 +1,222 @@
+"""What moves between the pieces of a session: flicker and walk of an offset, drift of the rests, and the temperature.
+
+Offset and scale of each sensor follow the temperature with slopes of which only the size is known. The reading of one sensor in
+piece p, a still or turn at w_p kelvin above the calibration's reference temperature, is
+
+    s_p = K a_p + b + (a_p . K) beta w_p + alpha w_p        alpha ~ N(0, S^2 c_o^2), beta ~ N(0, c_s^2)
+
+S is the reading per SI unit; c_o and c_s are the sensitivities of offset and scale to temperature, from data sheets
+(``record.TemperatureSensitivity``). So the readings of one sensor have the covariance C C' beyond their noise, with two columns C.
+A fit that weighs by it estimates both slopes with their prior.
+
+w is the recorded temperature, plus lag times its rate of change if the thermometer lags behind the sensors. If a thermometer shows
+no more than one of its steps, w rises evenly in time by that step; without a thermometer, by the stated span.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.calibration.quality import mean_reading, piece_temperatures
+from undrift.calibration.session import Observed, middles
+from undrift.findings import Finding, finding
+from undrift.fit.priors import REST_DRIFT
+from undrift.model import AXES
+from undrift.record import Still, Turn
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- flicker and walk of an offset, of a stated size, in means over pieces of a session
+#
+#     F (E, E)        flicker: exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
+#     B (E, E)        random walk (Brownian covariance)
+
+
+_TIMES_S = np.geomspace(1.0, 1e4, 9)
+
+
+def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (3 E, 3 E) of M n_e, for sensors that err on their own: covariance (E, E, 3)."""
+    count = len(covariance)
+    carried = np.einsum("ik,efk,jk->eifj", matrix, covariance, matrix)
+    return np.asarray(carried.reshape(3 * count, 3 * count))
+
+
+def flicker_of_means(span: FloatArray) -> FloatArray:
+    """Return F of means over stretches (E, 2), s, which may overlap."""
+    start, stop = span[:, 0], np.maximum(span[:, 1], span[:, 0] + 1e-3)
+    apart = [to[:, None] - of for to, of in ((stop, start), (start, stop), (stop, stop), (start, start))]
+    total = np.zeros((len(span), len(span)))
+    for time_s in _TIMES_S:  # twice the integral of exp(-|t| / time) over t, then its second difference
+        late, early, stops, starts = (np.expm1(-np.abs(t) / time_s) + np.abs(t) / time_s for t in apart)
+        total += time_s**2 * (late + early - stops - starts)
+    return np.asarray(total / len(_TIMES_S) / np.outer(stop - start, stop - start))
+
+
+def flicker_about_mean(span: FloatArray) -> FloatArray:
+    """Return F of means over stretches (E, 2), s, minus the mean from the first to the last."""
+    every = flicker_of_means(np.vstack((span, (span[:, 0].min(), span[:, 1].max()))))
+    away = np.column_stack((np.eye(len(span)), -np.ones(len(span))))
+    return np.asarray(away @ every @ away.T)
+
+
+def walk_about_mean(time: FloatArray) -> FloatArray:
+    """Return the covariance (E, E) of a random walk of 1 per root second, minus its mean from the first time to the last."""
+    since = time - time.min()
+    length = float(since.max())
+    mean = since - since**2 / (2.0 * length)
+    return np.asarray(np.minimum.outer(since, since) - mean[:, None] - mean + length / 3.0)
+
+
+# ---- drift of the gyroscopes' rest offsets between start and end of a session
+#
+#     m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r; T from the first to the last
+#
+# for each axis by least squares. h a_r, the g-sensitivity along the directions of gravity that the poses change, is fitted to six
+# rests or more. A drift is a finding if chance alone makes one as large on any axis in less than one session in a
+# hundred.
+
+_LEAST_RESTS = 4
+_LEAST_WITH_POSES = 6
+_POSES_CHANGE = 0.1  # of gravity, root sum of squares over the rests
+_CHANCE = 0.01
+
+
+def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
+    """Return the finding of rest offsets that changed significantly over a session; gain in rad/s per unit of the readings."""
+    from scipy.special import stdtr, stdtrit
+
+    records = seen.session.records
+    rests = {s: mean_reading(records[s.recording].gyro, s.start, s.stop) for s in seen.stills}
+    stills = [s for s, rest in rests.items() if np.isfinite(rest).all()]
+    if seen.session.kind == "thermal" or len(stills) < _LEAST_RESTS:
+        return ()
+    time = middles(records, stills)
+    force = np.array([mean_reading(records[s.recording].accel, s.start, s.stop) for s in stills])
+    poses = np.zeros((len(stills), 0))
+    if len(stills) >= _LEAST_WITH_POSES and np.isfinite(force).all():
+        left, size, _ = np.linalg.svd(force - force.mean(axis=0), full_matrices=False)
+        poses = left[:, size > _POSES_CHANGE * np.linalg.norm(force, axis=1).mean()]
+    design = np.column_stack(((time - time.mean()) / (float(np.ptp(time)) or np.inf), np.ones(len(time)), poses))
+    theta, square, rank, _ = np.linalg.lstsq(design, np.array([rests[s] for s in stills]), rcond=None)
+    freedom, change = len(stills) - design.shape[1], theta[0]
+    if rank < design.shape[1] or freedom < 1:
+        return ()
+    sigma = np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
+    sure = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < _CHANCE
+    if not sure.any():
+        return ()
+    axis, dps = int(np.argmax(np.where(sure, np.abs(change), 0.0))), gain / RADIAN_PER_DEGREE
+    return (
+        finding(
+            "session.offset_drift",
+            "warn" if abs(change[axis]) * gain > REST_DRIFT else "info",
+            axis=AXES[axis],
+            change_dps=change[axis] * dps,
+            uncertainty_dps=float(stdtrit(freedom, 0.975)) * sigma[axis] * dps,
+            rests=len(stills),
+            minutes=float(np.ptp(time)) / 60.0,
+        ),
+    )
+
+
+# ---- temperature
+
+Kind = Literal["accel", "gyro"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Creep:
+    """Temperature of each piece of a session, and how far offset and scale of one sensor may follow it."""
+
+    warmth: FloatArray  # (P,), temperature of each piece minus the reference, K
+    offset_per_k: float  # c_o, rad/s/K or m/s2/K
+    scale_per_k: float  # c_s, relative, 1/K
+    span_k: float = 0.0  # of all pieces, K
+    limit_k: float = np.inf  # a larger span is a finding, K
+    kind: Kind = "accel"
+
+    def covariance_in_case(self, value: FloatArray) -> FloatArray:
+        """Return the covariance (3 P, 3 P) of warmth (alpha + beta value), each axis with slopes of its own; value (P, 3), SI."""
+        slopes = np.stack((self.offset_per_k * np.ones_like(value), self.scale_per_k * value))
+        columns = (self.warmth[:, None] * slopes)[:, :, :, None] * np.eye(3)  # slope, piece, row, axis
+        both = columns.transpose(1, 2, 0, 3).reshape(value.size, -1)
+        return np.asarray(both @ both.T)
+
+    def columns(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
+        """Return C (P, 2) of one sensor, unit of the reading: of offset and of scale, one standard deviation each.
+
+        ``value`` (P,) is what the sensor measures in each piece, SI; ``gain`` is S, unit of the reading per SI unit.
+        """
+        slopes = np.stack((np.full(len(self.warmth), self.offset_per_k), self.scale_per_k * value))
+        return np.asarray((gain * self.warmth * slopes).T)
+
+    def covariance(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
+        """Return C C' (P, P) of one sensor, unit of the reading squared; arguments as of ``columns``."""
+        columns = self.columns(value, gain)
+        return np.asarray(columns @ columns.T)
+
+    @property
+    def none(self) -> bool:
+        """True if no piece is off the reference temperature."""
+        return not self.warmth.any()
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the cost of a span above the limit, and what to do."""
+        if self.span_k <= self.limit_k:
+            return ()
+        accel = self.kind == "accel"
+        unit = 1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE
+        return (
+            finding(
+                "session.temperature_creep",
+                "warn",
+                span_k=self.span_k,
+                limit_k=self.limit_k,
+                triad="accelerometer" if accel else "gyroscope",
+                offset=0.5 * self.span_k * self.offset_per_k / unit,
+                unit="mg" if accel else "deg/s",
+                scale_percent=50.0 * self.span_k * self.scale_per_k,
+            ),
+        )
+
+
+def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
+    """Return the temperature of some stills and turns of a session, and what it does to one sensor."""
+    prior = seen.session.sensitivity
+    every: tuple[Still | Turn, ...] = (*seen.stills, *seen.session.turns) or tuple(pieces)
+    time = middles(seen.session.records, (*every, *pieces))
+    stated = np.array([piece.temp_c is not None for piece in (*every, *pieces)])
+    own = slice(0, len(every))
+    rise = (time - time[own].mean()) / (float(np.ptp(time[own])) or np.inf) if every else np.zeros(len(time))
+    temps = piece_temperatures(seen.session, (*every, *pieces))
+    if np.isfinite(temps[own]).any():
+        warmth = np.nan_to_num(temps - seen.mean_temperature())
+        step = 0.0 if stated.any() else _thermometer_step(seen)
+        if np.ptp(warmth[own]) <= step:
+            warmth = step * rise
+        elif prior.thermometer_lag_s:
+            course = np.polynomial.Polynomial.fit(time[own], warmth[own], min(2, len(every) - 1)).deriv()
+            warmth = warmth + prior.thermometer_lag_s * np.where(stated, 0.0, course(time))
+    else:
+        warmth = prior.unrecorded_span_k * rise
+    accel = kind == "accel"
+    return Creep(
+        warmth=warmth[len(every) :],
+        offset_per_k=prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
+        if accel
+        else prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE,
+        scale_per_k=0.01 * (prior.accel_scale_percent_per_k if accel else prior.gyro_scale_percent_per_k),
+        span_k=float(np.ptp(warmth[own])) if every else 0.0,
+        limit_k=prior.span_limit_k,
+        kind=kind,
+    )
+
+
+def _thermometer_step(seen: Observed) -> float:
+    """Return the smallest step between recorded temperatures, K."""
+    read = [record.temp_c[np.isfinite(record.temp_c)] for record in seen.session.records if record.temp_c is not None]
+    steps = np.diff(np.unique(np.concatenate(read)))
+    return float(steps.min()) if len(steps) else 0.0

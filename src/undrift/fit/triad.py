@@ -1,0 +1,217 @@
+"""The model of three sensors from its fit: matrix, offset and g-sensitivity with covariance and budget; the note's closed form.
+
+M s - c - G a = f        as ``gls.solve_inverse`` fits it
+f = M (s - o) - G a      the model: o = M^-1 c,   do = M^-1 dc - M^-1 dM o
+C = L S' (S S')^-1       the note's matrix without an offset (eqs. 3 and 6), for imposed L and measured S, (3, N)
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from undrift.arrays import FloatArray
+from undrift.errors import NotObservable
+from undrift.findings import Level, finding
+from undrift.fit.gls import GlsFit
+from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadFit:
+    """A fitted triad, its residuals, and its verdict."""
+
+    model: TriadModel
+    residuals: FloatArray  # (E,) or (E, 3), unit_out
+    verdict: Verdict
+
+
+def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: Any) -> TriadFit:
+    """Return a fit from its residuals, its verdict, and the fields of its TriadModel that these do not give."""
+    rms = float(np.sqrt((residuals**2).mean()))
+    model = TriadModel(rms_residual=rms, count=residuals.size, **of_model)
+    return TriadFit(model=model, residuals=residuals, verdict=verdict)
+
+
+# ---- from a fit of the inverse model to the model
+
+
+class TriadParameters(NamedTuple):
+    """Parameters in the order of a model: M row by row, o, and G row by row if it was fitted."""
+
+    theta: FloatArray  # (P,)
+    covariance: FloatArray  # (P, P)
+    parts: Mapping[str, FloatArray]  # covariance by source
+
+    @property
+    def matrix(self) -> FloatArray:
+        """M (3, 3)."""
+        return self.theta[:9].reshape(3, 3)
+
+    @property
+    def g_sensitivity(self) -> FloatArray | None:
+        """G (3, 3), or None."""
+        return self.theta[12:].reshape(3, 3) if len(self.theta) > 12 else None
+
+    def without_g(self) -> "TriadParameters":
+        """Return M and o only."""
+        return TriadParameters(
+            self.theta[:12],
+            self.covariance[:12, :12],
+            {name: part[:12, :12] for name, part in self.parts.items()},
+        )
+
+
+def parameters_of(fit: GlsFit) -> TriadParameters:
+    """Return M, o and G of a fit of M, c and G."""
+    offset, jacobian = offset_of(fit.theta[:9].reshape(3, 3), fit.theta[9:12], len(fit.theta))
+    return TriadParameters(
+        np.concatenate((fit.theta[:9], offset, fit.theta[12:])),
+        jacobian @ fit.covariance @ jacobian.T,
+        {name: jacobian @ part @ jacobian.T for name, part in fit.budget.items()},
+    )
+
+
+def fit_of(
+    parameters: TriadParameters,
+    inputs: FloatArray,
+    residuals: FloatArray,
+    verdict: Verdict = Verdict(),
+    *,
+    remainder: str = "noise",
+    **names: Any,
+) -> TriadFit:
+    """Return parameters that were fitted to known inputs (E, 3) as a fit; names are method, unit_in and unit_out.
+
+    ``remainder`` is the source that takes what the parts of the covariance leave of it.
+    """
+    rank, condition = scaled_condition(np.column_stack((inputs, np.ones(len(inputs)))))
+    known = bool(np.isfinite(parameters.covariance).all())
+    variances = {name: np.diag(part) for name, part in parameters.parts.items()}
+    g = parameters.g_sensitivity
+    return triad_fit(
+        residuals,
+        verdict,
+        matrix=parameters.matrix,
+        offset=parameters.theta[9:12],
+        g_sensitivity=g,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(() if g is None else G_NAMES)),
+        covariance=parameters.covariance,
+        budget=Budget.of(parameters.covariance, variances, remainder) if known else None,
+        rank=3 * rank + (0 if g is None else 9),
+        condition=condition,
+        valid_range=(float(inputs.min()), float(inputs.max())),
+        **names,
+    )
+
+
+def first_matrix(inputs: FloatArray, reading: FloatArray, others: FloatArray | None = None) -> FloatArray:
+    """Return a first M by least squares of readings (E, 3) over inputs (E, 3), an offset, and other columns (E, C)."""
+    design = np.column_stack((inputs, np.ones(len(inputs)), *([] if others is None else [others])))
+    return np.asarray(np.linalg.inv(np.linalg.lstsq(design, reading, rcond=None)[0][:3].T))
+
+
+def offset_of(matrix: FloatArray, constant: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return o of M (u - o) = M u - c, and d (M, o, ..) / d (M, c, ..), (P, P): do = M^-1 dc - M^-1 dM o."""
+    inverse, jacobian = np.linalg.inv(matrix), np.eye(count)
+    offset = inverse @ constant
+    jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, offset)
+    return offset, jacobian
+
+
+def inverse_jacobian(matrix: FloatArray) -> FloatArray:
+    """Return d vec(M) / d vec(K) (9, 9) for M = K^-1, both stacked row by row: dM = -M dK M."""
+    return -np.kron(matrix, matrix.T)
+
+
+def scaled_condition(design: FloatArray) -> tuple[int, float]:
+    """Return rank and condition number of a design (E, P) whose columns were scaled to one."""
+    length = np.linalg.norm(design, axis=0)
+    length[length == 0.0] = 1.0
+    singular = np.linalg.svd(design / length, compute_uv=False)
+    rank = int((singular > singular[0] * max(design.shape) * np.finfo(float).eps * 10.0).sum())
+    return rank, float(singular[0] / singular[-1]) if rank == design.shape[1] else float("inf")
+
+
+# ---- the note's matrix
+
+
+def fit_paper(
+    inputs: FloatArray,
+    readings: FloatArray,
+    sigma: FloatArray | None,
+    in_common: FloatArray | None = None,
+    **names: Any,
+) -> TriadFit:
+    """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
+
+    C = L S' (S S')^-1 (note, eqs. 3 and 6). To first order in the noise of S its covariance is (C V C') (x) (S S')^-1, V the
+    variance of one reading: from ``sigma`` (N, 3), or from the residuals. ``in_common`` (3, N, N) is the covariance of what
+    moves the readings of one sensor together.
+    """
+    rank, condition = scaled_condition(readings)
+    if rank < 3:
+        raise NotObservable(
+            f"fit: expected readings that span three axes, got rank {rank} from {len(readings)} columns. "
+            "Record the missing axes.",
+            rank=rank,
+        )
+    gram = np.linalg.inv(readings.T @ readings)
+    matrix = inputs.T @ readings @ gram  # eq. 3, eq. 6
+    residuals = readings @ matrix.T - inputs
+    if sigma is None:  # the variance of Student's t for few degrees of freedom (JCGM 101, 6.4.9)
+        spare = residuals.size - 9
+        noise = np.eye(3) * (float((residuals**2).sum()) / (spare - 2) if spare > 2 else np.nan)
+    else:
+        noise = matrix @ np.diag((np.broadcast_to(sigma, readings.shape) ** 2).mean(axis=0)) @ matrix.T
+    covariance = np.zeros((12, 12))
+    covariance[:9, :9] = np.kron(noise, gram)
+    if in_common is not None:
+        solver = readings @ gram  # dC = -C dS (S') (S S')^-1, row by row
+        for column, errors in zip(matrix.T, in_common, strict=True):
+            covariance[:9, :9] += np.kron(np.outer(column, column), solver.T @ errors @ solver)
+    return triad_fit(
+        residuals,
+        matrix=matrix,
+        offset=np.zeros(3),
+        covariance=covariance,
+        rank=3 * rank,
+        condition=condition,
+        valid_range=(float(inputs.min()), float(inputs.max())),
+        **names,
+    )
+
+
+def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> Verdict:
+    """Return what an offset left in the readings costs a matrix that was fitted without an offset column.
+
+    With an offset b' in units of the measurand, C = (I + k b' b'^T)^-1 K^-1, k = N / sigma and sigma the sum of squared inputs on
+    one axis: the gain along b' shrinks by k b'^2 / (1 + k b'^2).
+    """
+    design = np.column_stack((inputs, np.ones(len(inputs))))
+    theta = np.linalg.lstsq(design, readings, rcond=None)[0]
+    noise = np.sqrt(((readings - design @ theta) ** 2).mean(axis=0)) if sigma is None else np.max(sigma, axis=0)
+    if not (np.abs(theta[3]) > 4.0 * noise * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])).any():
+        return Verdict()
+    offset = np.linalg.solve(theta[:3].T, theta[3])
+    share = len(inputs) / float((inputs**2).sum(axis=0).mean()) * float(offset @ offset)
+    loss = share / (1.0 + share)
+    level: Level = "fail" if loss > 0.01 else "warn" if loss > 1e-4 else "info"
+    unit, percent = fit.model.unit_out, 100.0 * loss
+    return Verdict.of(finding("paper_mode.offset_left", level, offset=offset, unit=unit, loss_percent=percent))
+
+
+# ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y
+
+
+def parameter_names(names: Sequence[str]) -> str:
+    """Return names of parameters as a laboratory says them, those of one kind together."""
+    ends = [(name.partition("_")[0], name.rpartition("_")[2]) for name in names]
+    scales = [end[0] for head, end in ends if head == "m" and end[0] == end[-1]]
+    crossed = [end for head, end in ends if head == "m" and end[0] != end[-1]]
+    offsets = [end for head, end in ends if head == "offset"]
+    kinds = (("scale of", scales), (f"cross-axis term{'s' * (len(crossed) > 1)}", crossed), ("offset of", offsets))
+    return ", ".join(
+        f"{kind} {' and '.join((', '.join(of[:-1]), of[-1])).removeprefix(' and ')}" for kind, of in kinds if of
+    )

@@ -1,0 +1,91 @@
+"""From a fit to a model: errors are carried as finite differences do; the note's matrix has the covariance of many fits."""
+
+import numpy as np
+import pytest
+
+from undrift.errors import NotObservable
+from undrift.fit.triad import fit_paper, inverse_jacobian, offset_of, offset_verdict, parameter_names
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES
+
+RNG = np.random.default_rng(11)
+INPUTS = RNG.normal(0.0, 5.0, (30, 3))
+FORWARD = np.array([[2.0, 0.02, -0.01], [0.03, 1.9, 0.05], [-0.02, 0.01, 2.1]])
+
+
+def test_fit_paper_refuses_readings_that_miss_an_axis():
+    flat = INPUTS * np.array([1.0, 1.0, 0.0])
+    with pytest.raises(NotObservable, match="rank 2 from 30"):
+        fit_paper(flat, flat, None, method="m", unit_in="count", unit_out="rad/s")
+
+
+def test_the_jacobian_of_the_inverse_is_its_derivative():
+    matrix = np.array([[2.0, 0.7, -0.4], [-0.3, 1.0, 0.5], [0.6, -0.2, 3.0]])  # far from symmetric
+    jacobian = inverse_jacobian(np.linalg.inv(matrix))
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-6
+        ends = [np.linalg.inv(matrix + sign * step.reshape(3, 3)).reshape(-1) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(jacobian[:, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=1e-9)
+
+
+def test_the_offset_of_a_constant_carries_errors_as_finite_differences_do() -> None:
+    matrix, constant, step = FORWARD, np.array([0.5, -1.0, 2.0]), 1e-6
+    offset, jacobian = offset_of(matrix, constant, 12)
+    np.testing.assert_allclose(matrix @ offset, constant, atol=1e-12)
+    for place in range(12):
+        moved = np.zeros(12)
+        moved[place] = step
+        high, low = (
+            offset_of(matrix + s * moved[:9].reshape(3, 3), constant + s * moved[9:], 12)[0] for s in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(jacobian[9:12, place], (high - low) / (2.0 * step), atol=1e-8)
+
+
+def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
+    rng = np.random.default_rng(14)
+    forward = np.array([[2.0, 0.4, 0.0], [0.0, 0.5, 0.1], [0.3, 0.0, 8.0]])
+    inputs = np.tile(INPUTS * [1.0, 3.0, 0.2], (2, 1))
+    # each input once quietly and once not: then the mean variance is the whole truth
+    sigma = np.repeat([0.2, 1.8], 30)[:, None] * [0.02, 0.05, 0.01]
+    fits = [
+        fit_paper(
+            inputs, inputs @ forward.T + sigma * rng.standard_normal((60, 3)), sigma,
+            method="m", unit_in="count", unit_out="m/s2",
+        ).model
+        for _ in range(1000)
+    ]  # fmt: skip
+    scatter = np.cov(np.array([fit.matrix.reshape(-1) for fit in fits]), rowvar=False)
+    size, claimed = np.sqrt(np.diag(scatter)), fits[0].covariance[:9, :9]
+    # 1000 draws tell a standard deviation to 2 %, a correlation to 3 %
+    np.testing.assert_allclose(np.sqrt(np.diag(claimed)), size, rtol=0.1)
+    np.testing.assert_allclose(claimed / np.outer(size, size), scatter / np.outer(size, size), rtol=0, atol=0.15)
+
+
+def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():
+    inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0  # two of 16 on each axis
+    readings = inputs @ FORWARD.T + FORWARD @ [0.4, 0.0, 0.0]
+    fit = fit_paper(inputs, readings, None, method="m", unit_in="count", unit_out="m/s2")
+    (left,) = offset_verdict(fit, inputs, readings, np.full((6, 3), 1e-6)).findings
+    share = 6.0 / 32.0 * 0.4**2
+    assert left.values["loss_percent"] == pytest.approx(100.0 * share / (1.0 + share), rel=1e-9)
+    assert fit.model.matrix @ FORWARD @ [1.0, 0.0, 0.0] == pytest.approx([1.0 / (1.0 + share), 0.0, 0.0], abs=1e-12)
+
+
+# ---- parameters are named as a laboratory names them
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (("m_xy", "m_xz"), "cross-axis terms xy and xz"),
+        (("m_yz",), "cross-axis term yz"),
+        (("m_yy", "offset_y"), "scale of y, offset of y"),
+        (("offset_x", "offset_y", "offset_z"), "offset of x, y and z"),
+        (
+            (*MATRIX_NAMES, *OFFSET_NAMES),
+            "scale of x, y and z, cross-axis terms xy, xz, yx, yz, zx and zy, offset of x, y and z",
+        ),
+    ],
+)
+def test_names_of_one_kind_are_listed_together(names, shown):
+    assert parameter_names(names) == shown
