@@ -264,6 +264,7 @@ WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity 
 MOST_STEPS, CONVERGED = 30, 1e-6  # of Gauss-Newton; relative change of the matrix
 _LEAST_ANGLE = 1e-10  # rad: standard deviation that every angle has at least
 _LOOSE = 1e-4  # of the precision of turns by known angles while the excess of the moves is determined
+_CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
 # Limits of a verdict: marginal above the first, bad above the second.
 DRIFT_DPS = (0.2, 5.0)  # over the session: 0.2 deg/s is 12 deg in a minute; no warm-up of a sound part reaches 5 deg/s
 MISS_DEG = (2.0, 8.0)
@@ -348,6 +349,8 @@ def fit_gyro_between_stills(
     theta, covariance, missed = _solve(problem, matrix, by_turns)
     if by_turns is None:
         _check_determined(missed, theta)
+    elif np.abs(theta[:9] - by_turns.matrix.ravel()).max() > _CONTRADICTS * np.abs(by_turns.matrix).max():
+        raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
     fit = _as_triad(problem, theta, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
 
