@@ -72,7 +72,7 @@ def test_trials_need_one_folder_with_the_table(folder, tmp_path, capsys):
     for words, said in (
         ([*files, "--trials", "trials.csv"], "got 2 paths"),
         ([str(tmp_path), "--trials", "trials.csv"], "there is no"),
-        ([str(folder), "--trials", "trials.csv", "--compare"], "every level"),
+        ([str(folder), "--trials", "trials.csv", "--compare"], "cannot be combined"),
         ([str(folder), "--trials", "trials.csv", "--calibration", str(folder / "a.json")], "cannot be combined"),
     ):
         assert run(["validate", *words]) == 2

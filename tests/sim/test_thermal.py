@@ -7,7 +7,7 @@ import pytest
 
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim.device.effects import RandomWalk, Sampling, ThermalHysteresis, Thermometer
+from undrift.sim.device.effects import RandomWalk, Sampling, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -40,10 +40,9 @@ def settled() -> DeviceModel:
     )
 
 
-@pytest.mark.parametrize("recorded", ["soaked", "throughout"])
-def test_the_true_tables_turn_the_dwells_into_the_imposed_rates(recorded: str) -> None:
+def test_the_true_tables_turn_the_dwells_into_the_imposed_rates() -> None:
     device = settled()
-    session = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, recorded=recorded))
+    session = simulate_thermal_session("soak", device, rng=rng(), settings=SHORT)
     tables = true_tables(device, np.arange(15.0, 56.0, 1.0), np.radians(np.arange(-200.0, 201.0, 10.0)))
     record = correct(session.records[0], replace(true_calibration(device), drift=tables))
     assert len(session.turns) == 3 * 3 * 4
@@ -54,26 +53,6 @@ def test_the_true_tables_turn_the_dwells_into_the_imposed_rates(recorded: str) -
         steady = record.gyro[turn.start + 25 : turn.stop]  # the low-pass of 11.1 Hz has settled after half a second
         # Nodes 1 K apart leave 1/8 of the second difference: 2e-5 rad/s of the rate drift's slope between nodes 10 deg/s apart.
         np.testing.assert_allclose(steady, np.broadcast_to(rate, steady.shape), atol=3e-4)
-
-
-def test_what_is_recorded_at_the_soaks_is_what_a_record_throughout_holds_there() -> None:
-    device = quiet()
-    device = replace(device, accel=replace(device.accel, hysteresis=ThermalHysteresis(amplitude=0.01, play_k=7.0)))
-    settings = replace(SHORT, set_points_c=(20.0, 35.0, 30.0))
-    whole, soaked = (
-        simulate_thermal_session("soak", device, rng=rng(), settings=replace(settings, recorded=recorded)).records[0]
-        for recorded in ("throughout", "soaked")
-    )
-    at = np.searchsorted(whole.time, soaked.time - 1e-6)
-    np.testing.assert_allclose(whole.time[at], soaked.time, atol=1e-9)
-    assert len(soaked) < 0.6 * len(whole)
-    # temperature of a lagging thermometer; rest before the first turn, after which headings differ by nothing that is felt
-    np.testing.assert_allclose(soaked.temp_c, whole.temp_c[at], atol=1e-9)  # type: ignore[index,arg-type]
-    for name in ("gyro", "accel"):
-        said, held = getattr(soaked, name), getattr(whole, name)[at]
-        first = np.flatnonzero(np.diff(soaked.time, prepend=-np.inf) > 1.0)
-        for k in first:
-            np.testing.assert_allclose(said[k : k + 90], held[k : k + 90], atol=1e-6)
 
 
 def test_the_hysteresis_of_a_visit_on_the_way_down_is_the_other_one() -> None:
@@ -95,16 +74,10 @@ def test_labels_say_set_points_where_there_is_no_temperature() -> None:
     assert told.kind == "thermal"
     assert told.records[0].temp_c is not None
     assert {piece.temp_c for piece in (*told.stills, *told.turns)} == {None}
-    untold = simulate_thermal_session(
-        "soak", quiet(), rng=rng(), settings=replace(SHORT, drop_temperature=True, recorded="throughout")
-    )
+    untold = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, drop_temperature=True))
     assert untold.records[0].temp_c is None
     assert [turn.temp_c for turn in untold.turns[::12]] == [20.0, 35.0, 50.0]
-    waits = [still for still in untold.stills if still.temp_c is None]
-    assert [still.face for still in waits] == ["+z"] * 3
-    assert len(untold.stills) == 3 * (1 + 1 + 3)
-    bare = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, labelled=False))
-    assert (bare.stills, bare.turns) == ((), ())
+    assert [still.temp_c for still in untold.stills] == [20.0] * 4 + [35.0] * 4 + [50.0] * 4
 
 
 def test_each_set_point_may_have_a_record_of_its_own() -> None:
@@ -119,18 +92,10 @@ def test_each_set_point_may_have_a_record_of_its_own() -> None:
     )
 
 
-def test_six_faces_and_free_poses_show_gravity_at_each_temperature() -> None:
+def test_six_faces_show_gravity_at_each_temperature() -> None:
     device = settled()
     six = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, faces="six"))
     assert [still.face for still in six.stills[:9]] == ["+x", "-x", "+y", "-y", "+z", "-z", "+x", "+y", "+z"]
-    free = simulate_thermal_session(
-        "multi_position",
-        device,
-        rng=rng(),
-        settings=replace(SHORT, bench=replace(BENCH, poses=5, first_still_s=4.0), drop_temperature=True),
-    )
-    assert [still.temp_c for still in free.stills] == [20.0] * 5 + [35.0] * 5 + [50.0] * 5
-    assert free.stills[0].stop - free.stills[0].start == 200
     tables = true_tables(device, np.arange(15.0, 56.0, 1.0), np.array([-1.0, 1.0]))
     calibration = replace(true_calibration(device), gyro=None, drift=replace(tables, dynamic=None))
     record = correct(replace(six.records[0], gyro=None), calibration)
@@ -193,12 +158,6 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
     [
         (lambda: simulate_thermal_session("fridge", quiet(), rng=rng()), "wanted one of soak, ramp, warm_up"),  # type: ignore[arg-type]
         (lambda: ThermalSettings(power_on_s=-1.0), "wanted power_on_s of 0 or more, got -1 s"),
-        (
-            lambda: simulate_thermal_session(
-                "multi_position", quiet(), rng=rng(), settings=replace(SHORT, bench=replace(BENCH, poses=0))
-            ),
-            "wanted a motion at the set-points, got one of no length",
-        ),
     ],
 )
 def test_what_cannot_be_done_in_a_thermal_session_is_refused(make, message: str) -> None:

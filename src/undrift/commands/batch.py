@@ -113,24 +113,31 @@ class FolderTable(Result):
 
 
 def of_folder(
-    ending: str | None, settle: Settle = lambda file, place, stated: stated, *, alone: tuple[str, ...] = ()
+    ending: str | None,
+    settle: Settle = lambda file, place, stated: stated,
+    *,
+    alone: tuple[str, ...] = (),
+    whole: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Let a command take a folder of recordings in place of one: what it writes is NAME and the ending there; None writes nothing.
 
     ``settle`` returns what is stated of one file, by its place in the folder, of what is stated of all; ``alone`` names options of
-    one recording.
+    one recording, ``whole`` options with which the command takes the folder itself.
     """
+
+    def are_given(names: tuple[str, ...], stated: dict[str, Any]) -> list[str]:
+        values = (SimpleNamespace(**stated), *stated.values())
+        return [name for name in names if any(getattr(value, name, None) for value in values)]
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def called(*given: Any, **stated: Any) -> Any:
-            if len(given) != 1 or not is_plain_folder(given[0]):
+            if len(given) != 1 or not is_plain_folder(given[0]) or are_given(whole, stated):
                 return function(*given, **stated)
-            for name in alone:
-                if any(getattr(one, name, None) for one in (SimpleNamespace(**stated), *stated.values())):
-                    raise InputError(
-                        f"`{name}`: wanted a recording or a session, got the folder {given[0]}; name its files"
-                    )
+            for name in are_given(alone, stated):
+                raise InputError(
+                    f"`{name}`: wanted a recording or a session, got the folder {given[0]}; name its files"
+                )
             output, progress = stated.pop("output", None), stated.pop("progress", silent)
             job = _Job(function=function, ending=ending, settle=settle, stated=stated, output=output)
             return job.run(given[0], progress)

@@ -6,21 +6,22 @@ are relative to the table.
 """
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from undrift import __version__
+from undrift.base.options import Side
 from undrift.base.summary import Result, Section, Summary, at, figure_of, interval, number, plain
-from undrift.commands import Progress, part_of, silent
-from undrift.commands.files import Opening, Optics, check_folder, origin_of, save_json, worn_by
+from undrift.commands import Progress, part_of
+from undrift.commands.files import Opening, Optics, origin_of, save_json, worn_by
 from undrift.errors import InputError, UndriftError
 from undrift.files import read_bytes
 
 if TYPE_CHECKING:
     from undrift.validation.levels import LevelSummary, LevelTable, LevelTrial
+    from undrift.validation.trial import TrialSettings
 
 
 NEEDED = ("recording", "person", "task", "device")
@@ -239,67 +240,38 @@ class PeopleValidated(Result):
 # ---- the table of trials
 
 
-def of_trials(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Let ``validate`` take a folder with a table of trials."""
-
-    @wraps(function)
-    def called(*given: Any, **stated: Any) -> Any:
-        levels = stated.get("levels")
-        if not (levels and levels.trials):
-            return function(*given, **stated)
-        known = ("levels", "output", "opening", "progress", "forward", "up", "max_lag_s", "adc")
-        for name, value in stated.items():
-            if name not in known and value not in (None, False, ()) and not _is_default(value):
-                raise InputError(
-                    f"validate: `{name}` cannot be combined with `trials`. Write it in the table, a row per recording."
-                )
-        return _validate_people(given, stated)
-
-    return called
-
-
-def _is_default(value: Any) -> bool:
-    try:
-        return bool(value == type(value)())
-    except TypeError:
-        return False
-
-
-def _validate_people(given: tuple[Any, ...], stated: dict[str, Any]) -> PeopleValidated:
-    from undrift.sync import LagSettings
+def validate_people(
+    folder: Path,
+    name: Path,
+    *,
+    settings: "TrialSettings",
+    forward: Side | None,
+    up: Side | None,
+    opening: Opening,
+    output: Path | None,
+    progress: Progress,
+) -> PeopleValidated:
+    """Judge the recordings of a table in a folder at each level of correction, by gyroscopes and by VQF."""
     from undrift.validation.levels import calibrate_by_others, judge_levels
-    from undrift.validation.trial import TrialSettings
 
-    levels, output = stated["levels"], cast("Path | None", stated.get("output"))
-    levels.check()
-    table = cast("Path", given[0] / levels.trials if len(given) == 1 else levels.trials)
-    if len(given) != 1 or not table.is_file():
-        got = f"there is no {table}" if len(given) == 1 else f"got {len(given)} paths"
+    table = folder / name
+    if not table.is_file():
         raise InputError(
-            f"validate: `trials` needs one folder that contains the table of trials; {got}. Write a row per recording with the "
-            f"columns {', '.join(NEEDED)} and reference."
+            f"validate: there is no {table}. Write a row per recording with the columns {', '.join(NEEDED)} and reference."
         )
-    check_folder(output)
-    progress: Progress = stated.get("progress", silent)
-    settings = TrialSettings(
-        lag=LagSettings(longest_lag_s=stated.get("max_lag_s", LagSettings().longest_lag_s)),
-        forward=stated.get("forward") or "+x",
-        up=stated.get("up") or "+z",
-        adc=stated.get("adc", "auto"),
-    )
     rows, trials = list(_rows(table)), list["LevelTrial"]()
     _check_rows(table, rows)
     for k, row in enumerate(rows):
         progress(f"reading {row['recording']}", 0.3 * k / len(rows))
-        trials.append(_trial(table, row, stated))
+        trials.append(_trial(table, row, opening, forward, up))
     progress("fitting devices without a calibration", 0.3)
     trials = calibrate_by_others(trials, settings)
     judged = judge_levels(trials, settings=settings, methods=("strapdown", "vqf"), progress=part_of(progress, 0.4, 1.0))
-    result = PeopleValidated(folder=given[0], table=judged, output=output)
+    result = PeopleValidated(folder=folder, table=judged, output=output)
     if output is not None:
         output.mkdir(exist_ok=True)
         save_json(output / "levels.json", plain(result.data))
-        files = (table, *(table.parent / row[name] for row in rows for name in FILES if row[name]))
+        files = (table, *(table.parent / row[column] for row in rows for column in FILES if row[column]))
         at("undrift.report.page:write_page")(output / "report.html", result.summary(), origin_of(*dict.fromkeys(files)))
     return result
 
@@ -341,7 +313,7 @@ def _check_rows(table: Path, rows: list[dict[str, str]]) -> None:
             )
 
 
-def _trial(table: Path, row: dict[str, str], stated: dict[str, Any]) -> "LevelTrial":
+def _trial(table: Path, row: dict[str, str], opening: Opening, forward: Side | None, up: Side | None) -> "LevelTrial":
     """Read one row's recording, reference and calibration."""
     from undrift.io.store import read_calibration
     from undrift.validation.levels import LevelTrial
@@ -354,14 +326,13 @@ def _trial(table: Path, row: dict[str, str], stated: dict[str, Any]) -> "LevelTr
         reference_up=cast("Any", row["reference_up"] or None),
     )  # fmt: skip
     model = read_calibration(paths["calibration"]) if paths["calibration"] else None
-    opening: Opening = stated.get("opening", Opening())
     how = replace(opening, column_map=paths["map"] or opening.column_map, sensor=row["sensor"] or opening.sensor)
     try:
         (pair,) = optics.pairs((recording,), how.like(model, paths["calibration"]), command="validate")
     except UndriftError as error:
         raise InputError(f"{table}, {row['recording']}: {error}") from error
     about: dict[str, Any] = {name: row[name] for name in NEEDED}
-    worn = worn_by(model, stated.get("forward"), stated.get("up"))
+    worn = worn_by(model, forward, up)
     return LevelTrial(
         **about, record=pair[0], reference=pair[1], calibration=model, cluster=optics.of_cluster(), mounting=worn
     )

@@ -51,7 +51,7 @@ def simulate(
     ----------
     motion : str
         A file of poses or markers, or a task: sit_to_stand, step, posturography, free; or a thermal session: thermal_soak,
-        thermal_ramp, thermal_warm_up, thermal_multi_position.
+        thermal_ramp, thermal_warm_up.
     device : str
         A preset (enc03j_3031, mpu6050, icm20948, bmi160, bmi270, bmi088, lsm6dso, xsens_mti1, shimmer3) or a device.json.
     output : Path

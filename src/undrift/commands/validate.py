@@ -30,7 +30,7 @@ from undrift.commands.files import (
     save_json,
     worn_by,
 )
-from undrift.commands.levels import levels_json, levels_sections, of_trials
+from undrift.commands.levels import PeopleValidated, levels_json, levels_sections, validate_people
 from undrift.errors import InputError, UndriftError
 from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
@@ -62,17 +62,9 @@ _ALIGNED = {
     "none": "the device's case is assumed to be the reference's body",
     "level": "the rotation between the device's case and the markers, by the vertical at rest and their rates, is removed",
 }
-COLUMNS = (
-    ("rmse_total_deg", "total rmse (deg)"),
-    ("rmse_inclination_deg", "inclination rmse (deg)"),
-    ("rmse_heading_deg", "heading rmse (deg)"),
-    ("rmse_pitch_deg", "pitch rmse (deg)"),
-    ("max_abs_pitch_deg", "pitch max (deg)"),
-    ("end_total_deg", "end total (deg)"),
-    ("end_inclination_deg", "end inclination (deg)"),
-    ("drift_deg_per_min", "drift (deg/min)"),
-)
 FURTHER = (
+    ("rmse_heading_deg", "heading rmse (deg)"),
+    ("drift_deg_per_min", "drift (deg/min)"),
     ("mean_pitch_deg", "pitch mean (deg)"),
     ("sd_pitch_deg", "pitch sd (deg)"),
     ("range_pitch_error_deg", "pitch range (deg)"),
@@ -84,10 +76,10 @@ FURTHER = (
     ("turn_rate_rms_dps", "rate rms (deg/s)"),
 )
 PITCH_DEFINED = (
-    "Pitch defined: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
+    "pitch %: share of the samples in which pitch is defined; it is left out where the body lies within 5 deg of its side, "
     "and near there pitch max may exceed the error in space"
 )
-OPTICS_SEEN = "Optics seen: share of the motion in which the reference saw the body, where alone errors count;"
+OPTICS_SEEN = "optics %: share of the motion in which the reference saw the body, where alone errors count;"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -112,6 +104,11 @@ class Validated(Result):
         """What the recordings were corrected by, in words."""
         fitted = "the fit to the others" if self.leave_one_out else "the fit to these recordings"
         return "no calibration" if self.calibration is None else self.source or fitted
+
+    @property
+    def offset(self) -> str:
+        """The offset that was subtracted: none if no trial has a rest."""
+        return self.settings.offset if any(trial.rest for trial in self.result.trials) else "none"
 
     @property
     def gravity(self) -> dict[str, Any]:
@@ -156,8 +153,7 @@ class Validated(Result):
             pictures=(figure_of("figures:draw_level_errors", self.levels), first) if self.levels else (first,),
             sections=(
                 *(levels_sections(self.levels) if self.levels else ()),
-                errors_section(self),
-                *trials_sections(result.trials, means if many else ()),
+                *trials_sections(result.trials, means if many else (), offset=self.offset),
                 *_expected(result),
                 _remarks(self),
                 method_section(self),
@@ -190,11 +186,6 @@ class Levels:
 
     compare: Flag = False
     trials: Path | None = None
-
-    def check(self) -> None:
-        """Refuse both options together."""
-        if self.trials and self.compare:
-            raise InputError("validate: `trials` judges every level of correction. Omit `compare`.")
 
     def judge(
         self, done: Validated, pairs: list[tuple["Record", "Reference"]], paths: Sequence[Path], progress: Progress
@@ -243,8 +234,7 @@ def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[s
 
 
 @verb
-@of_trials
-@of_folder("", _with_reference, alone=("calibrate_from",))
+@of_folder("", _with_reference, alone=("calibrate_from",), whole=("trials",))
 def validate(
     *records: Files,
     optics: Optics = Optics(),
@@ -263,7 +253,7 @@ def validate(
     output: OptionalOutput = None,
     opening: Opening = Opening(),
     progress: Progress = silent,
-) -> Validated:
+) -> Validated | PeopleValidated:
     """Compare recordings with an optical reference: lag, errors in degrees, levels of correction.
 
     Parameters
@@ -313,8 +303,26 @@ def validate(
     from undrift.validation.trial import TrialSettings
 
     _check_asked((leave_one_out, mounting, place), calibrate_from, calibration, max_lag_s)
-    levels.check()
     check_folder(output)
+    if levels.trials is not None:
+        of_rows = {
+            "compare": levels.compare,
+            "calibration": calibration,
+            "calibrate_from": calibrate_from,
+            "mounting": mounting,
+        }
+        of_rows |= {"reference": optics != Optics(), "offset": offset != "rest", "policy": applying != TableUse()}
+        if named := [name for name, value in of_rows.items() if value]:
+            raise InputError(f"validate: `{named[0]}` cannot be combined with `trials`. Write it in the table.")
+        if len(records) != 1:
+            raise InputError(f"validate: `trials` needs one folder that contains the table, got {len(records)} paths.")
+        common = TrialSettings(
+            lag=LagSettings(longest_lag_s=max_lag_s), forward=forward or "+x", up=up or "+z", adc=adc
+        )
+        return validate_people(
+            records[0], levels.trials, settings=common, forward=forward, up=up, opening=opening, output=output,
+            progress=progress,
+        )  # fmt: skip
     chosen = choose_calibration(calibration, records, opening)
     model, calibration = chosen.model, chosen.path
     settings = TrialSettings(
@@ -464,29 +472,6 @@ def _answer(result: "Validation", method: Validated) -> str:
     )
 
 
-def errors_section(validated: Validated) -> Section:
-    """Return the errors as a terminal shows them, one row a recording."""
-    trials, result, rows = validated.result.trials, validated.result, []
-    named = [(trial.recording, trial.figures) for trial in trials]
-    for name, x in named if len(named) == 1 else (*named, ("mean", result.mean), ("median", result.median)):
-        cells = (f"{getattr(x, key):.2f}" for key in SHOWN)
-        rows.append((name, *cells, _percent(x.pitch_defined), _percent(x.valid_optics)))
-    undefined = any(x.pitch_defined < 1.0 for _, x in named)
-    lines = [PITCH_DEFINED.replace("Pitch defined", "pitch %")] * undefined
-    least = min(trial.figures.valid_optics_file for trial in trials)
-    if least < min(trial.figures.valid_optics for trial in trials) - SHOWN_SHARE:
-        whole = f"{_percent(least)} %" + " or more" * (len(trials) > 1)
-        lines.append(f"{OPTICS_SEEN.replace('Optics seen', 'optics %')} of the whole file it is {whole}")
-    offset = validated.settings.offset if any(trial.rest for trial in trials) else "none"
-    return Section(
-        title=f"error against the reference in deg: rmse over the motion, largest, median after it (offset: {offset})",
-        columns=("recording", *SHOWN.values(), "pitch %", "optics %"),
-        rows=tuple(rows),
-        text=tuple(lines),
-        on="terminal",
-    )
-
-
 def _remarks(validated: Validated) -> Section:
     """Return what was noticed of each recording, as a terminal shows it."""
     trials, lines = validated.result.trials, []
@@ -503,22 +488,28 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f}"
 
 
-def trials_sections(trials: "Sequence[Trial]", more: "Sequence[tuple[str, Figures]]" = ()) -> tuple[Section, Section]:
-    """Return the tables of errors, one row a trial: those that are looked at first, and the others."""
-    named = (*((trial.recording, trial.figures) for trial in trials), *more)
-    rows, others = (
-        [{"recording": name} | {head: f"{getattr(x, key):.2f}" for key, head in columns} for name, x in named]
-        for columns in (COLUMNS, FURTHER)
+def trials_sections(
+    trials: "Sequence[Trial]", summaries: "Sequence[tuple[str, Figures]]" = (), *, offset: str = ""
+) -> tuple[Section, Section]:
+    """Return the tables of errors, one row a trial: the main ones, and the others for the page."""
+    named = (*((trial.recording, trial.figures) for trial in trials), *summaries)
+    rows = [
+        (name, *(f"{getattr(x, key):.2f}" for key in SHOWN), _percent(x.pitch_defined), _percent(x.valid_optics))
+        for name, x in named
+    ]
+    others = [{"recording": name} | {head: f"{getattr(x, key):.2f}" for key, head in FURTHER} for name, x in named]
+    lines = [PITCH_DEFINED] if any(x.pitch_defined < 1.0 for _, x in named) else []
+    least = min(trial.figures.valid_optics_file for trial in trials)
+    if least < min(trial.figures.valid_optics for trial in trials) - SHOWN_SHARE:
+        lines.append(f"{OPTICS_SEEN} of the whole file it is {_percent(least)} %{' or more' * (len(trials) > 1)}")
+    errors = Section(
+        title="error against the reference in deg: rmse over the motion, largest, median after it"
+        + (f" (offset: {offset})" if offset else ""),
+        columns=("recording", *SHOWN.values(), "pitch %", "optics %"),
+        rows=tuple(rows),
+        text=tuple(lines),
     )
-    for row, (_, x) in zip(rows, named, strict=True):
-        row |= {"pitch defined (%)": _percent(x.pitch_defined), "optics seen (%)": _percent(x.valid_optics)}
-    text = (
-        "Root-mean-square over the motion; end errors are medians over the first three seconds after it, or, of a recording that "
-        "begins in motion, over its last three.",
-        f"{PITCH_DEFINED}.",
-        f"{OPTICS_SEEN} rests and ends of the file do not count in it.",
-    )
-    return rows_section("Errors", rows, text=text, on="page"), rows_section("Further errors", others, folded=True)
+    return errors, rows_section("Further errors", others, folded=True)
 
 
 def coverage_text(coverage: "Coverage") -> str:

@@ -1,4 +1,4 @@
-"""Thermal sessions of a device and a climatic chamber that do not exist: soaks, ramps, warm-ups, poses at several temperatures.
+"""Thermal sessions of a simulated device in a simulated climatic chamber: soaks, ramps, warm-ups.
 
 A programme of hours is simulated leg by leg. What a device remembers from leg to leg is kept: its age, the play of its
 hysteresis (by the turns of temperature before, for a play has no clock), where a random walk had gone, and what the thermometer
@@ -18,13 +18,13 @@ faster than the limit. Without a chamber a board warms itself, in two terms: die
 
     b = end - (end - start) (p exp(-t / t_1) + (1 - p) exp(-t / t_2))
 
-A leg is a stretch that is recorded without a break: a visit to a set-point, a whole ramp, a whole warm-up.
+A leg is recorded without a break: a visit to a set-point, a whole ramp, a whole warm-up.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from undrift.record import FACES, Face, Record, Session, Still, Turn, joined
 from undrift.sim.device.effects import Past, Scene, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import Simulated, Streams, draw_streams, simulate_device
-from undrift.sim.motion.bench import BenchSettings, free_poses, rest_on_faces, script_motion, steady_rates
+from undrift.sim.motion.bench import BenchSettings, rest_on_faces, script_motion, steady_rates
 from undrift.sim.motion.motion import Motion, Script, after_rest, unit_vector
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -230,8 +230,7 @@ class _Chamber:
 
 # ---- ThermalSettings: how a thermal session is performed, and what of it is written down.
 
-ThermalKind = Literal["soak", "ramp", "warm_up", "multi_position"]
-Recorded = Literal["soaked", "throughout"]
+ThermalKind = Literal["soak", "ramp", "warm_up"]
 
 SET_POINTS_C = (18.0, *(float(temp) for temp in range(25, 76, 5)))  # the note's range, every 5 K from 25 degC on
 INCLUSIVE_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5))  # sit-to-stand, both ends: 36 both ways
@@ -242,31 +241,18 @@ BENCH = BenchSettings(sample_rate_hz=50.0, turn_rates=INCLUSIVE_RATES)
 class ThermalSettings:
     """How a thermal session is performed."""
 
-    # Motion at a set-point: sample rate (50 Hz), gravity, still_s (6 s a face), rates of the table (5 to 90 deg/s by
-    # 5, each both ways; none leaves the table out), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0), poses
-    # and first still of a multi-position session (24 poses, 20 s)
+    # motion at a set-point: sample rate (50 Hz), gravity, still_s (6 s a face), rates of the table (5 to 90 deg/s by
+    # 5, each both ways; none leaves the table out), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0)
     bench: BenchSettings = BENCH
-    chamber: ChamberSettings = ChamberSettings()  # How fast temperatures follow, and when the board counts as soaked
-    # Of soaks and multi-position sessions, degC, in the order of the visits
-    set_points_c: tuple[float, ...] = SET_POINTS_C
-    back: bool = False  # Visit them once more in the opposite order: shows hysteresis, takes twice as long
-    # "one" rests with +z up at each set-point, "six" with each axis up and down: shows accelerometer scale over
-    # temperature
-    faces: Literal["one", "six"] = "one"
-    # "soaked" records at the set-points alone, "throughout" on the way between them too
-    recorded: Recorded = "soaked"
-    # One long record; else one for each set-point. The clock is that of the programme in either case
-    one_record: bool = True
-    ramp: RampSettings = RampSettings()  # Of a ramp
-    warm_up: WarmUpSettings = WarmUpSettings()  # Of a warm-up
-    rest_face: Face = "+z"  # What points up in a ramp and a warm-up
-    # Time since power-on when the programme begins, s: an hour, so that what the device owes to its age has gone. A
-    # warm-up begins at power-on whatever this says
-    power_on_s: float = 3600.0
-    # True leaves the temperature column out and writes the set-points to stills and turns; what was recorded on the
-    # way, a ramp and a warm-up then tell no temperature at all
-    drop_temperature: bool = False
-    labelled: bool = True  # False leaves stills and turns, and with them the set-points, to be found in the data
+    chamber: ChamberSettings = ChamberSettings()
+    set_points_c: tuple[float, ...] = SET_POINTS_C  # in the order of the visits, degC
+    back: bool = False  # visit them again in the opposite order: reveals hysteresis, takes twice as long
+    faces: Literal["one", "six"] = "one"  # rest with +z up at each set-point, or with each axis up and down
+    one_record: bool = True  # one record, or one for each set-point on the same clock
+    ramp: RampSettings = RampSettings()
+    warm_up: WarmUpSettings = WarmUpSettings()
+    power_on_s: float = 3600.0  # age of the device when the programme begins, s; a warm-up begins at power-on
+    drop_temperature: bool = False  # no temperature column: stills and turns state their set-points
 
     def __post_init__(self) -> None:
         if self.power_on_s < 0.0:
@@ -277,7 +263,7 @@ class ThermalSettings:
 
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
-Work = Callable[[Script], Face | None]  # writes what is done at a set-point and returns the face that it leaves up
+Work = Callable[[Script], None]  # writes the work at a set-point
 Leg = tuple[Motion, SetPointVisit | None]  # recorded without a break, on the chamber's clock; the visit it belongs to
 
 
@@ -290,57 +276,44 @@ def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams)
             if kind == "ramp"
             else warm_up_profile(settings.warm_up, step_s=settings.chamber.step_s)
         )
-        script = Script(bench.sample_rate_hz, unit_vector(settings.rest_face))
-        script.still(float(profile.time[-1]), settings.rest_face)
+        script = Script(bench.sample_rate_hz, unit_vector("+z"))
+        script.still(float(profile.time[-1]), "+z")
         return profile, [(script_motion(script, bench), None)]
-    draw = streams.of("pose" if kind == "multi_position" else "tilt")
+    draw = streams.of("tilt")
     faces: tuple[Face, ...] = FACES if settings.faces == "six" else ("+z",)
 
-    def work(script: Script) -> Face | None:
-        if kind == "multi_position":
-            free_poses(script, bench, draw, first_twisted=True)
-            return None
+    def work(script: Script) -> None:
         rest_on_faces(script, bench, faces, draw)
-        if not bench.turn_rates:
-            return faces[-1]
-        steady_rates(script, bench, streams)
-        return "+z"
+        if bench.turn_rates:
+            steady_rates(script, bench, streams)
 
     return _visits(settings, work)
 
 
 def _visits(settings: ThermalSettings, work: Work) -> tuple[Profile, list[Leg]]:
-    rate, throughout = settings.bench.sample_rate_hz, settings.recorded == "throughout"
+    rate = settings.bench.sample_rate_hz
     points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
     profile = soak_profile(points, measured_s=_length_s(settings, work), settings=settings.chamber)
     legs: list[Leg] = []
     up = unit_vector("+z")
-    q, face = Script(rate, up).q, cast("Face | None", "+z")
+    q = Script(rate, up).q
     for soak in profile.soaks:
         script = Script(rate, up)
         script.q = q
-        first, last = round(soak.soaked_s * rate), round(soak.end_s * rate)
-        if throughout:
-            first = round(soak.begin_s * rate)
-            script.still(soak.soaked_s - soak.begin_s, face)
-        face = work(script)
-        if throughout and first + script.samples < last:
-            script.slide(((), (), ()), (last - first - script.samples) / rate)  # at rest until the chamber moves on
+        work(script)
         q, motion = script.q, script_motion(script, settings.bench)
-        legs.append((replace(motion, time=motion.time + first / rate), soak))
+        legs.append((replace(motion, time=motion.time + round(soak.soaked_s * rate) / rate), soak))
     return profile, legs
 
 
 def _length_s(settings: ThermalSettings, work: Work) -> float:
-    """Return how long a visit measures, s: that of a rehearsal after a wait, whose tilts and poses are not used."""
+    """Return the duration of the work at a set-point, s, from a rehearsal whose tilts are not used."""
     script = Script(settings.bench.sample_rate_hz, unit_vector("+z"))
     script.still(1.0)
     before = script.samples
     work(script)
     if script.samples == before:
-        raise InputError(
-            "thermal: wanted a motion at the set-points, got one of no length; give still_s, rates or poses"
-        )
+        raise InputError("thermal: the work at the set-points has no length. Give still_s or rates.")
     return (script.samples - before) / settings.bench.sample_rate_hz
 
 
@@ -360,7 +333,7 @@ def simulate_thermal_session(
     ----------
     kind : str
         ``soak``: at each set-point a rest in one face or six, then steady rates both ways about three axes. ``ramp``: at rest,
-        up and down at a rate. ``warm_up``: at rest from power-on, no chamber. ``multi_position``: free poses at each set-point.
+        up and down at a rate. ``warm_up``: at rest from power-on, no chamber.
     device : DeviceModel
         The sensors.
     rng : Generator
@@ -398,8 +371,8 @@ def simulate_thermal_session(
         serial=device.serial,
         gravity_m_s2=chosen.bench.gravity_m_s2,
         records=records,
-        stills=stills if chosen.labelled else (),
-        turns=turns if chosen.labelled else (),
+        stills=stills,
+        turns=turns,
     )
 
 
@@ -478,10 +451,7 @@ def _labels(
     def sample(edge: int) -> int:
         return offset + (len(true_time) if edge >= len(time) else int(np.searchsorted(true_time, time[edge] - slack)))
 
-    def temp_of(label: Still | Turn) -> float | None:
-        stated = settings.drop_temperature and soak is not None and time[label.start] >= soak.soaked_s
-        return soak.set_point_c if stated and soak else None
-
+    set_point_c = soak.set_point_c if settings.drop_temperature and soak is not None else None
     return [
-        replace(x, start=sample(x.start), stop=sample(x.stop), temp_c=temp_of(x), recording=recording) for x in labels
+        replace(x, start=sample(x.start), stop=sample(x.stop), temp_c=set_point_c, recording=recording) for x in labels
     ]

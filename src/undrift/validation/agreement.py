@@ -50,13 +50,10 @@ Z95 = 1.959963984540054
 class BlandAltman:
     """Difference of two methods over subjects."""
 
-    bias: float  # Mean of first less second, unit of the data
-    standard_deviation: float  # Of the differences
+    bias: float  # mean of first minus second, unit of the data
+    standard_deviation: float  # of the differences
     limits: Interval  # bias -+ 1.96 standard deviations: 95 % of single differences
-    bias_interval: Interval  # 95 % confidence intervals of the bias and of each limit
-    lower_interval: Interval
-    upper_interval: Interval
-    count: int  # Subjects
+    count: int  # subjects
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,24 +68,11 @@ class IntraclassCorrelation:
 
 def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
     """Compare two methods over subjects, one value each (n,)."""
-    from scipy.special import stdtrit
-
     table = _table(np.stack((first, second), axis=1) if len(first) == len(second) else np.empty((0, 2)))
     difference = table[:, 0] - table[:, 1]
-    n, bias, sd = len(difference), float(difference.mean()), float(difference.std(ddof=1))
-    t = float(stdtrit(n - 1, 0.975))
-    low, high = bias - Z95 * sd, bias + Z95 * sd
-    of_bias = t * sd / float(np.sqrt(n))
-    of_limit = t * sd * float(np.sqrt(1.0 / n + Z95**2 / (2.0 * (n - 1))))
-    return BlandAltman(
-        bias=bias,
-        standard_deviation=sd,
-        limits=(low, high),
-        bias_interval=(bias - of_bias, bias + of_bias),
-        lower_interval=(low - of_limit, low + of_limit),
-        upper_interval=(high - of_limit, high + of_limit),
-        count=n,
-    )
+    bias, sd = float(difference.mean()), float(difference.std(ddof=1))
+    limits = (bias - Z95 * sd, bias + Z95 * sd)
+    return BlandAltman(bias=bias, standard_deviation=sd, limits=limits, count=len(difference))
 
 
 def intraclass_correlation(ratings: FloatArray) -> IntraclassCorrelation:

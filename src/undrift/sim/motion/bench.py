@@ -149,14 +149,12 @@ def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> No
         script.still(settings.still_s)
 
 
-def free_poses(
-    script: Script, settings: BenchSettings, draw: np.random.Generator, *, first_twisted: bool = False
-) -> None:
+def free_poses(script: Script, settings: BenchSettings, draw: np.random.Generator) -> None:
     """Rest in free poses, a long one first."""
     for number in range(settings.poses):
         up = draw.normal(size=3)
         # about the vertical
         twist = turn_quaternion(up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi)))
         q = facing(script.q, up)
-        script.lay(quaternion_product(q, twist) if script.samples or first_twisted else q, settings.move_s)
+        script.lay(quaternion_product(q, twist) if script.samples else q, settings.move_s)
         script.still(settings.still_s if number else settings.first_still_s)
