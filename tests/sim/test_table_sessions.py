@@ -15,13 +15,10 @@ from undrift.sim.table_sessions import (
     RATE,
     REST,
     ImposedDwells,
-    Sessions,
-    impose,
+    TableSession,
     impose_faces,
-    joined,
+    impose_turns,
     lay_out,
-    turned,
-    turned_about,
 )
 
 DPS, G = np.pi / 180.0, 9.80665
@@ -32,7 +29,6 @@ PROTOCOL = Protocol(
     turn_rate_min=10.0 * DPS,
     turn_rate_max=50.0 * DPS,
     turn_rate_step=20.0 * DPS,
-    temperatures_c=(18.0, 45.0),
 )
 LAID = lay_out(PROTOCOL)
 SESSIONS = LAID.chosen(REST, RATE)
@@ -43,19 +39,14 @@ ROWS = np.arange(N)
 def draws(seed: int = 0, **change: Any) -> BenchDraws:
     rng = np.random.default_rng(seed)
     normal = {name: rng.standard_normal(shape) for name, shape in DRAWN.items()}
-    return replace(
-        BenchDraws(**normal, clock=1.0, left=rng.uniform(size=(3, 2)), start=rng.uniform(size=(N, 2))), **change
-    )
+    return replace(BenchDraws(**normal, clock=1.0, start=rng.uniform(size=(N, 2))), **change)
 
 
-DRAWN = {"mount": (3, 3), "level": 2, "face": (6, 3), "soak": (3, 2), "wobble": (N, 3), "servo": N}
+DRAWN = {"mount": (3, 3), "level": 2, "face": (6, 3), "wobble": (N, 3), "servo": N}
 
 
-def imposed(
-    errors: BenchErrors, seed: int = 0, sessions: Sessions = SESSIONS, rows: np.ndarray = ROWS
-) -> tuple[ImposedDwells, np.ndarray]:
-    about = turned_about(sessions, errors, draws(seed), rows)
-    return impose(sessions, errors, draws(seed), about, soak_c_per_min=0.1), about[2]
+def imposed(errors: BenchErrors, seed: int = 0, session: TableSession = SESSIONS) -> tuple[ImposedDwells, np.ndarray]:
+    return impose_turns(session, errors, draws(seed), ROWS)
 
 
 def test_an_ideal_bench_imposes_what_is_commanded() -> None:
@@ -63,7 +54,7 @@ def test_an_ideal_bench_imposes_what_is_commanded() -> None:
     np.testing.assert_allclose(dwells.rate_b, SESSIONS.rate[:, None] * np.eye(3)[SESSIONS.axis], atol=1e-15)
     np.testing.assert_allclose(dwells.force_b, G * np.eye(3)[SESSIONS.axis], atol=1e-12)
     np.testing.assert_allclose(read, SESSIONS.rate, rtol=1e-12)
-    np.testing.assert_array_equal(dwells.temp_c, SESSIONS.set_c)
+    np.testing.assert_array_equal(dwells.temp_c, 25.0)
 
 
 def test_a_mounting_turns_all_dwells_of_its_axis_alike_and_a_wobble_each_by_itself() -> None:
@@ -103,51 +94,18 @@ def test_a_table_off_level_turns_gravity_about_a_whole_turn_averages_out() -> No
     once = replace(
         SESSIONS, duration_s=np.where(SESSIONS.kind == RATE, 2.0 * np.pi / np.abs(SESSIONS.rate.clip(DPS)), 3.0)
     )
-    dwells, _ = imposed(BenchErrors(level=0.01), sessions=once)
+    dwells, _ = imposed(BenchErrors(level=0.01), session=once)
     across = np.linalg.norm(dwells.force_b - G * np.eye(3)[SESSIONS.axis], axis=1)
     whole = np.isclose(once.duration_s * np.abs(once.rate), 2.0 * np.pi)
     np.testing.assert_allclose(across[whole], 0.0, atol=1e-12)
     np.testing.assert_allclose(across[SESSIONS.kind == REST], 0.01 * G * np.hypot(*draws().level), rtol=1e-9)
 
 
-def test_a_soak_ends_off_its_set_point_and_goes_on_while_it_is_read() -> None:
-    off, _ = imposed(BenchErrors(soak_k=0.5))
-    np.testing.assert_allclose(off.temp_c - SESSIONS.set_c, 0.5 * draws().soak[SESSIONS.axis, SESSIONS.soak])
-    late, _ = imposed(BenchErrors(board_lag_s=600.0))
-    behind = late.temp_c - SESSIONS.set_c
-    visit = 2 * SESSIONS.axis + SESSIONS.soak
-    begins = np.flatnonzero(np.diff(visit, prepend=-1))
-    wanted = 0.1 / 60.0 * 600.0 * draws().left
-    for number, start in enumerate(begins):
-        axis, soak = divmod(number, 2)
-        falls = -1.0 if soak == 0 and axis > 0 else 1.0  # back from the last set-point
-        assert behind[start] == pytest.approx(-falls * wanted[axis, soak])
-        own = np.abs(behind[start : begins[number + 1] if number + 1 < len(begins) else None])
-        assert (np.diff(own) < 0.0).all()
-        slope = (own[0] - own[1]) / (SESSIONS.start_s[start + 1] - SESSIONS.start_s[start])
-        assert slope <= 0.1 / 60.0  # K/s: where a soak counts as reached
-
-
 def test_faces_lie_off_level_each_by_itself() -> None:
     faces = LAID.chosen(FACE)
     level = np.array([unit_vector(FACES[face]) for face in faces.face])
-    up = impose_faces(faces, turned(level, 0.01 * draws().face[faces.face])).force_b / G
+    up = impose_faces(faces, BenchErrors(face_tilt=0.01), draws()).force_b / G
     np.testing.assert_allclose(np.linalg.norm(up, axis=1), 1.0)
     off = np.linalg.norm(up - level, axis=1)
     assert len(np.unique(off.round(9))) == 6
     assert 1e-3 < off.mean() < 0.04
-
-
-def test_sessions_one_after_the_other_are_those_alone() -> None:
-    other = lay_out(replace(PROTOCOL, turn_rate_step=40.0 * DPS)).chosen(REST, RATE)
-    both = joined([SESSIONS, other])
-    assert both.first.tolist() == [0, N, N + len(other.kind)]
-    rows = np.concatenate((ROWS, np.arange(len(other.kind))))
-    errors = BenchErrors(board_lag_s=600.0, mount_tilt=0.01, wobble=0.01, servo=0.001, encoder_lines=100, level=0.01)
-    together, read = imposed(errors, 0, both, rows)
-    alone, own = imposed(errors)
-    for name in ("rate_b", "force_b", "temp_c"):
-        np.testing.assert_array_equal(getattr(together, name)[:N], getattr(alone, name))
-    np.testing.assert_array_equal(read[:N], own)
-    last, _ = imposed(errors, 0, other, rows[N:])
-    np.testing.assert_array_equal(together.temp_c[N:], last.temp_c)

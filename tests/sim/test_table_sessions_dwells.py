@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.sim.device.effects import BiasInstability, RandomWalk, ThermalHysteresis, difference_equation
+from undrift.kernels.device import add_drift
+from undrift.sim.device.effects import difference_equation
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
@@ -122,24 +123,13 @@ def test_bias_and_scatter_of_the_mean_of_rounded_readings_are_those_of_samples(
 
 def test_the_drift_between_dwells_has_the_covariance_of_its_processes() -> None:
     """One process and the walk: variances and covariances of means over dwells of unlike length and gap, from the integrals."""
-    quiet = device("enc03j_3031")
-    tau, b, k = 30.0, 0.01, 2e-4
-    flicker = BiasInstability(instability=np.full(3, b), shortest_s=tau, longest_s=tau)
-    bare = {"white_noise": None, "adc": None, "low_pass": None, "warm_up": None, "hysteresis": None}
-    quiet = replace(quiet, gyro=replace(quiet.gyro, **bare, instability=flicker, random_walk=RandomWalk(bias_walk=k)))
+    tau, sd, k, runs, rng = 30.0, 0.004, 2e-4, 4000, np.random.default_rng(6)
     start, length = np.array([0.0, 2.5, 40.0, 47.0]), np.array([2.0, 6.0, 2.0, 50.0])
-    runs = 4000
-    imposed = ImposedDwells(
-        start_s=np.tile(start, runs) + 600.0,
-        duration_s=np.tile(length, runs),
-        rate_b=np.zeros((4 * runs, 3)),
-        force_b=np.zeros((4 * runs, 3)),
-        temp_c=np.full(4 * runs, 25.0),
-        first=np.arange(0, 4 * runs + 1, 4),
-    )
-    chain = quiet.gyro
-    means = ((drawn(quiet, imposed, seed=6) - chain.raw_offset) / chain.gain).reshape(runs, 4, 3)
-    sd = b * (np.log(10.0**0.5) / np.pi) ** 0.5
+    drift, numbers = np.zeros((4 * runs, 3)), rng.standard_normal((4 * runs, 3, 5))
+    sessions, rows = np.arange(0, 4 * runs + 1, 4), np.arange(4 * runs)
+    times = np.tile(start, runs) + 600.0, np.tile(length, runs)
+    add_drift(numbers, rows, *times, sessions, np.array([tau]), np.full((1, 3), sd), np.full(3, k), drift)
+    means = drift.reshape(runs, 4, 3)
     for i in range(4):
         for j in range(i + 1):
             s = start[i] + length[i] * (np.arange(400) + 0.5) / 400.0
@@ -150,19 +140,6 @@ def test_the_drift_between_dwells_has_the_covariance_of_its_processes() -> None:
             own = sd * sd + k * k * 100.0
             show(f"covariance of dwells {i} and {j}, of the process' variance", found / own, f"{wanted / own:.3f}")
             assert found == pytest.approx(wanted, abs=0.05 * own)  # 12,000 products: 1.3 % each way at most
-
-
-def test_each_session_begins_anew_and_rows_of_one_number_have_the_same_draws() -> None:
-    made = device("enc03j_3031")
-    made = replace(made, gyro=replace(made.gyro, hysteresis=ThermalHysteresis(amplitude=np.full(3, 0.01))))
-    one = dwells(5)
-    fields = ("start_s", "duration_s", "rate_b", "force_b", "temp_c")
-    twice = ImposedDwells(**{f: np.concatenate([getattr(one, f)] * 2) for f in fields}, first=np.array([0, 5, 10]))
-    normals = np.random.default_rng(5).standard_normal((5, 3, numbers_of_dwell(made.gyro)))
-    alone = mean_readings(made, "gyro", one, normals, np.arange(5))
-    both = mean_readings(made, "gyro", twice, normals, np.tile(np.arange(5), 2))
-    np.testing.assert_array_equal(both[:5], alone)
-    np.testing.assert_array_equal(both[5:], alone)
 
 
 def test_dwells_out_of_order_are_refused() -> None:

@@ -1,8 +1,8 @@
-"""What a bench does wrong: its table, chamber and faces, rival rigs, and the hands of the operator; and the draws of it.
+"""Errors of a bench: its table, its faces and the hands of the operator; and their draws.
 
 One list serves motions sample by sample (``sim.motion.bench``), means dwell by dwell (``sim.table_sessions``) and the study's
 plan. All is drawn from standard normal numbers and from uniform ones, so that benches of one state err alike, whatever the size
-of the errors: rigs share mountings, level and clock, and a dwell has the same draws in every session that has it.
+of the errors: a dwell has the same draws in every session that has it.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,7 @@ from undrift.sim.motion.motion import turn_quaternion
 from undrift.units import RADIAN_PER_DEGREE
 
 OF_TABLE = (
-    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines", "soak_k", "board_lag_s",
-    "inclination",
+    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines",
 )  # fmt: skip
 
 
@@ -46,12 +45,6 @@ class BenchErrors:
     # Of the angle turned in a dwell against the commanded one, rad
     servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
     encoder_lines: Annotated[int, Ge(0)] = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
-    # Of each inclination of a plane, and of each inclined pose, rad
-    inclination: Annotated[float, Ge(0.0), Key("inclination_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    stroke: float = 0.0  # Of the stroke of each run of a drive, relative
-    harmonic: float = 0.0  # Of its second harmonic, in displacement, relative
-    soak_k: Annotated[float, Ge(0.0)] = 0.0  # Of the board's settled temperature against the set-point, K
-    board_lag_s: Annotated[float, Ge(0.0)] = 0.0  # With which the board follows the chamber, s; 0 has settled
 
 
 IDEAL = BenchErrors()
@@ -77,31 +70,26 @@ def gain_of(errors: BenchErrors, streams: Streams) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchDraws:
-    """Numbers by which a bench errs, the same for every session on it: K soaks, U kinds of dwells."""
+    """Numbers by which a bench errs, the same for every session on it: U kinds of dwells."""
 
     mount: FloatArray  # (3, 3), normal, by the axis that is up
     level: FloatArray  # (2,), normal
     clock: float  # Normal
     face: FloatArray  # (6, 3), normal
-    soak: FloatArray  # (3, K), normal, by axis and soak
-    left: FloatArray  # (3, K), from 0 to 1, share of the slope at which a soak counts as reached
     wobble: FloatArray  # (U, 3), normal
     servo: FloatArray  # (U,), normal
     start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
 
 
-def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator], *, soaks: int) -> BenchDraws:
+def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> BenchDraws:
     """Draw a bench; each size of rate has a generator of its own, so that it meets the same draws beside any others."""
-    kinds = 6 * soaks
-    drawn = [(each.standard_normal((kinds, 4)), each.uniform(size=(kinds, 2))) for each in turns]
+    drawn = [(each.standard_normal((6, 4)), each.uniform(size=(6, 2))) for each in turns]
     normals, start = (np.concatenate(part) for part in zip(*drawn, strict=True))
     return BenchDraws(  # in the order of the draws
         mount=rng.standard_normal((3, 3)),
         level=rng.standard_normal(2),
         clock=float(rng.standard_normal(1)[0]),
         face=rng.standard_normal((6, 3)),
-        soak=rng.standard_normal((3, soaks)),
-        left=rng.uniform(size=(3, soaks)),
         wobble=normals[:, :3],
         servo=normals[:, 3],
         start=start,

@@ -1,13 +1,12 @@
-"""Sessions on a rate table that errs: a programme laid out in time, what is truly imposed, and what a device reads of it.
+"""A session on a rate table that errs, at room temperature: laid out in time, what is truly imposed, what a device reads.
 
-For a dwell at the commanded rate w about the axis e of the case, at a set-point T_s, t after the readings in it began::
+For a dwell at the commanded rate w about the axis e of the case::
 
     rate        w + servo / duration               about   a = e turned by the mounting, then by the wobble of this dwell
     read rate   counts of the encoder over the dwell, times 1 - table_rate
     force       g (a + level (c a' + s a''))       c, s the means of cosine and sine of the azimuth over the dwell
-    temperature T_s + soak - left exp(-t / lag),   left = lag times the slope at which the soak counted as reached
 
-The device is mounted once for each axis and swept through the set-points; a table has one level and one clock.
+The device is mounted once for each axis; a table has one level and one clock.
 
 Mean readings are drawn from their distribution. What is steady over a dwell passes every effect of the chain once; the drift of the
 offset is that of the processes themselves (kernels/device.py). The n readings of a dwell are then a stationary normal series,
@@ -29,135 +28,97 @@ References
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray, Shape, freeze
 from undrift.errors import InputError
-from undrift.programme import DAMPING, LEAST_SETTLE_S, Dwell, Protocol, programme_of, settle_time
+from undrift.programme import Dwell, Protocol, programme_of
 from undrift.record import FACES
 from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of, play
 from undrift.sim.device.model import DeviceModel
+from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
-# ---- sessions and what is imposed
+# ---- a session and what is imposed
 
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
 FACE, REST, RATE = 0, 1, 2
 AXES_B = np.eye(3)
 ACROSS_B = np.stack((AXES_B[[1, 2, 0]], AXES_B[[2, 0, 1]]))  # two directions across each
-QUICKEST_HZ = 1e9  # a cut-off frequency with the shortest settling
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sessions:
-    """What sessions do, N dwells of S sessions one after the other."""
+class TableSession:
+    """N dwells of a session at room temperature."""
 
     kind: IntArray  # (N,), FACE, REST or RATE
-    axis: IntArray  # (N,), of the case, 0 to 2: that points up, and that the table turns about
-    face: IntArray  # (N,), which of FACES points up, or is inclined
+    axis: IntArray  # (N,), axis of the case that points up and that the table turns about, 0 to 2
+    face: IntArray  # (N,), number of the face in FACES that points up
     rate: FloatArray  # (N,), commanded about +axis, rad/s
-    soak: IntArray  # (N,), which set-point
-    set_c: FloatArray  # (N,), of the chamber, or the room's, degC
     start_s: FloatArray  # (N,), of the readings, s since power-on
     duration_s: FloatArray  # (N,), of the readings, s
-    place: IntArray  # (N,), in its session, from 1
-    first: IntArray  # (S + 1,), first dwell of each session, and N
-    length_s: FloatArray  # (S,), of each session on the rig, s
 
-    def settling(self, cutoff_hz: float, damping: float = DAMPING) -> "Sessions":
-        """Return sessions that were laid out for the shortest settling, with their last dwells, as they are with a low-pass."""
-        more = (settle_time(cutoff_hz, damping) - LEAST_SETTLE_S) * self.place
-        return replace(self, start_s=self.start_s + more, length_s=self.length_s + more[self.first[1:] - 1])
-
-    def chosen(self, *kinds: int) -> "Sessions":
+    def chosen(self, *kinds: int) -> "TableSession":
         """Return the dwells of some kinds."""
-        kept = np.isin(self.kind, kinds)
-        rows = {f.name: getattr(self, f.name)[kept] for f in fields(self)[:-2]}
-        return replace(self, **rows, first=np.concatenate(([0], np.cumsum(kept)))[self.first])
+        rows = np.isin(self.kind, kinds)
+        return TableSession(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
 
 @lru_cache(maxsize=256)
-def lay_out(protocol: Protocol) -> Sessions:
-    """Lay out the session of a protocol, with the shortest settling."""
+def lay_out(protocol: Protocol) -> TableSession:
+    """Lay out the session of a protocol in time."""
     if protocol.turn_rate_step <= 0.0:
-        raise InputError("study: wanted a protocol with rates, got none; state turn_rate_step and the two ends")
-    steps = programme_of(replace(protocol, cutoff_hz=QUICKEST_HZ, faces_at="room")).steps
-    dwells: list[Dwell] = []
-    starts, clock = [], WARMED_UP_S
-    for step in steps:
+        raise InputError("study: the protocol has no rates. State turn_rate_step and the two ends.")
+    dwells, starts, clock = list[Dwell](), list[float](), WARMED_UP_S
+    for step in programme_of(replace(protocol, faces_at="room")).steps:
         if isinstance(step, Dwell):
             dwells.append(step)
             starts.append(clock + step.ramp_s + step.settle_s)
         clock += step.duration_s
     kinds = {"face": FACE, "bracket": REST, "rate": RATE}
-    set_c = np.array([ROOM_TEMP_C if dwell.temp_c is None else dwell.temp_c for dwell in dwells])
-    kind = np.array([kinds[dwell.purpose] for dwell in dwells])
-    return Sessions(
-        kind=kind,
+    return TableSession(
+        kind=np.array([kinds[dwell.purpose] for dwell in dwells]),
         axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
         face=np.array([FACES.index(dwell.up[:2]) for dwell in dwells]),
         rate=np.array([dwell.turn_rate for dwell in dwells]),
-        soak=np.where(kind == FACE, 0, np.searchsorted(np.unique(set_c[kind != FACE]), set_c)),
-        set_c=set_c,
         start_s=np.array(starts),
         duration_s=np.array([dwell.dwell_s for dwell in dwells]),
-        place=np.arange(1, len(dwells) + 1),
-        first=np.array([0, len(dwells)]),
-        length_s=np.array([clock - WARMED_UP_S]),
     )
-
-
-def joined(sessions: Sequence[Sessions]) -> Sessions:
-    """Return sessions one after the other."""
-    rows = {f.name: np.concatenate([getattr(one, f.name) for one in sessions]) for f in fields(Sessions)}
-    rows["first"] = np.concatenate(([0], np.cumsum([len(one.kind) for one in sessions])))
-    return Sessions(**rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImposedDwells:
-    """What is imposed, N dwells in the order of time, of one session or of several one after the other."""
+    """What is truly imposed in N dwells, in the order of time."""
 
-    start_s: Annotated[FloatArray, Shape("n")]  # (N,), when each begins, settled, s since power-on
+    start_s: Annotated[FloatArray, Shape("n")]  # (N,), begin of each, settled, s since power-on
     duration_s: Annotated[FloatArray, Shape("n")]  # (N,), s
     rate_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), steady rate, rad/s
     force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), mean specific force, m/s2
     temp_c: Annotated[FloatArray, Shape("n")]  # (N,), temperature of the board, degC
-    # (S + 1,), first of each session, and N
-    first: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         freeze(self)
-        n = len(self.temp_c)
-        if not len(self.first):
-            object.__setattr__(self, "first", np.array([0, n]))
-        later = np.diff(self.start_s)
-        later[self.first[1:-1] - 1] = 1.0
-        if n < 2 or (later <= 0.0).any() or (self.duration_s <= 0.0).any():
-            raise InputError(
-                f"dwells: wanted two or more, one after the other, each longer than 0 s, got {n}; sort them by their start"
-            )
+        if len(self) < 2 or (np.diff(self.start_s) <= 0.0).any() or (self.duration_s <= 0.0).any():
+            raise InputError(f"dwells: expected two or more, one after the other, longer than 0 s, got {len(self)}.")
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
 
-def turned_about(
-    sessions: Sessions, errors: BenchErrors, draws: BenchDraws, row: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what rests and rates impose whenever they begin: rates (N, 3), forces (N, 3), and what the encoder reads (N,)."""
-    axis, length = sessions.axis, sessions.duration_s
+def impose_turns(
+    session: TableSession, errors: BenchErrors, draws: BenchDraws, row: IntArray
+) -> tuple[ImposedDwells, FloatArray]:
+    """Return what rests and rates truly impose, and the rates that the encoder reads (N,); row (N,): number of the draws."""
+    axis, length = session.axis, session.duration_s
     seat = turned(AXES_B, errors.mount_tilt * draws.mount)
     about = turned(seat[axis], errors.wobble * draws.wobble[row])
-    rate = sessions.rate + np.where(sessions.kind == RATE, errors.servo * draws.servo[row] / length, 0.0)
+    rate = session.rate + np.where(session.kind == RATE, errors.servo * draws.servo[row] / length, 0.0)
     angle, phase, azimuth = rate * length, draws.start[row, 0], 2.0 * np.pi * draws.start[row, 1]
     if errors.encoder_lines:
         count = 2.0 * np.pi / (4.0 * errors.encoder_lines)
@@ -166,43 +127,20 @@ def turned_about(
     tilt = errors.level * float(np.hypot(*draws.level))
     across = np.cos(middle)[:, None] * ACROSS_B[0, axis] + np.sin(middle)[:, None] * ACROSS_B[1, axis]
     force_b = STANDARD_GRAVITY * (seat[axis] + tilt * mean[:, None] * across)
-    return rate[:, None] * about, force_b, angle / length * (1.0 - errors.table_rate * draws.clock)
+    return _imposed(session, rate[:, None] * about, force_b), angle / length * (1.0 - errors.table_rate * draws.clock)
 
 
-def impose(
-    sessions: Sessions,
-    errors: BenchErrors,
-    draws: BenchDraws,
-    about: tuple[FloatArray, FloatArray, FloatArray],
-    *,
-    soak_c_per_min: float,
-) -> ImposedDwells:
-    """Return what is truly imposed by rests and rates, by what they impose whenever they begin."""
-    axis, since, lag = sessions.axis, _since(sessions), errors.board_lag_s
-    visited = axis, sessions.soak
-    temp_c = sessions.set_c + errors.soak_k * draws.soak[visited]
-    if lag > 0.0:  # rising but from the last set-point of one mounting to the first of the next
-        falls = np.where((sessions.soak == 0) & (axis > 0), -1.0, 1.0)
-        temp_c = temp_c - falls * draws.left[visited] * (soak_c_per_min / 60.0 * lag) * np.exp(-since / lag)
+def impose_faces(session: TableSession, errors: BenchErrors, draws: BenchDraws) -> ImposedDwells:
+    """Return what rests on faces truly impose."""
+    level = np.array([unit_vector(FACES[face]) for face in session.face])
+    up = turned(level, errors.face_tilt * draws.face[session.face])
+    return _imposed(session, np.zeros_like(up), STANDARD_GRAVITY * up)
+
+
+def _imposed(session: TableSession, rate_b: FloatArray, force_b: FloatArray) -> ImposedDwells:
+    temp_c = np.full(len(session.kind), ROOM_TEMP_C)
     return ImposedDwells(
-        start_s=sessions.start_s,
-        duration_s=sessions.duration_s,
-        rate_b=about[0],
-        force_b=about[1],
-        temp_c=temp_c,
-        first=sessions.first,
-    )
-
-
-def impose_faces(sessions: Sessions, up: FloatArray) -> ImposedDwells:
-    """Return what is truly imposed by rests on faces, or on other poses, in which a direction (N, 3) truly points up."""
-    return ImposedDwells(
-        start_s=sessions.start_s,
-        duration_s=sessions.duration_s,
-        rate_b=np.zeros_like(up),
-        force_b=STANDARD_GRAVITY * up,
-        temp_c=sessions.set_c,
-        first=sessions.first,
+        start_s=session.start_s, duration_s=session.duration_s, rate_b=rate_b, force_b=force_b, temp_c=temp_c
     )
 
 
@@ -210,14 +148,6 @@ def turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return unit vectors turned by small rotations, (N, 3)."""
     off = axis_b + np.cross(tilt, axis_b)
     return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
-
-
-def _since(sessions: Sessions) -> FloatArray:
-    """Return the time since the first reading of the same axis and soak, (N,) s."""
-    visit, n = 1000 * sessions.axis + sessions.soak, len(sessions.axis)
-    begins = np.concatenate(([True], visit[1:] != visit[:-1]))
-    begins[sessions.first[:-1]] = True
-    return np.asarray(sessions.start_s - sessions.start_s[np.maximum.accumulate(np.where(begins, np.arange(n), 0))])
 
 
 # ---- mean readings of a device
@@ -247,7 +177,8 @@ def mean_readings(
     size = flicker.instability * math.sqrt(math.log(RATIO) / math.pi) if flicker else np.zeros(3)
     sd = np.tile(size, (len(constants), 1))
     walk = np.array(chain.random_walk.bias_walk) if chain.random_walk else np.zeros(3)
-    add_drift(normals, row, dwells.start_s, dwells.duration_s, dwells.first, constants, sd, walk, level)
+    session = np.array([0, len(dwells)])
+    add_drift(normals, row, dwells.start_s, dwells.duration_s, session, constants, sd, walk, level)
     reading = chain.null + chain.gain * np.clip(level, *chain.rails)
     return _converted(chain, reading, dwells.duration_s, normals, row)
 
@@ -274,8 +205,7 @@ def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, refe
         )
         *_, (_, level[block]) = steady.stages(imposed[block], scene, pasts)
     if loop := chain.hysteresis:  # the last of them, and the only one that remembers
-        sessions = pairwise(dwells.first.tolist())
-        follower = np.concatenate([play(dwells.temp_c[start:stop], loop.play_k) for start, stop in sessions])
+        follower = play(dwells.temp_c, loop.play_k)
         level += np.outer((follower - dwells.temp_c) / loop.play_k, loop.amplitude)
     return level
 

@@ -31,20 +31,17 @@ from undrift.sim.bench_errors import BenchErrors, draw_bench
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
-from undrift.sim.motion.motion import unit_vector
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.sessions import simulate_session
 from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
-    impose,
     impose_faces,
+    impose_turns,
     lay_out,
     mean_readings,
     numbers_of_dwell,
-    turned,
-    turned_about,
 )
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
@@ -242,9 +239,8 @@ def calibrate_by_means(
     protocol: Protocol, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
 ) -> Calibration:
     """Fit a session at room temperature whose dwells are simulated as means (sim/table_sessions.py); a dwell errs alike in all."""
-    laid = lay_out(protocol).settling(protocol.cutoff_hz)
+    laid = lay_out(protocol)
     faces, turns = laid.chosen(FACE), laid.chosen(REST, RATE)
-    at_room = replace(errors, soak_k=0.0, board_lag_s=0.0)
     size = np.round(np.abs(turns.rate) / KEY_STEP)
     keys = np.unique(size[size > 0.0])
     second = turns.rate < 0.0
@@ -252,23 +248,21 @@ def calibrate_by_means(
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
     row = 6 * block + 2 * turns.axis + second
     every, width = (0, *keys.astype(int).tolist()), numbers_of_dwell(device.gyro)
-    draws = draw_bench(streams("bench"), [streams(f"turn {key}") for key in every], soaks=1)
+    draws = draw_bench(streams("bench"), [streams(f"turn {key}") for key in every])
     normals = np.concatenate([streams(f"noise {key}").standard_normal((6, 3, width)) for key in every])
-    about = turned_about(turns, at_room, draws, row)
-    dwells = impose(turns, at_room, draws, about, soak_c_per_min=protocol.soak_c_per_min)
+    dwells, read_rate = impose_turns(turns, errors, draws, row)
     reading = mean_readings(device, "gyro", dwells, normals, row)
     turning = turns.kind == RATE
     offset = reading[~turning].mean(axis=0)
     means = DwellMeans(
         reading=reading[turning] - offset,
-        turn_rate=about[2][turning],
+        turn_rate=read_rate[turning],
         axis=tuple("xyz"[axis] for axis in turns.axis[turning]),  # type: ignore[misc]
         unit=device.gyro.unit,
     )
     gyro = fit_rate_table(means, mode="paper" if fit == "paper" else "affine").model
-    up = turned(np.array([unit_vector(FACES[face]) for face in faces.face]), errors.face_tilt * draws.face[faces.face])
     face_normals = streams("faces").standard_normal((6, 3, numbers_of_dwell(device.accel)))
-    at_rest = mean_readings(device, "accel", impose_faces(faces, up), face_normals, faces.face)
+    at_rest = mean_readings(device, "accel", impose_faces(faces, errors, draws), face_normals, faces.face)
     face_means = FaceMeans(reading=at_rest, faces=tuple(FACES[face] for face in faces.face), unit=device.accel.unit)
     return Calibration(
         device=device.serial,
