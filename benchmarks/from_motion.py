@@ -40,6 +40,9 @@ from undrift.sync import seen_poses
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import validate_leave_one_out
 from undrift.validation.trial import (
+    END_S,
+    LEAD_S,
+    REST_S,
     OffsetChoice,
     Trial,
     TrialSettings,
@@ -137,17 +140,17 @@ def end_errors(
     judged: Trial, record: Record, reference: Reference, time: FloatArray, q_nb: FloatArray
 ) -> tuple[float, float]:
     """Return the end error of a program's orientations of a record, as `by_vqf` has it."""
-    poses, settings = seen_poses(record, reference, judged.lag), TrialSettings()
+    poses = seen_poses(record, reference, judged.lag)
     lag_s = judged.lag.seconds * judged.lag_undone
     shift_s = (judged.lag.seconds - 0.5 / record.sample_rate_hz) * judged.lag_undone
     q = orientation_at(time, q_nb, poses.time + shift_s)
     start_s, stop_s = judged.motion.start_s - lag_s, judged.motion.stop_s - lag_s
     seen = poses.valid & np.isfinite(q).all(axis=1)
-    before = seen & (poses.time >= start_s - settings.rest_s) & (poses.time < start_s - settings.lead_s)
+    before = seen & (poses.time >= start_s - REST_S) & (poses.time < start_s - LEAD_S)
     off = heading_of(quaternion_product(q, quaternion_conjugate(poses.q_nb)))[before]
     turn = -0.5 * float(np.angle(np.exp(1j * off).mean()))
     q = quaternion_product(np.array([np.cos(turn), 0.0, 0.0, np.sin(turn)]), q)
-    after = seen & (poses.time >= stop_s) & (poses.time < stop_s + settings.end_s)
+    after = seen & (poses.time >= stop_s) & (poses.time < stop_s + END_S)
     error = compare_orientations(q[after], poses.q_nb[after])
     return float(np.degrees(np.median(error.total))), float(np.degrees(np.median(error.inclination)))
 
@@ -227,7 +230,7 @@ def print_heading() -> None:
 # ---- tasks
 
 # Rests of 10 s: the offset from motion refuses recordings below 20 s, and a sit-to-stand lasts 3 s
-RATE_HZ, REST_S, MINUTES, SEEDS = 100.0, 10.0, 10, (1, 2, 3)
+RATE_HZ, PAUSE_S, MINUTES, SEEDS = 100.0, 10.0, 10, (1, 2, 3)
 TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s: what the offset moves by from the bench session to another day [assumed]
 CADENCE_HZ, COURSE_S = 1.8, 15.0  # steps of a walk; time between two turns about [assumed]
 # A walk [assumed]: amplitude, deg or m, and frequency over that of steps
@@ -243,15 +246,15 @@ WALK = {
 
 def ten_free(rng: np.random.Generator) -> Task:
     """Return ten free tasks in one recording, one after another."""
-    each = [draw_task("free", rng=rng, rest_s=REST_S + 60.0 * k) for k in range(MINUTES)]
+    each = [draw_task("free", rng=rng, rest_s=PAUSE_S + 60.0 * k) for k in range(MINUTES)]
     courses = {name: tuple(term for one in each for term in getattr(one, name)) for name in WALK}
     stop = each[-1].moving_s[1]
-    return Task(name="free, 10 min", duration_s=stop + REST_S, moving_s=(REST_S, stop), **courses)
+    return Task(name="free, 10 min", duration_s=stop + PAUSE_S, moving_s=(PAUSE_S, stop), **courses)
 
 
 def walk(rng: np.random.Generator) -> Task:
     """Return ten minutes of walking to and fro: waves of the step's and the stride's frequency, turns about of 2 s."""
-    start, stop = REST_S, REST_S + 60.0 * MINUTES
+    start, stop = PAUSE_S, PAUSE_S + 60.0 * MINUTES
     cadence = CADENCE_HZ * rng.uniform(0.9, 1.1)
     courses: dict[str, Course] = {
         name: tuple(
@@ -265,13 +268,15 @@ def walk(rng: np.random.Generator) -> Task:
     }  # fmt: skip
     about = np.arange(start + COURSE_S, stop - 3.0, COURSE_S)
     courses["yaw"] = (*courses["yaw"], *(Step(float(at), 2.0, (-1.0) ** k * np.pi) for k, at in enumerate(about)))
-    return Task(name="walk, 10 min", duration_s=stop + REST_S, moving_s=(start, stop), arm_b=(0.1, 0.0, 0.0), **courses)
+    return Task(
+        name="walk, 10 min", duration_s=stop + PAUSE_S, moving_s=(start, stop), arm_b=(0.1, 0.0, 0.0), **courses
+    )
 
 
 TASKS: dict[str, Callable[[np.random.Generator], Task]] = {
-    "sit_to_stand": lambda rng: draw_task("sit_to_stand", rng=rng, rest_s=REST_S),
-    "step": lambda rng: draw_task("step", rng=rng, rest_s=REST_S),
-    "posturography, 50 s": lambda rng: draw_task("posturography", rng=rng, rest_s=REST_S),
+    "sit_to_stand": lambda rng: draw_task("sit_to_stand", rng=rng, rest_s=PAUSE_S),
+    "step": lambda rng: draw_task("step", rng=rng, rest_s=PAUSE_S),
+    "posturography, 50 s": lambda rng: draw_task("posturography", rng=rng, rest_s=PAUSE_S),
     "free, 10 min": ten_free,
     "walk, 10 min": walk,
 }

@@ -29,7 +29,7 @@ from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE
-from undrift.validation.trial import TRIAL_SETTINGS, Trial, validate_trial
+from undrift.validation.trial import LEAD_S, Trial, validate_trial
 
 CALIBRATED_C = 25.0
 EXCURSIONS_K = (10.0, 12.5, 15.0)
@@ -107,7 +107,7 @@ def fitted(session: Session, calibration: Calibration) -> DriftTables:
 
 def over_the_acquisition(trial: Trial) -> tuple[float, float]:
     """Return largest and rms pitch error over four seconds from the start of the integration, deg."""
-    start_s = trial.motion.start_s - TRIAL_SETTINGS.lead_s
+    start_s = trial.motion.start_s - LEAD_S
     inside = (trial.time >= start_s) & (trial.time < start_s + ACQUISITION_S)
     error = np.degrees(trial.error.pitch[inside])
     return float(np.nanmax(np.abs(error))), float(np.sqrt(np.nanmean(error**2)))

@@ -58,8 +58,6 @@ SHOWN_SHARE = 0.0005  # a difference between shares that a percentage with one d
 _ALIGNED = {
     "auto": "the rotation between the device's case and the reference's body, from their rates, is removed where it exceeds "
     "{above_deg:g} deg",
-    "rates": "the rotation between the device's case and the reference's body, from their rates, is removed",
-    "none": "the device's case is assumed to be the reference's body",
     "level": "the rotation between the device's case and the markers, by the vertical at rest and their rates, is removed",
 }
 FURTHER = (
@@ -543,6 +541,8 @@ def _expected(result: "Validation") -> tuple[Section, ...]:
 
 def method_section(method: Validated) -> Section:
     """Return what was done, one row a choice."""
+    from undrift.validation.trial import LEAD_S, OWN_LAG_S, REST_S
+
     settings, made = method.settings, method.calibration
     verdict = Verdict() if made is None else method.verdict
     rows = {
@@ -550,11 +550,11 @@ def method_section(method: Validated) -> Section:
         "its verdict": "" if made is None else verdict.status,
         "gyroscope's offset": _offset(method),
         "ADC's rounding": _adc(method),
-        "start": f"tilt from the specific force, heading from the reference, both over the last {settings.rest_s:g} s of rest or "
-        f"less; from {settings.lead_s:g} s before the motion the gyroscope alone; without a rest from the reference's first second",
+        "start": f"tilt from the specific force, heading from the reference, both over the last {REST_S:g} s of rest or "
+        f"less; from {LEAD_S:g} s before the motion the gyroscope alone; without a rest from the reference's first second",
         "pitch": f"in the body's plane of {settings.forward} (forward) and {settings.up} (up)"
         + (", readings turned by the calibration's mounting" if settings.mounting else ""),
-        "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {settings.undo_lag_above_s * 1e3:g} ms is "
+        "lag": f"searched up to {settings.lag.longest_lag_s:g} s either way; one up to {OWN_LAG_S * 1e3:g} ms is "
         "the sensor's own and stays in the figures, a longer one is removed",
         "mounting": _ALIGNED[settings.align].format(above_deg=settings.align_above / RADIAN_PER_DEGREE),
     }

@@ -48,7 +48,7 @@ from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import mean_interval
 from undrift.validation.levels import LEVEL_NAMES, LEVELS, NOTE_DIFFERENCE_DEG, judge_level
-from undrift.validation.trial import TRIAL_SETTINGS, Trial
+from undrift.validation.trial import LEAD_S, TRIAL_SETTINGS, Trial
 
 # ---- the simulated and the actual device
 
@@ -155,7 +155,7 @@ def judge_compared(full: Calibration, record: Record, reference: Reference) -> t
 
 def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k: float) -> Figure3:
     model, full = simulated[FULL], actual[FULL]
-    start_s = max(trial.motion.start_s - trial.lag.seconds - TRIAL_SETTINGS.lead_s for trial in (model, full))
+    start_s = max(trial.motion.start_s - trial.lag.seconds - LEAD_S for trial in (model, full))
     inside = (model.time >= start_s) & (model.time < start_s + ACQUISITION_S)
     errors = {
         name: np.array([trial.error.pitch[inside] for trial in trials]) / RADIAN_PER_DEGREE

@@ -87,16 +87,16 @@ def orientation_at(time: FloatArray, q_nb: FloatArray, times: FloatArray) -> Flo
 
 
 def track_from_rest(
-    record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float, rest_s: float, lead_s: float
+    record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate the readings from the rest before the motion to the end of the record: time and orientation."""
     if record.gyro is None:
         raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
-    stop = motion.start_s - lead_s
-    at_rest = (record.time >= motion.start_s - rest_s) & (record.time < stop)
+    stop = motion.start_s - LEAD_S
+    at_rest = (record.time >= motion.start_s - REST_S) & (record.time < stop)
     first = int(np.searchsorted(record.time, stop))
     check_gaps(record.gyro[first:], record.time[first:], "validate")
-    start = _mean_pose(reference, motion.start_s - rest_s - shift_s, stop - shift_s)
+    start = _mean_pose(reference, motion.start_s - REST_S - shift_s, stop - shift_s)
     if record.accel is not None:
         force = record.accel[at_rest]
         force = force[np.isfinite(force).all(axis=1)]
@@ -136,7 +136,7 @@ def track_from_reference(
 
 
 def track_filtered(
-    record: Record, reference: Reference, motion: MotionSpan, shift_s: float, settings: "TrialSettings"
+    record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Run the filter over the whole record; its heading is the reference's before the motion, or over its first second there."""
     q, _ = filtered(record, np.asarray(record.gyro), FILTER_OFFSET, magnetometer=False)
@@ -145,7 +145,7 @@ def track_filtered(
     )
     start_s, stop_s = motion.start_s - shift_s, motion.start_s - shift_s + START_S
     if motion.rested:
-        start_s, stop_s = start_s - settings.rest_s, start_s - settings.lead_s
+        start_s, stop_s = start_s - REST_S, start_s - LEAD_S
     seen = np.isfinite(apart).all(axis=1) & (reference.time >= start_s) & (reference.time < stop_s)
     if not seen.any():
         raise AlignmentError(
@@ -210,15 +210,13 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
     )
 
 
-def align_level(
-    record: Record, reference: Reference, motion: MotionSpan, *, lag_s: float, settings: "TrialSettings"
-) -> Alignment:
+def align_level(record: Record, reference: Reference, motion: MotionSpan, *, lag_s: float) -> Alignment:
     """Find how the device sits on a body by the vertical that both see at rest; turning about one level axis is enough.
 
     R = R(g, angle) R1, with R1 the shortest rotation from the mean force f to the vertical g of the body; of the rates u = R1 w and
     those of the body v  angle = atan2(sum g . (u x v), sum u . v - (u . g)(v . g)).
     """
-    start_s, stop_s = motion.start_s - settings.rest_s, motion.start_s - settings.lead_s
+    start_s, stop_s = motion.start_s - REST_S, motion.start_s - LEAD_S
     seen = reference.valid & (reference.time >= start_s - lag_s) & (reference.time < stop_s - lag_s)
     at_rest = (record.time >= start_s) & (record.time < stop_s)
     if not motion.rested or record.accel is None or not seen.any() or not np.isfinite(record.accel[at_rest]).any():
@@ -369,10 +367,16 @@ def degrees(angle: float) -> float:
 
 OffsetChoice = Literal["none", "rest", "motion"]
 Adc = Literal["auto", "none"]
-Align = Literal["auto", "none", "rates", "level"]
+Align = Literal["auto", "level"]
 
 
 LAG_SETTINGS = LagSettings()
+REST_S = 10.0  # rest before the motion that gives tilt and heading
+LEAD_S = 0.5  # integration starts so long before the motion
+END_S = 3.0  # time after the motion over which the end error is taken
+# A lag up to this is the sensor's own and stays in the main figures, as in benchmarks. A longer one comes from clocks or
+# filters and is removed. Both root-mean-square totals are reported.
+OWN_LAG_S = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -388,18 +392,9 @@ class TrialSettings:
         "auto" gives back what rounding took: as the calibration says, or, without one, as the record's own codes say.
         "none" leaves the codes as they are.
     align : str
-        Rotation between device case and the reference's body, from rates: "rates" always, "none" never, "auto" where it
-        exceeds ``align_above``. "level" takes it from gravity at rest and rates about the vertical, always, or where the recording
-        does not begin at rest from rates: for a body whose axes mean nothing, as a cluster of markers.
-    rest_s : float
-        Rest before the motion that gives tilt and heading, s.
-    lead_s : float
-        How long before the motion the integration starts, s.
-    end_s : float
-        Time after the motion over which the end error is taken, s.
-    undo_lag_above_s : float
-        A lag up to this is the sensor's own and stays in the main figures, as in benchmarks; a longer one comes from clocks
-        or filters and is undone, s. Both root-mean-square totals are reported.
+        Rotation between device case and the reference's body: "auto" removes it, from rates, if it exceeds ``align_above``.
+        "level" always removes it, from gravity at rest and rates about the vertical, or from rates if the recording does not begin
+        at rest: for a body whose axes mean nothing, such as a cluster of markers.
     forward, up : str
         Axes of the body that span its sagittal plane.
     mounting : BodyMounting or None
@@ -421,10 +416,6 @@ class TrialSettings:
     offset: OffsetChoice = "none"
     adc: Adc = "auto"
     align: Align = "auto"
-    rest_s: float = 10.0
-    lead_s: float = 0.5
-    end_s: float = 3.0
-    undo_lag_above_s: float = 0.01
     forward: Face = "+x"
     up: Face = "+z"
     mounting: BodyMounting | None = None
@@ -573,19 +564,19 @@ def validate_trial(
     poses, reference = (seen_poses(done, each, lag) for each in (poses, reference))
     findings += (*of_clocks, *check_reference(_worn(done, settings), poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    before = gaps[done.time < motion.start_s - settings.lead_s]  # after the rest, a gap is refused
+    before = gaps[done.time < motion.start_s - LEAD_S]  # after the rest, a gap is refused
     if before.any():
         findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
     done, mounting = _aligned(_worn(done, settings), poses, (lag, motion), settings)
     shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
     track, of_start = _track(done, (reference, poses), motion, shift_s, settings)
-    undone = max(abs(lag.seconds), abs(shift_s)) > settings.undo_lag_above_s
+    undone = max(abs(lag.seconds), abs(shift_s)) > OWN_LAG_S
     axes: dict[str, Face] = {"forward": settings.forward, "up": settings.up}
     tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, shift_s)]
     errors = [compare_orientations(q, reference.q_nb, **axes) for q in tracks]
     error, sensor = errors[undone], tracks[undone]
-    moving, after = _stretches(reference, motion, lag.seconds * undone, settings)
+    moving, after = _stretches(reference, motion, lag.seconds * undone)
     pitches = sagittal_pitch(sensor, **axes), sagittal_pitch(reference.q_nb, **axes)
     findings += _pitch_axes(sensor, reference.time < motion.start_s - lag.seconds * undone, settings)
     rates = np.asarray(done.between(motion.start_s, motion.stop_s).gyro)
@@ -635,10 +626,9 @@ def _track(
     """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
     reference, poses = references
     if settings.method == "vqf":
-        track = track_filtered(record, reference, motion, shift_s, settings)
+        track = track_filtered(record, reference, motion, shift_s=shift_s)
     elif motion.rested:
-        how = {"rest_s": settings.rest_s, "lead_s": settings.lead_s}
-        track = track_from_rest(record, reference, motion, shift_s=shift_s, **how)
+        track = track_from_rest(record, reference, motion, shift_s=shift_s)
     else:
         track = track_from_reference(record, poses, motion, shift_s=shift_s)
     if motion.rested:
@@ -677,7 +667,7 @@ def _expected(
         in_motion = (model.method in IN_MOTION and judged.rest is None) or model.moving_offset is not None
         source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=in_motion)
     mounting, subtracted = judged.mounting, judged.rest
-    before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - settings.lead_s)
+    before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - LEAD_S)
     stretch = before if subtracted is None and judged.motion.rested else subtracted and subtracted.rest_s
     rest = done.between(*stretch) if stretch else None
     still = np.empty((0, 3)) if rest is None else np.asarray(rest.gyro)
@@ -728,16 +718,14 @@ def _in_step(
         raise
 
 
-def _stretches(
-    reference: Reference, motion: MotionSpan, lag_s: float, settings: TrialSettings
-) -> tuple[BoolArray, BoolArray]:
+def _stretches(reference: Reference, motion: MotionSpan, lag_s: float) -> tuple[BoolArray, BoolArray]:
     """Return which poses are within the motion, pauses left out where the reference marks them, and which just after it."""
     start_s, stop_s = motion.start_s - lag_s, motion.stop_s - lag_s
     moving = (reference.time >= start_s) & (reference.time < stop_s)
     if reference.moving is not None and (reference.moving > 0.0).any():
         moving = reference.moving > 0.0
-    after = (reference.time >= stop_s) & (reference.time < stop_s + settings.end_s)
-    return moving, after if motion.rested else moving & (reference.time >= stop_s - settings.end_s)
+    after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
+    return moving, after if motion.rested else moving & (reference.time >= stop_s - END_S)
 
 
 def _in_degrees(
@@ -834,7 +822,7 @@ def _re_zeroed(
         rest = find_rest_offset(record)
     except InputError:
         if motion.rested:
-            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - settings.lead_s))
+            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S))
             more = (finding("validate.no_still_phase", "warn", start_s=rest.start_s, stop_s=rest.stop_s),)
         elif settings.offset == "rest":
             return record, None, (finding("validate.no_rest_offset", "warn"),)
@@ -846,17 +834,13 @@ def _aligned(
     record: Record, poses: Reference, seen: tuple[Lag, MotionSpan], settings: TrialSettings
 ) -> tuple[Record, Mounting | None]:
     lag, motion = seen
-    if settings.align == "none":
-        return record, None
     if settings.align == "level":
         with suppress(AlignmentError):
-            alignment = align_level(record, poses, motion, lag_s=lag.seconds, settings=settings)
+            alignment = align_level(record, poses, motion, lag_s=lag.seconds)
             return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
     try:
         alignment = align_rates(record, poses, lag_s=lag.seconds)
     except AlignmentError:
-        if settings.align == "rates":
-            raise
         return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
     if settings.align == "auto" and alignment.angle <= settings.align_above:
         return record, Mounting(alignment=alignment, applied=False)

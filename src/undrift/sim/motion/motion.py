@@ -243,8 +243,6 @@ SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and seco
 RAMP = SMOOTH.integ()  # its derivative rises smoothly from 0 to 1; reaches 1/2
 UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hesitates half way; 0 at both ends
 
-Path = tuple[Course, Course, Course]
-
 
 @dataclass(frozen=True, slots=True)
 class UnevenAngle:
@@ -291,7 +289,6 @@ class TurnSegment:
     q: FloatArray  # (4,), orientation at its first instant
     axis_b: FloatArray  # (3,), unit vector
     angle: Angle  # Angle over s in [0, 1), rad
-    path: Path = ((), (), ())  # Displacement along x, y, z of n over the time since its first instant, m
 
 
 class Script:
@@ -358,25 +355,16 @@ class Script:
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated))
         self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
 
-    def slide(self, path: Path, duration_s: float) -> None:
-        """Move along a path without turning."""
-        self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
-        self.pieces[-1] = replace(self.pieces[-1], path=path)
-
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
         """Return what was written: lever_arm_b (3,) m, earth_rate_n (3,) rad/s."""
         n = self.samples
         time = np.arange(n) / self.sample_rate_hz
         q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-        push_n = np.zeros((n, 3))
         for piece in self.pieces:
             cut = slice(piece.start, piece.stop)
             count = piece.stop - piece.start
             if piece.angle is REST:
                 q[cut] = piece.q
-                moving[cut] = float(any(piece.path))
-                since = np.arange(count) / self.sample_rate_hz
-                push_n[cut] = np.stack([course_at(course, since)[2] for course in piece.path], axis=1)
                 continue
             s, duration = np.arange(count) / count, count / self.sample_rate_hz
             q[cut] = quaternion_product(piece.q, turn_quaternion(piece.axis_b, piece.angle(s)))
@@ -392,7 +380,7 @@ class Script:
             rate_b=rate + earth_b,
             mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
             angular_acceleration_b=rotation_acceleration - cross(rate, earth_b),
-            force_b=rotate(inverse, push_n + np.array([0.0, 0.0, gravity_m_s2])) + swing,
+            force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], (n, 3))) + swing,
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),
             turns=tuple(self.turns),
