@@ -160,11 +160,7 @@ def test_the_page_says_how_far_the_lag_was_looked_for():
 
 @pytest.mark.parametrize(
     ("align", "words"),
-    [
-        ("auto", "removed where it exceeds 5 deg"),
-        ("rates", "is removed"),
-        ("none", "is assumed to be the reference's body"),
-    ],
+    [("auto", "removed where it exceeds 5 deg"), ("level", "is removed")],
 )
 def test_the_page_says_what_became_of_the_mounting(align, words):
     assert choices(replace(METHOD, settings=TrialSettings(align=align)))["mounting"].endswith(words)
