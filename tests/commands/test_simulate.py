@@ -106,7 +106,7 @@ def test_a_thermal_session_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFix
         (["free", "--device", "DEVICE", "--draw"], "--draw: wanted a preset to draw a unit of"),
         (
             ["thermal_bath", "--device", "bmi160"],
-            "wanted one of thermal_soak, thermal_ramp, thermal_warm_up, thermal_mu",
+            "wanted one of thermal_soak, thermal_ramp, thermal_warm_up, got",
         ),
         (["thermal_ramp", "--device", "bmi160", "--temp-c", "30"], "thermal_ramp: wanted none of --temp-c"),
         (
