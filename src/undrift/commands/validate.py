@@ -310,8 +310,8 @@ def validate(
             "mounting": mounting,
         }
         of_rows |= {"reference": optics != Optics(), "offset": offset != "rest", "policy": applying != TableUse()}
-        if named := [name for name, value in of_rows.items() if value]:
-            raise InputError(f"validate: `{named[0]}` cannot be combined with `trials`. Write it in the table.")
+        if given := [name for name, value in of_rows.items() if value]:
+            raise InputError(f"validate: `{given[0]}` cannot be combined with `trials`. Write it in the table.")
         if len(records) != 1:
             raise InputError(f"validate: `trials` needs one folder that contains the table, got {len(records)} paths.")
         common = TrialSettings(
