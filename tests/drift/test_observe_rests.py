@@ -48,9 +48,11 @@ def test_torn_lines_spikes_and_gaps_do_not_reach_the_means():
     gyro[1000:1050] = np.nan
     temp[70::500] = -100.0
     dirty = Record(time=clean.time, gyro=gyro, accel=clean.accel, temp_c=temp, gyro_unit="dps")
-    found, wanted = rests(session(dirty)), rests(session(clean))
-    np.testing.assert_allclose(found.gyro, wanted.gyro, atol=0.01)
-    np.testing.assert_allclose(found.temp_c, wanted.temp_c, atol=0.01)
+    found = rests(session(dirty))
+    assert len(found) > 15
+    off = np.abs(found.gyro - [1.0, -2.0, 0.5]) / np.sqrt(found.gyro_variance)
+    assert off.max() < 5.0
+    np.testing.assert_allclose(found.temp_c, 20.0 + (found.time + 5.0) / 60.0, atol=0.01)
 
 
 def test_stated_stills_serve_whole_or_in_blocks_and_faces_are_poses():

@@ -66,7 +66,7 @@ def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
     worst = max(errors)
     show(
         f"step {step:g} K, noise {noise:g} K: worst rms error, K",
-        f"{worst:.4f}, stated {found.uncertainty_c:.4f}",
+        f"{worst:.4f}",
         limit,
     )
     assert (
@@ -80,7 +80,7 @@ def test_a_soak_between_ramps_keeps_its_level_within_half_a_step():
     true = np.interp(TIME, [0, 300, 900, 1200, 1800, 2400], [20.2, 20.2, 30.7, 30.7, 25.1, 25.1])
     found = trusted_temperature(session(np.round(true)), 0)
     assert np.abs(found.temp_c - true).max() < 0.5
-    assert float(np.sqrt(np.mean((found.temp_c - true) ** 2))) < found.uncertainty_c
+    assert float(np.sqrt(np.mean((found.temp_c - true) ** 2))) < 12.0**-0.5  # a step of 1 K
 
 
 def test_uneven_time_is_smoothed_too():
@@ -152,7 +152,7 @@ def test_a_column_that_denies_its_set_point_is_implausible():
 def test_set_points_stand_in_for_a_column():
     stills = (Still(start=0, stop=100, temp_c=20.0), Still(start=200, stop=300, temp_c=30.0))
     found = trusted_temperature(session(None, stills=stills), 0)
-    assert (found.source, found.uncertainty_c, found.step_c, found.noise_c) == ("set-points", 0.5, 0.0, 0.0)
+    assert (found.source, found.step_c, found.noise_c) == ("set-points", 0.0, 0.0)
     assert (found.temp_c[:100] == 20.0).all()
     assert np.isnan(found.temp_c[100:200]).all()
 
@@ -230,7 +230,7 @@ def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column
     show(
         f"{column} from whole degrees, rms error, K",
         f"{back:.3f}, first two minutes {early:.3f}",
-        f"0.1, 0.2; stated {coarse.uncertainty_c:.2f}",
+        "0.1, 0.2",
     )
     assert off < 1.2 * fine.noise_c + 0.03  # the first second after power-on, by one kelvin
     assert 6.5 < rise < 8.0
@@ -273,7 +273,6 @@ def test_eleven_recordings_on_a_bicycle_span_two_degrees_together():
     found = [trusted_temperature(made, k) for k in range(len(records))]
     show("bicycle: span together, K", f"{check_span(found):.2f}", "2.0 to 2.5")
     assert 2.0 < check_span(found) < 2.5
-    assert all(f.uncertainty_c < 0.02 for f in found)
 
 
 def test_a_worn_sensor_without_a_thermometer_is_refused():

@@ -327,7 +327,7 @@ def _without_lag(
     """Return the lag and its smoothing in use, s, with rests and temperatures from which the lag is subtracted."""
 
     def rests_at(course: list[list[FloatArray]]) -> RestBlocks:
-        return observe.since_power_on(observe.observe_rests(sessions, temperatures=course), sessions)
+        return observe.observe_rests(sessions, temperatures=course)
 
     course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
     rests, lag, lag_s = rests_at(course), None, settings.lag_s or 0.0

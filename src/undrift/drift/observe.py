@@ -43,7 +43,6 @@ SETTLE_S = 0.3  # start of each dwell that is discarded
 SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
 _SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
 _STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which varies within a soak, K
-_EVEN = 4.0  # a log that never moves: the spread of nearly all blocks lies within this factor of the median
 FAR = 6.0  # robust standard deviations: further samples are outliers
 ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
 _LEAST_SHARE = 0.5  # of a block's samples that have to be there
@@ -84,7 +83,7 @@ class RestBlocks(StretchMeans):
     """Means over blocks of rest, n rows in the order of session and time."""
 
     pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
-    power_on_s: FloatArray  # (n,), time since the block's recording began, s, with which power-on may have come
+    power_on_s: FloatArray  # (n,), time since the first recording of the same power-on began, s
     ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     accel_variance: FloatArray  # (n, 3), likewise
     # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: constant at one level
@@ -112,15 +111,17 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
             parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
             poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
             continue
-        begins_s = session.begins_s
+        begins_s, ages_s = session.begins_s, _ages(session.records)
         steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
         stills = find_rests(session)
         numbers = _poses(session, stills)
         mountings = poses + np.append(0, np.cumsum(np.diff(numbers) != 0))
         for still, pose, mounting in zip(stills, (poses + numbers).tolist(), mountings.tolist(), strict=True):
             k = still.recording
-            begin_s, record = float(begins_s[k]), session.records[k]
-            blocks = rest_blocks(record, temps[k], still, steps[k], begin_s=begin_s, session=number, pose=pose)
+            clocks_s = float(begins_s[k]), float(ages_s[k])
+            blocks = rest_blocks(
+                session.records[k], temps[k], still, steps[k], clocks_s=clocks_s, session=number, pose=pose
+            )
             parts.append(replace(blocks, mounting=np.full(len(blocks), mounting, np.int64)))
         poses = max(poses + int(numbers.max()), int(mountings.max())) + 1
     if not any(len(part) for part in parts):
@@ -176,9 +177,6 @@ def find_rests(session: Session) -> tuple[Still, ...]:
     rests: list[Still] = []
     for number, record in enumerate(session.records):
         spans = [(a, b) for r, a, b in turning if r == number]
-        if not spans and _never_moves(record):
-            rests.append(Still(start=0, stop=len(record), recording=number))
-            continue
         stills = find_still(record, StillSettings(), recording=number).stills
         rests.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
     if not rests:
@@ -202,29 +200,6 @@ def with_rests(sessions: Sequence[Session]) -> tuple[list[Session], Verdict]:
     if not kept or not left_out:
         return list(sessions), Verdict()
     return kept, Verdict.of(finding("drift.no_rests", "warn", count=len(left_out), names=tuple(left_out[:5])))
-
-
-def _never_moves(record: Record) -> bool:
-    """Whether nearly all seconds of a record are as quiet as the median second, and the specific force stays."""
-    size = max(4, round(record.sample_rate_hz))
-    for values in (record.gyro, record.accel):
-        if values is None:
-            continue
-        values = values[np.isfinite(values).all(axis=1)]
-        if len(values) < 8 * size:
-            return False
-        seconds = values[: len(values) // size * size].reshape(-1, size, 3)
-        middle = np.median(seconds, axis=1)
-        spread = np.median(np.abs(seconds - middle[:, None, :]), axis=1).sum(axis=1)
-        usual = max(float(np.median(spread)), 1e-300)
-        steps = np.abs(np.diff(middle, axis=0)).sum(axis=1)
-        if np.quantile(spread, 0.98) > _EVEN * usual or np.quantile(steps, 0.98) > _EVEN * usual:
-            return False
-    if record.accel is None:
-        return True
-    known = record.accel[np.isfinite(record.accel).all(axis=1)]
-    means = [np.median(part, axis=0) for part in np.array_split(known, 8)]
-    return all(_lie_alike(means[0], mean) for mean in means)
 
 
 def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
@@ -260,11 +235,15 @@ def rest_blocks(
     still: Still,
     steps: tuple[FloatArray, FloatArray],
     *,
-    begin_s: float,
+    clocks_s: tuple[float, float],
     session: int,
     pose: int,
 ) -> RestBlocks:
-    """Return the blocks of one rest; steps: the least between readings of each sensor, raw unit, over the recording."""
+    """Return the blocks of one rest.
+
+    ``steps`` are the least between readings of each sensor, raw unit, over the recording; ``clocks_s`` the time of its first sample
+    on the session's clock and since power-on, s.
+    """
     inside = slice(still.start, still.stop)
     time, temp = record.time[inside], temp_c[inside]
     edges = _edges(time, BLOCK_S)
@@ -281,8 +260,8 @@ def rest_blocks(
     blocks = RestBlocks(
         session=np.full(count, session, np.int64),
         pose=np.full(count, pose, np.int64),
-        time=middle - record.time[0] + begin_s,
-        power_on_s=middle - record.time[0],
+        time=middle - record.time[0] + clocks_s[0],
+        power_on_s=middle - record.time[0] + clocks_s[1],
         temp_c=temps,
         ramp_c_per_min=np.array([_slope(time, temp, at, RAMP_S) for at in middle]),
         gyro=gyro,
@@ -436,7 +415,7 @@ def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: in
                 **columns,
                 pose=pose,
                 mounting=pose,
-                power_on_s=record.time[rows] - record.time[0],
+                power_on_s=record.time[rows] - record.time[0] + _ages(session.records)[k],
                 ramp_c_per_min=np.zeros(len(rows)),
                 accel_variance=_stated_variance(record.accel, means.accel_uncertainty)[rows],
                 gyro_step_error=np.zeros((len(rows), 3)),
@@ -585,17 +564,6 @@ def accel_unit_of(sessions: Sequence[Session], device: Calibration) -> str:
         return device.accel.unit_in
     units = {record.accel_unit for session in sessions for record in session.records if record.accel is not None}
     return units.pop() if len(units) == 1 else "count"
-
-
-def since_power_on(rests: RestBlocks, sessions: Sequence[Session]) -> RestBlocks:
-    """Return the blocks with the time since their device was switched on, not since their recording began."""
-    power_on_s = rests.power_on_s.copy()
-    for number, session in enumerate(sessions):
-        rows = np.flatnonzero(rests.session == number)
-        power_on_s[rows] += _ages(session.records)[
-            np.searchsorted(session.begins_s, rests.time[rows], side="right") - 1
-        ]
-    return replace(rests, power_on_s=power_on_s)
 
 
 def _ages(records: Sequence[Record]) -> FloatArray:

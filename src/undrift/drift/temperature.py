@@ -43,7 +43,6 @@ MOST_MISSING = 0.5  # share of the readings that may be missing
 BOARD_C = (-40.0, 125.0)  # where parts of a board work
 OFF_SET_POINT_C = 5.0  # between the column and a stated set-point: another scale
 STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
-SET_POINT_UNCERTAINTY_C = 0.5  # standard uncertainty of a stated set-point, K
 HOT_C = 45.0  # above it all along: no room, and no body
 SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
 LEAST_SPIKE_C = 0.5
@@ -73,8 +72,6 @@ class Temperature:
     """The temperature of one recording, N samples."""
 
     temp_c: FloatArray  # (N,), smooth course, degC; NaN if it is not known
-    # standard uncertainty of the course, root mean square, K; without the thermometer's own offset and lag
-    uncertainty_c: float
     noise_c: float  # standard deviation of one reading, K; 0 for set-points
     step_c: float  # step in which the readings come, K; 0 if there is none
     source: Source
@@ -108,7 +105,6 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
     _check_board(temp_c, record.time, index)
     return Temperature(
         temp_c=temp_c,
-        uncertainty_c=SET_POINT_UNCERTAINTY_C,
         noise_c=0.0,
         step_c=0.0,
         source="means" if session.means else "set-points",
@@ -148,7 +144,7 @@ def _from_column(
     stale = _stale(np.where(spikes, np.nan, readings), time, step)
     used = finite & ~spikes & ~stale
     noise = noise_of(readings[used], step)
-    course, uncertainty = _course(readings[used], time[used], step, noise)
+    course = _course(readings[used], time[used], step, noise)
     temp_c = np.full(len(time), np.nan)
     temp_c[used] = course
     gone = np.flatnonzero(~used)
@@ -178,9 +174,7 @@ def _from_column(
         edge_c = set_point + math.copysign(OFF_SET_POINT_C, off)
         values = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C, "edge_c": edge_c}
         findings.append(finding("drift.temperature_off_set_point", "warn", recording=index, **values))
-    return Temperature(
-        temp_c=temp_c, uncertainty_c=uncertainty, noise_c=noise, step_c=step, source="column", findings=tuple(findings)
-    )
+    return Temperature(temp_c=temp_c, noise_c=noise, step_c=step, source="column", findings=tuple(findings))
 
 
 def _check_board(temp_c: FloatArray, time: FloatArray, index: int) -> None:
@@ -246,25 +240,20 @@ def noise_of(temp_c: FloatArray, step_c: float) -> float:
     return both if step_c == 0.0 or both >= BLURRED * step_c else both**2 / step_c * math.sqrt(math.pi)
 
 
-def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> tuple[FloatArray, float]:
-    """Return the smooth course behind readings and its standard uncertainty."""
+def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> FloatArray:
+    """Return the smooth course behind readings."""
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
-        return temp_c, math.hypot(noise, step / math.sqrt(12.0))
+        return temp_c
     if step > 0.0 and noise < BLURRED * step:  # midway between two steps when the temperature passes there
         smooth = temp_c if noise < QUIET * step else moving_mean(temp_c, time, WINDOW_S)
         code = np.round((smooth - temp_c[0]) / step)
         change = np.flatnonzero(np.diff(code))
         passed_c = temp_c[0] + 0.5 * step * (code[change] + code[change + 1])
         moments = np.concatenate((time[:1], 0.5 * (time[change] + time[change + 1]), time[-1:]))
-        return np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:]))), step / math.sqrt(12.0)
-    interval_s, ripple = float(np.median(np.diff(time))), 0.0
+        return np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:])))
+    interval_s = float(np.median(np.diff(time)))
     window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
-    if (
-        step > 0.0
-    ):  # noise s leaves step / pi exp(-2 pi^2 s^2 / step^2) of the steps in a mean, a sine of the temperature
-        blur = max(noise**2 / step**2 - 1.0 / 12.0, 0.0)
-        ripple = step / math.pi * math.exp(-2.0 * math.pi**2 * blur) / math.sqrt(2.0)
-    return moving_mean(temp_c, time, window_s), math.hypot(noise / math.sqrt(max(window_s / interval_s, 1.0)), ripple)
+    return moving_mean(temp_c, time, window_s)
 
 
 def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatArray:
