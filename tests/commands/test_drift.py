@@ -125,7 +125,7 @@ REFUSED = {
     "counts": ({"gyro_unit": "count"}, "wanted a calibration, or gyroscope readings in a physical unit, got count"),
     "never at rest": (
         {"gyro": shaken(15000), "accel": 10.0 * shaken(15000)},
-        r"wanted stretches at rest, got none: .* known to 2\.\d deg/s only",
+        "wanted stretches at rest, got none",
     ),
 }
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.drift.observe import RestBlocks
-from undrift.drift.offset import cooling
+from undrift.drift.offset import CROSSED_C, cooling
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics
@@ -393,6 +393,10 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
     direction = cooling(blocks)
     moved = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & (direction != 0.0)
     settled = moved & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
+    for session in np.unique(blocks.session):  # and at the ends of a session the ramp is not at its speed
+        of_session = blocks.session == session
+        temp = blocks.temp_c[of_session]
+        settled[of_session] &= (temp > np.nanmin(temp) + CROSSED_C) & (temp < np.nanmax(temp) - CROSSED_C)
     rows = settled if settled.sum() >= FEWEST and len(np.unique(direction[settled])) > 1 else moved
     blocks, direction = blocks.taken(rows), direction[rows]
     readings = _readings(blocks)
