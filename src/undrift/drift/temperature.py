@@ -393,10 +393,6 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
     direction = cooling(blocks)
     moved = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & (direction != 0.0)
     settled = moved & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
-    for session in np.unique(blocks.session):  # and at the ends of a session the ramp is not at its speed
-        of_session = blocks.session == session
-        temp = blocks.temp_c[of_session]
-        settled[of_session] &= (temp > np.nanmin(temp) + CROSSED_C) & (temp < np.nanmax(temp) - CROSSED_C)
     rows = settled if settled.sum() >= FEWEST and len(np.unique(direction[settled])) > 1 else moved
     blocks, direction = blocks.taken(rows), direction[rows]
     readings = _readings(blocks)
@@ -413,7 +409,11 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
         return _unknown(
             f"each temperature was passed at one speed: it explains {100.0 * (1.0 - unexplained):.0f} % of the slopes"
         )
-    slow, fast = np.quantile(moving, (0.1, 0.9))
+    steady = np.abs(
+        blocks.ramp_c_per_min[_away_from_ends(blocks)]
+    )  # at the ends of a session a ramp is not at its speed
+    steady = steady[steady > MOVING_C_PER_MIN]
+    slow, fast = np.quantile(steady if len(steady) >= FEWEST else moving, (0.1, 0.9))
     two_speeds = bool(fast > TWO_SPEEDS * slow)
     fixed = [poses, direction[:, None]] if two_speeds else [poses]
     power_on = np.exp(-blocks.power_on_s / WARM_UP_S)
@@ -446,6 +446,16 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
     return LagFit(
         lag_s=lag, uncertainty_s=1.0 / math.sqrt(curve) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
     )
+
+
+def _away_from_ends(blocks: RestBlocks) -> BoolArray:
+    """Return True for blocks away from the coldest and the hottest temperature of their session, (n,)."""
+    away = np.zeros(len(blocks), bool)
+    for session in np.unique(blocks.session):
+        rows = blocks.session == session
+        temp_c = blocks.temp_c[rows]
+        away[rows] = (temp_c > temp_c.min() + CROSSED_C) & (temp_c < temp_c.max() - CROSSED_C)
+    return away
 
 
 def _unknown(problem: str) -> LagFit:
