@@ -28,10 +28,10 @@ from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
 BRIDGED_S = 0.05  # the longest gap over which a line is near enough to the readings [assumed]
@@ -108,6 +108,16 @@ class InMotion:
     acceleration: FloatArray  # (R,), what is left of it in a mean over 5 s, rms, m/s2
     rested: tuple[bool, ...]  # (R,), whether a recording has a rest
     field: FieldFit | None = None  # Magnetometer, where it was asked for
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """What a unit of reading is worth, rad/s and m/s2; of counts the mean of the axes."""
+        of_each: tuple[tuple[TriadModel, Quantity], ...] = ((self.gyro.model, "rate"), (self.accel.model, "accel"))
+        rate, force = (
+            si_factor(model.unit_in, of) if is_physical(model.unit_in) else float(np.trace(model.matrix)) / 3.0
+            for model, of in of_each
+        )
+        return rate, force
 
 
 @dataclass(frozen=True, slots=True, eq=False)
