@@ -225,10 +225,13 @@ def offsets_in_moves(
     rests = np.flatnonzero(rest)
     design, columns = np.hstack((np.ones((number, 1)), felt))[rests], felt.shape[1]
     own = np.ix_(rests, rests)
-    fits, drift, drift_covariance = [], np.zeros((len(moves.before), 3)), np.zeros((3, *(len(moves.before),) * 2))
+    fits = list[GlsFit]()
+    drift: FloatArray = np.zeros((len(moves.before), 3))
+    drift_covariance: FloatArray = np.zeros((3, len(moves.before), len(moves.before)))
     for axis in range(3):
         instability = (GYRO_FLICKER * scale[axis]) ** 2
-        white, total = np.maximum(noise[axis] / count[rests], 1e-6 * instability), instability * flicker
+        white = np.maximum(noise[axis] / count[rests], 1e-6 * instability)
+        total: FloatArray = instability * flicker
         if walk is not None:
             total = total + walk[axis] * scale[axis] ** 2 * brownian
         fit = solve(
