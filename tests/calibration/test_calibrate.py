@@ -390,6 +390,24 @@ def test_turns_that_are_all_saturated_leave_the_accelerometer():
     assert only(found.verdict.findings, "gyro.saturated").values["count"] == 3
 
 
+@pytest.mark.parametrize("kind", ["ferraris", "multi_position"])
+def test_one_sensor_a_file_gives_what_each_file_determines(kind):
+    session = made(kind)
+    record = session.records[0]
+    apart = replace(
+        session,
+        records=(replace(record, accel=None), replace(record, gyro=None)),
+        stills=(*session.stills, *(replace(still, recording=1) for still in session.stills)),
+    )
+    both, only_gyro = calibrate(apart), replace(session, records=apart.records[:1])
+    assert relative(both.accel, DEVICE.accel) < 0.03
+    if kind == "ferraris":
+        assert both.gyro.method == calibrate(only_gyro).gyro.method == "known-rotation/affine"
+        assert relative(both.gyro, DEVICE.gyro) < 3e-3
+    else:  # moves need the accelerometers' poses, and rests give no scale of counts
+        assert both.gyro is None
+
+
 def test_gyroscopes_are_left_out_or_taken_at_rest_alone_where_that_is_asked():
     session = made("multi_position")
     without = calibrate(session, gyro="none")

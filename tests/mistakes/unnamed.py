@@ -5,7 +5,7 @@ Each other mistake is named. A row whose mistake becomes named, or comes out oth
 
 NO_SENSITIVITY = (
     "readings are counts of an unknown sensitivity, turned about the vertical: any angle, rate or time fits; stated for the "
-    "record is that the scale rests on the stated turns alone, with the range that it means"
+    "record is that the scale comes from the stated turns only, with the range that it means"
 )
 
 STEADY_TRUNK = (
@@ -33,8 +33,8 @@ UNNAMED = {
         "39 degC is a temperature of a device, and 4 degC is outside the table; the offset left at rest speaks against both",
     ),
     ("calibrate", "labelled_turns", "states 180 deg of full turns"): (
-        "warned",
-        "the moves between rests contradict the matrix by 50 %; which of the two is wrong they cannot say",
+        "harmless",
+        "the moves between rests outweigh the turns, the result is right, and a warning says that the two disagree",
     ),
     ("calibrate", "rate_table", "states twice the rates, for a gear of 2"): ("noted", NO_SENSITIVITY),
 }

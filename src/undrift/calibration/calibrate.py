@@ -185,12 +185,14 @@ def calibrated(
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
-    accel_outcome = _calibrate_accel(seen, accel, mode)
+    with_accel, with_gyro = seen.with_triad("accel"), seen.with_triad("gyro")
+    accel_outcome = _calibrate_accel(with_accel, accel, mode)
     if accel_outcome.fit is not None:
-        unused = seen.unused_stills(accel_outcome.used)
-        doubts = check_accel(seen.session, accel_outcome.fit.model, unused)
+        unused = with_accel.unused_stills(accel_outcome.used)
+        doubts = check_accel(with_accel.session, accel_outcome.fit.model, unused)
         accel_outcome = accel_outcome.after(*doubts)
-    gyro_outcome = _calibrate_gyro(seen, gyro, mode, accel_outcome)
+    together = any(record.accel is not None for record in with_gyro.session.records)
+    gyro_outcome = _calibrate_gyro(with_gyro, gyro, mode, accel_outcome if together else Outcome())
     findings = each_once(
         (
             *other_temperatures,
@@ -344,7 +346,8 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
         outcome = calibrate_turns(seen, mode, accel)
     else:
         plateaus = seen.plateaus()
-        if len(seen.stills) >= MIN_FREE_POSES:
+        with_force = any(record.accel is not None for record in seen.session.records)
+        if with_force and len(seen.stills) >= MIN_FREE_POSES:
             # Slow moves between poses are steady too. On a rate table without its rates the poses fail, for any reason.
             by_hand = accel is not None and accel.model.method == "multi-position"
             try:

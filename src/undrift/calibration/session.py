@@ -8,6 +8,7 @@ keeps the pieces of one set-point: a constant matrix holds at one temperature. `
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -35,6 +36,8 @@ from undrift.fit.triad import TriadFit
 from undrift.model import Verdict
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
+
+Piece = TypeVar("Piece", Still, Turn)
 
 FULL_TURN = 2.0 * np.pi  # rad
 FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full one is taken for it if no angle is stated
@@ -164,6 +167,30 @@ class Observed:
         """True if rests lie on all six faces and few of them elsewhere."""
         free = len(self.stills) - len(self.faced)
         return {still.face for still in self.faced} == set(FACES) and free <= FREE_POSES_SHARE * len(self.stills)
+
+    def with_triad(self, triad: Literal["gyro", "accel"]) -> "Observed":
+        """Return the recordings that have a triad, with their stills and turns; the same if all or none have it."""
+        session = self.session
+        numbers = [k for k, record in enumerate(session.records) if getattr(record, triad) is not None]
+        if len(numbers) in (0, len(session.records)):
+            return self
+
+        def kept(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+            return tuple(replace(p, recording=numbers.index(p.recording)) for p in pieces if p.recording in numbers)
+
+        return Observed(
+            session=replace(
+                session,
+                records=tuple(session.records[k] for k in numbers),
+                stills=kept(session.stills),
+                turns=kept(session.turns),
+            ),
+            settings=self.settings,
+            stills=kept(self.stills),
+            found=self.found,
+            findings=self.findings,
+            searches=tuple(self.searches[k] for k in numbers) if self.searches else (),
+        )
 
     def rest_means(self) -> FloatArray:
         """Return the mean rate reading of each still with a gyroscope, (P, 3)."""
