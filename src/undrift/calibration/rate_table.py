@@ -12,11 +12,12 @@ The errors of dwell or rest i, in the frame of the case, by source:
     noise, adc     M n_i                       noise and rounding of the mean
     rate           w_i r                       stated rates, wrong in common
     mounting       w_i (d_i + e_i)             the table's axis as gravity shows it or as stated, and its wobble beyond that
-    ripple         w_i u_i                     the rate about the dwell's axis differs from dwell to dwell
+    ripple         w_i (p_m(psi_i) + u_i)      the rate about the dwell's axis: it ripples with the azimuth psi of the table, if a
+                                               dwell is shorter than a turn, and differs from dwell to dwell
     temperature    warmth_i (alpha + beta w_i) offset and scale follow the temperature
     instability    flicker, and q_k B          of the offset; B the covariance of a random walk about its mean over the session
 
-The sizes of e, u and q_k, of each sensor, are excess variances of the residuals (fit/gls.py). The offset is that of the session
+The sizes of e, p, u and q_k, of each sensor, are excess variances of the residuals (fit/gls.py). The offset is that of the session
 on average. What the session does not determine keeps its prior: the columns of axes that the table did not turn, and G.
 """
 
@@ -271,7 +272,13 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
     if rows.noise is None:
         return {"noise": np.ones(3 * count)}
     across, along = _turning(dwells, count)
-    return {"mounting wobble": across.ravel() ** 2, "ripple": along.ravel() ** 2} | walks_of(rows.span)
+    shapes = {"mounting wobble": across.ravel() ** 2, "ripple": along.ravel() ** 2}
+    if dwells.axes is not None and dwells.axes.ripple.any():
+        relative = np.zeros((count, dwells.axes.ripple.shape[1]))
+        relative[: len(dwells.turn_rate)] = dwells.axes.ripple
+        columns = (along[:, :, None] * relative[:, None]).reshape(3 * count, -1)
+        shapes["ripple azimuth"] = columns @ columns.T
+    return shapes | walks_of(rows.span)
 
 
 def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:

@@ -38,6 +38,7 @@ class TableAxes:
     direction: FloatArray  # (N, 3), axis of each dwell
     columns: FloatArray  # (N, 3, C), errors of ``direction`` by C independent causes of one standard deviation each
     off: FloatArray  # (N, 2), angle between case axis and table axis and its uncertainty, rad; NaN if gravity did not show it
+    ripple: FloatArray  # (N, R), change of the rate by R independent ripples, relative, of an amplitude of one each
     rate: float  # standard uncertainty of all stated rates in common, relative
     wobble: FloatArray  # (N,), stated standard uncertainty of the axis from dwell to dwell, rad; 0 if gravity showed the axis
     mount_tilt: float  # stated standard uncertainty of the mounting, rad
@@ -175,8 +176,9 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 #
 #     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g
 #
-# All are fitted with their priors; psi is the integral of the gyroscope of axis k. The errors of the accelerometers are common to
-# all mountings: df = dM s - M do. Without accelerometers d and e_i are zero, with the stated uncertainties of mounting and wobble.
+# All are fitted with their priors; the sizes of noise and wobble are excess variances. psi is the integral of the gyroscope of axis
+# k. The errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d and e_i are zero, with
+# the stated uncertainties of mounting and wobble.
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -227,7 +229,7 @@ class _Mounting:
         """Return the angle of the table (N,) at the samples of a recording, from its first dwell to its last; None in a gap."""
         own, record = [turn for turn in self.turns if turn.recording == number], self.records[number]
         begin, end = min(turn.start for turn in own), max(turn.stop for turn in own)
-        if record.gyro is None or record.accel is None or np.isnan([*self.line, record.gyro[begin:end].sum()]).any():
+        if record.gyro is None or np.isnan([*self.line, record.gyro[begin:end].sum()]).any():
             return None
         rate = (record.gyro[begin:end, self.k] - self.line[1]) / self.line[0]
         angle = np.full(len(record), np.nan)
@@ -281,10 +283,36 @@ def table_axes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
         off=off,
+        ripple=_ripples(records, turns, mounting, lines, settle_s),
         rate=table.rate_uncertainty,
         wobble=wobble,
         mount_tilt=mount_tilt,
     )
+
+
+def _ripples(
+    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, lines: list[FloatArray], settle_s: float
+) -> FloatArray:
+    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch in which it is known.
+
+    The rate ripples once a turn, by a cos psi + b sin psi. Over whole turns this averages out. Shorter dwells of one mounting start
+    where the ones before ended, and err alike.
+    """
+    keys = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
+    columns = [np.zeros((len(turns), 0))]
+    for key in sorted(set(keys)):
+        rows = [n for n, other in enumerate(keys) if other == key]
+        k = AXES.index(turns[rows[0]].axis or "x")
+        group = _Mounting(
+            records=records, turns=[turns[n] for n in rows], k=k, gravity=0.0, line=lines[k], settle_s=settle_s
+        )
+        angle, pair = group.azimuth(key[0]), np.zeros((len(turns), 2))
+        for n in rows if angle is not None else []:
+            psi = angle[steady(records[key[0]], turns[n], settle_s)]  # type: ignore[index]
+            if np.ptp(psi) < 0.99 * 2.0 * np.pi:
+                pair[n] = np.cos(psi).mean(), np.sin(psi).mean()
+        columns.append(pair)
+    return np.hstack(columns)
 
 
 def _line(rate: FloatArray, reading: FloatArray) -> FloatArray:
@@ -306,7 +334,7 @@ def _axes_by_gravity(
     azimuths = {number: group.azimuth(number) for number in recordings}
     for n, turn in enumerate(group.turns):
         record, azimuth = group.records[turn.recording], azimuths[turn.recording]
-        if azimuth is None:
+        if azimuth is None or record.accel is None:
             return None
         window = steady(record, turn, min(group.settle_s, FILTER_S))
         force = (np.asarray(record.accel)[window] - accel.offset) @ accel.matrix.T / group.gravity
@@ -324,20 +352,24 @@ def _axes_by_gravity(
         block[:, :, level : level + 2] = block[:, :, wobble + 2 * count : wobble + 2 * count + 2] = turned
         design.append(block.reshape(-1, block.shape[2]))
         across.append(means[:, 2:].ravel())
-    sizes = np.repeat(
-        [
-            TABLE_MOUNTING,
-            TABLE_ARM,
-            *np.maximum(np.array([table.table_level_deg, table.wobble_deg]) * RADIAN_PER_DEGREE, MIN_TILT_SD),
-        ],
-        [2, 2, 2 * len(recordings), 4 * count],
-    )
-    felt = np.concatenate(across)
-    fit = solve(
-        np.vstack(design),
+    level, stated = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD), table.wobble_deg * RADIAN_PER_DEGREE
+    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level], [2, 2, 2 * len(recordings)])
+    matrix, felt = np.vstack(design), np.concatenate(across)
+    noise, wobbles = np.full(len(felt), MIN_TILT_SD**2), matrix[:, common:] @ matrix[:, common:].T
+    scatter = solve(
+        matrix[:, :common],
         felt,
-        {"noise": np.full(len(felt), MIN_TILT_SD**2)},
-        excess={"noise": np.ones(len(felt))},
+        {"noise": noise, "wobble": stated**2 * wobbles},
+        excess={"noise": np.ones(len(felt)), "wobble": wobbles},
+        prior=Prior(mean=np.zeros(common), precision=np.diag(sizes**-2)),
+    )
+    # the same rows, with the wobble of each dwell among the parameters
+    wobble_sd = max(stated**2 + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
+    sizes = np.concatenate((sizes, np.full(4 * count, wobble_sd)))
+    fit = solve(
+        matrix,
+        felt,
+        {"noise": noise + scatter.excess_bound("noise")},
         prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
     )
     to_axes = np.zeros((2 * count, len(sizes)))  # d + e_i
