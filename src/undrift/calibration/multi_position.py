@@ -513,8 +513,10 @@ def _as_triad(problem: _Problem, theta: FloatArray, covariance: FloatArray, miss
             "and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
             rms_angle_deg=rms_angle,
         )
-    matrix, offset, total = theta[:9].reshape(3, 3), problem.offset.mean + theta[9:], covariance.copy()
-    residual, variance = problem.offset.drift, np.zeros(3)
+    matrix, total = theta[:9].reshape(3, 3), covariance.copy()
+    offset: FloatArray = problem.offset.mean + theta[9:]
+    residual: FloatArray = problem.offset.drift
+    variance: FloatArray = np.zeros(3)
     if problem.creep is not None and not problem.creep[1].none:  # the offset is that at the reference temperature
         warmth = _warmth_of_moves(problem, problem.creep[1])[:, None]
         residual = residual - warmth @ np.linalg.pinv(warmth) @ residual

@@ -53,7 +53,8 @@ def pieces_of(
         pieces += [replace(piece, why=SATURATED) if k in saturated else piece for k, piece in enumerate(turns)]
     if calibration is not None:
         kept = at_one_temperature(session)[0]
-        same_temperature = {(one.recording, one.start, one.stop) for one in (*kept.stills, *kept.turns)}
+        stretches: list[Still | Turn] = [*kept.stills, *kept.turns]
+        same_temperature = {(stretch.recording, stretch.start, stretch.stop) for stretch in stretches}
         pieces = [
             replace(piece, why="another temperature")
             if (session.stills or piece.kind == "turn")

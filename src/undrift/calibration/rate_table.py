@@ -23,7 +23,7 @@ on average. What the session does not determine keeps its prior: the columns of 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -117,7 +117,7 @@ def fit_rate_table(
     lines = _check_turned(dwells, scale_tolerance)
     turned = [AXES.index(line.axis) for line in lines]
     rates = imposed_rates(dwells, latitude_deg)
-    names = {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
+    names: dict[str, Any] = {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if mode == "paper":
         if len(turned) < 3:
             lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turned)
@@ -454,7 +454,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     numbers = tuple(k for k, turn in enumerate(session.turns, 1) if turn in turns)
     check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
     findings, turned = creep_of(seen, turns, "gyro").findings(), tuple(axis for axis in AXES if axis in dwells.axis)
-    known = {"latitude_deg": settings.latitude_deg}
+    known: dict[str, Any] = {"latitude_deg": settings.latitude_deg}
     if mode != "paper" or len(turned) < 3:
         pieces: list[Still | Turn] = [*turns, *(() if rests is None else rests.stills)]
         creep = creep_of(seen, pieces, "gyro")

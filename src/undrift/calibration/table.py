@@ -257,17 +257,19 @@ def table_axes(
     groups: dict[tuple[int, int, float], list[int]] = {}
     for n in sorted(range(count), key=lambda n: turns[n].recording):
         groups.setdefault((int(mounting[n]), int(axis[n]), float(np.broadcast_to(dwells.up, count)[n])), []).append(n)
-    direction, off = np.eye(3)[axis], np.full((count, 2), np.nan)
+    direction: FloatArray = np.eye(3)[axis]
+    off: FloatArray = np.full((count, 2), np.nan)
     mount_tilt = table.mount_tilt_deg * RADIAN_PER_DEGREE
     wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
-    by_accel, columns = np.zeros((count, 3, 12)), list[FloatArray]()
+    by_accel: FloatArray = np.zeros((count, 3, 12))
+    columns = list[FloatArray]()
     for (_, k, up), rows in groups.items():
         group = _Mounting(
             records=records, turns=[turns[n] for n in rows], k=k, gravity=up * gravity_m_s2, line=lines[k], settle_s=settle_s
         )  # fmt: skip
         tilts = None if accel is None or up == 0.0 else _axes_by_gravity(group, table, accel)
         if tilts is None or accel is None:
-            root = np.tile(mount_tilt * np.eye(2), (len(rows), 1, 1))
+            root: FloatArray = np.tile(mount_tilt * np.eye(2), (len(rows), 1, 1))
         else:
             direction[np.ix_(rows, group.across)], root, off[rows] = tilts
             wobble[rows] = 0.0
@@ -345,11 +347,12 @@ def _axes_by_gravity(
         if not len(means):
             return None
         turned = np.stack((means[:, [0, 1]], means[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
-        level, wobble = 4 + 2 * recordings.index(turn.recording), common + 2 * n
+        level_column, wobble_column = 4 + 2 * recordings.index(turn.recording), common + 2 * n
         block = np.zeros((len(means), 2, common + 4 * count))
-        block[:, :, :2] = block[:, :, wobble : wobble + 2] = np.eye(2)
+        block[:, :, :2] = block[:, :, wobble_column : wobble_column + 2] = np.eye(2)
         block[:, :, 2:4] = (turn.turn_rate or 0.0) ** 2 / group.gravity * np.eye(2)
-        block[:, :, level : level + 2] = block[:, :, wobble + 2 * count : wobble + 2 * count + 2] = turned
+        block[:, :, level_column : level_column + 2] = turned
+        block[:, :, wobble_column + 2 * count : wobble_column + 2 * count + 2] = turned
         design.append(block.reshape(-1, block.shape[2]))
         across.append(means[:, 2:].ravel())
     level, stated = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD), table.wobble_deg * RADIAN_PER_DEGREE

@@ -250,7 +250,8 @@ def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> 
         change = np.flatnonzero(np.diff(code))
         passed_c = temp_c[0] + 0.5 * step * (code[change] + code[change + 1])
         moments = np.concatenate((time[:1], 0.5 * (time[change] + time[change + 1]), time[-1:]))
-        return np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:])))
+        course: FloatArray = np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:])))
+        return course
     interval_s = float(np.median(np.diff(time)))
     window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
     return moving_mean(temp_c, time, window_s)
