@@ -106,7 +106,7 @@ class Finding:
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
     >>> finding = calibration.verdict.findings[0]
     >>> finding.code, finding.level, finding.headline
-    ('gyro.offset_in_counts', 'info', 'Gyroscope offset not kept: no scale')
+    ('gyro.not_observable', 'info', 'Gyroscope not observable')
     """
 
     code: str

@@ -91,7 +91,7 @@ ALREADY = (
 FAR_TEMP = (r"temperature far from|degC from (?:the )?reference|outside the drift table|calibrated at [\d.]+ degC",)
 SATURATED = (r"saturat|stuck at|end of (?:the|its) range|clipped",)
 NOT_STILL = (
-    r"not at rest|device at rest, got|restless|slow turn",
+    r"not at rest|device at rest, got|must be at rest, but|restless|slow turn",
     r"moved (?:in|during|while)|(?:was|is|were) (?:moving|turning)",
     r"turns? (?:in|during|at) (?:the|its|this) (?:rest|still)",
 )

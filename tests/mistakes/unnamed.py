@@ -32,9 +32,9 @@ UNNAMED = {
         "warned",
         "39 degC is a temperature of a device, and 4 degC is outside the table; the offset left at rest speaks against both",
     ),
-    ("calibrate", "labelled_turns", "states 180 deg of full turns"): (
+    ("calibrate", "labelled_turns", "leaves a face out"): (
         "harmless",
-        "the moves between rests outweigh the turns, the result is right, and a warning says that the two disagree",
+        "five faces and the scatter about them give the right result",
     ),
     ("calibrate", "rate_table", "states twice the rates, for a gear of 2"): ("noted", NO_SENSITIVITY),
 }

@@ -160,8 +160,8 @@ def recording():
 
 
 def held_out():
-    errors = SimpleNamespace(pitch=rng.normal(0.0, 0.01, 20) ** 2)
-    return draw_held_out([SimpleNamespace(recording=LONG, window_s=10.0, errors=errors)] * 2)
+    pitch = rng.normal(0.0, 0.01, 20) ** 2
+    return draw_held_out([SimpleNamespace(recording=LONG, window_s=10.0, pitch=pitch)] * 2)
 
 
 def long_comparison():

@@ -553,6 +553,12 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's
-        for record in records:
-            findings += check_agreement(_corrected(record, fit.model, model))
+        try:
+            for record in records:
+                findings += check_agreement(_corrected(record, fit.model, model))
+        except Implausible as error:
+            raise Implausible(
+                f"{error}. Or the turns are stated wrongly: state angles in deg, not rad, and 360 for a full turn.",
+                **error.numbers,
+            ) from error
     return Outcome(fit=fit, method="known-rotation", findings=(*findings, *creep.findings()))

@@ -259,6 +259,8 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         check_repeats(poses.reading, poses.faces)
     poses = replace(poses, creep=creep_of(seen, stills, "accel"), placement=placement)
     findings = poses.creep.findings() if poses.creep else ()
+    if poses.noise is None:
+        findings = (*findings, finding("six_face.short_faces", "warn"))
     if paper and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
         faces = np.array(poses.faces)

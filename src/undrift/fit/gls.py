@@ -33,6 +33,7 @@ from undrift.errors import NotObservable
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-4  # relative change of the excess variances at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
+ROUNDING = 1e-11  # of a variance: sound arithmetic of a sum of covariances
 RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
 RANK = 1e-9  # of the largest singular value of known columns
 SHOWN = 1e-6  # share of a shape that the residuals must keep
@@ -247,6 +248,9 @@ class _ScaledRows:
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
             covariance[np.ix_(shape.rows, shape.rows)] += variance * shape.block
+        covariance[np.diag_indices_from(covariance)] *= (
+            1.0 + ROUNDING
+        )  # sources in common can leave a sum that is singular
         factor = np.linalg.cholesky(covariance)
         orthonormal, triangle = np.linalg.qr(np.vstack((solve_triangular(factor, self.design, lower=True), self.prior)))
         pivots = np.abs(np.diag(triangle))
