@@ -38,6 +38,7 @@ def test_affine_gives_back_the_device_and_its_table():
     np.testing.assert_allclose(fit.model.forward_matrix, K, rtol=1e-12, atol=1e-10)
     np.testing.assert_allclose(fit.model.offset, B, rtol=1e-11)
     assert fit.model.count == 306
+    assert fit.model.valid_range == pytest.approx((-90.0 * DPS, 90.0 * DPS))
     assert fit.residuals.shape == (102, 3)
     assert [line.axis for line in fit.linearity] == ["x", "y", "z"]
     assert all(line.scale_factor_nonlinearity < 1e-12 for line in fit.linearity)

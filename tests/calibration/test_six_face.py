@@ -373,3 +373,6 @@ def test_the_cosine_of_a_tilt_widens_the_scale():
     fit = fit_six_face(poses, gravity=G)
     # the smallest of three uncertainties is 1.6 d^2; the sines of the tilts alone make 1.2 d^2 of it
     assert fit.model.standard_uncertainty[[0, 4, 8]].min() > 1.4 * fit.tilt**2
+    budget = fit.model.budget
+    by_source = dict(zip(budget.sources, budget.uncertainty[:, [0, 4, 8]], strict=True))
+    assert (by_source["level"] > 100.0 * by_source["noise"]).all()

@@ -11,8 +11,10 @@ from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import (
     StaticSettings,
     both_ways,
+    cells_of,
     cooling,
     fit_static,
+    gyro_offsets,
     near_data,
     warm_up_table,
     warm_up_time,
@@ -272,6 +274,16 @@ def test_rests_to_come_lie_inside_when_poses_or_rests_disagree(poses, by_pose, b
     )
     assert share >= 0.9
     assert np.mean(ratio) < 2.0
+
+
+def test_the_noise_of_rests_is_no_scatter_between_them():
+    share = []
+    for seed in range(12):
+        quiet = soaks(np.random.default_rng(seed), poses=6)
+        count = len(quiet.temp_c)
+        cells = cells_of(gyro_offsets(quiet, None), np.zeros((count, 1)), np.zeros(count), chunk_s=1e9)
+        share.append((cells.rest / cells.rest_noise) ** 2)
+    assert np.mean(share) < 0.1  # 0.4 with the noise left in
 
 
 def test_rests_that_disagree_are_reported():

@@ -61,6 +61,16 @@ def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
     np.testing.assert_allclose(claimed / np.outer(size, size), scatter / np.outer(size, size), rtol=0, atol=0.15)
 
 
+def test_few_readings_widen_the_note_s_covariance_as_students_t_does():
+    inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0
+    readings = inputs @ FORWARD.T + np.random.default_rng(3).normal(0.0, 0.01, (6, 3))
+    fit = fit_paper(inputs, readings, None, method="m", unit_in="count", unit_out="rad/s")
+    spare = 18 - 9  # equations and elements
+    variance = (fit.residuals**2).sum() / (spare - 2)
+    gram = np.linalg.inv(readings.T @ readings)
+    np.testing.assert_allclose(fit.model.covariance[:9, :9], np.kron(variance * np.eye(3), gram), rtol=1e-9)
+
+
 def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():
     inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0  # two of 16 on each axis
     readings = inputs @ FORWARD.T + FORWARD @ [0.4, 0.0, 0.0]
