@@ -317,7 +317,6 @@ def test_pauses_that_were_too_short_are_counted():
     assert "shorter than the 2 s" in short.detail
     assert only(found.verdict.findings, "session.too_few_poses").values["rests"] == 1
     adapted = observe(session, CalibrateSettings())
-    assert adapted.adapted
     assert len(adapted.stills) == 12
     assert adapted.findings == ()
 

@@ -87,7 +87,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     """Return a session with the stated pieces of one temperature.
 
     If stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those with at least half as
-    many pieces as the largest. Faces that it lacks come from the group with most faces; creep.py states what their temperature
+    many pieces as the largest. Faces that it lacks come from the group with most faces; sources.py states what their temperature
     adds.
     """
     temps = piece_temperatures(session, (*session.stills, *session.turns))
@@ -151,11 +151,6 @@ class Observed:
     findings: tuple[Finding, ...] = ()
     searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if they were found
     _turns: dict[int, segments.TurnSearch] = field(default_factory=dict)  # by recording, searched once
-
-    @property
-    def adapted(self) -> bool:
-        """True if another window or threshold than the usual one found them: a fit must not search with the usual ones."""
-        return any(replace(search.settings, adapt=False) != segments.StillSettings() for search in self.searches)
 
     @property
     def faced(self) -> tuple[Still, ...]:

@@ -33,7 +33,7 @@ Positive = Annotated[float, Gt(0.0)]
 Timing = Literal["aligned", "real time"]
 DEVICE = "enc03j_3031"  # the note's
 MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
-SUBJECTS, SUBJECTS_MAX = 30, 300
+SUBJECTS = 30
 
 # [study.bench] if a key is left out. The note states its encoder and its servo; the rest is assumed unless a source is given.
 NOTE_BENCH = BenchErrors(
