@@ -1,6 +1,6 @@
 """``undrift drift``: tuning tables over temperature from thermal sessions, or from a mere warm-up log.
 
-The summary opens with the largest error of a stated motion, with constants and with these tables (``validation/table_worth``).
+The summary opens with the largest error of a stated motion, without tables and with these tables (``validation/table_worth``).
 """
 
 import math
@@ -152,15 +152,14 @@ def drift_summary(fit: "DriftFit") -> Summary:
     """Return what a thermal fit holds, and what it is worth over a stated motion: the largest error before and after."""
     worth, count, dwells = _worth(fit), len(fit.rests), len(fit.steps)
     answer = f"{count} blocks of rest and {dwells} dwells give no tuning table of gyroscope offsets."
-    lead = f"{count} blocks of rest, {dwells} dwells at known rates. Behind +- stand standard uncertainties."
+    lead = f"The fit uses {count} blocks of rest and {dwells} dwells at known rates. Values after +- are standard uncertainties."
     if worth is not None:
-        before, after = f"{worth.constant_deg:.2f} deg with constants", f"{worth.tables_deg:.2f} deg with these tables"
-        answer = f"Largest error of {worth.motion}: {before}, {after}."
+        before, after = f"{worth.constant_deg:.2f} deg", f"{worth.tables_deg:.2f} deg"
+        answer = f"A lean {worth.motion} errs by up to {before} without tables and {after} with these tables."
         if worth.turned:
-            before += f", {worth.rest_deg:.2f} deg re-zeroed at a rest before the motion"
-            after += f", {worth.both_deg:.2f} deg with both"
-        errors = f"Before: {before}. After: {after} (95 %, as stated)."
-        lead = f"{errors} {worth.answer}. Fitted to {lead}"
+            before += f", and {worth.rest_deg:.2f} deg if the offset at a rest before the motion is subtracted"
+            after += f", and {worth.both_deg:.2f} deg with that rest too"
+        lead = f"Without tables: {before}. With these tables: {after} (95 %). {worth.answer}. {lead}"
     return Summary(
         title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
         answer=answer,

@@ -27,6 +27,7 @@ MOTION_S = 4.0
 EXCURSION_K = 12.5  # a wearer warms a device by this
 SAMPLE_RATE_HZ = 100.0
 NORMAL_95 = 1.96
+BOTH = "Use the tables, and subtract the offset of a rest (undrift correct --offset rest)"
 ADDS_LITTLE = 0.8  # tables with a rest leave more than this share of the error of a rest without tables
 
 
@@ -44,10 +45,10 @@ class TableWorth:
 
     @property
     def motion(self) -> str:
-        """The motion that is judged, in words."""
+        """Angle, duration and temperature of the lean that is judged, in words."""
         away = self.temp_c - self.reference_c
         return (
-            f"a lean of {LEAN / RADIAN_PER_DEGREE:.0f} deg and back in {MOTION_S:g} s at {self.temp_c:.1f} degC, {abs(away):.1f} K "
+            f"of {LEAN / RADIAN_PER_DEGREE:.0f} deg and back in {MOTION_S:g} s at {self.temp_c:.1f} degC, {abs(away):.1f} K "
             f"{'above' if away >= 0.0 else 'below'} the reference"
         )
 
@@ -57,10 +58,10 @@ class TableWorth:
         if self.constant_deg <= self.tables_deg:
             return "These tables do not improve on the constant calibration here: record more"
         if not self.turned:
-            return "Use the tables, and correct `offset` rest; scale and dynamic drift, which no rest removes, were not measured"
+            return f"{BOTH}; scale and dynamic drift, which no rest removes, were not measured"
         if self.both_deg > ADDS_LITTLE * self.rest_deg:
             return "A rest before the motion is as good as these tables here"
-        return "Use the tables, and correct `offset` rest"
+        return BOTH
 
 
 def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> TableWorth | None:
