@@ -44,7 +44,7 @@ from undrift.calibration.plausibility import (
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior, walks_of
 from undrift.calibration.session import Observed, Outcome, spans_of
 from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case
-from undrift.calibration.triads import check_agreement
+from undrift.calibration.triads import find_disagreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
@@ -518,6 +518,27 @@ def _corrected(record: Record, gyro: TriadModel, accel: TriadModel) -> Record:
     return replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2")
 
 
+def _check_by_gravity(record: Record) -> tuple[Finding, ...]:
+    """Return the finding of a corrected record whose rotation gravity contradicts; raise if it is clear.
+
+    The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
+    """
+    conflict = find_disagreement(record)
+    if conflict is None:
+        return ()
+    values = dict(conflict.values)
+    if ratio := values["turned_ratio"]:
+        values["text"] = f"the angles of the turns are stated {ratio:.3g} times as large as gravity shows"
+        values["action"] = "state angles in deg, not rad, and 360 for a full turn"
+    else:
+        values["text"] = f"{values['text']}, or the turns are stated about other axes"
+        values["action"] = "correct the order or the sign of the columns, or the axes of the turns"
+    conflict = replace(conflict, values=values)
+    if conflict.level == "fail":
+        raise Implausible(f"known rotation: {values['text']} ({conflict.detail}). Check: {conflict.action}.", **values)
+    return (conflict,)
+
+
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
     records, settings = seen.session.records, seen.settings
@@ -553,12 +574,6 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's
-        try:
-            for record in records:
-                findings += check_agreement(_corrected(record, fit.model, model))
-        except Implausible as error:
-            raise Implausible(
-                f"{error}. Or the turns are stated wrongly: state angles in deg, not rad, and 360 for a full turn.",
-                **error.numbers,
-            ) from error
+        for record in records:
+            findings += _check_by_gravity(_corrected(record, fit.model, model))
     return Outcome(fit=fit, method="known-rotation", findings=(*findings, *creep.findings()))

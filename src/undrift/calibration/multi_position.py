@@ -352,7 +352,10 @@ def fit_gyro_between_stills(
     theta, covariance, missed = _solve(problem, matrix, by_turns)
     if by_turns is None:
         _check_determined(missed, theta)
-    elif np.abs(theta[:9] - by_turns.matrix.ravel()).max() > _CONTRADICTS * np.abs(by_turns.matrix).max():
+    elif (
+        np.abs(theta[:9] - by_turns.matrix.ravel()).max() > _CONTRADICTS * np.abs(by_turns.matrix).max()
+        or _rms_deg(missed) > MISS_DEG[1]
+    ):
         raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
     fit = _as_triad(problem, theta, covariance, missed, records[0].gyro_unit)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*spoilt)))
@@ -504,9 +507,14 @@ def _check_determined(missed: _Missed, theta: FloatArray) -> None:
         )
 
 
+def _rms_deg(missed: _Missed) -> float:
+    """Return the angle by which the moves miss gravity, rms, deg."""
+    return float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
+
+
 def _as_triad(problem: _Problem, theta: FloatArray, covariance: FloatArray, missed: _Missed, unit_in: str) -> TriadFit:
     moves = problem.moves
-    rms_angle = float(np.sqrt(np.mean(missed.angle**2))) / RADIAN_PER_DEGREE
+    rms_angle = _rms_deg(missed)
     if rms_angle > 20.0:
         raise PoorFit(
             f"multi-position gyro: wanted moves that end within 20 deg rms of gravity, got {rms_angle:.0f} deg; check that gyro "

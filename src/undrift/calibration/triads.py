@@ -110,6 +110,7 @@ class Mistake:
     text: str  # "gyroscope is in deg/s, not rad/s"
     action: str
     sample_rate_hz: float = 0.0  # that the recording would have; 0 where that is not the matter
+    turned_ratio: float = 0.0  # rotation as stated over rotation by gravity; 0 if axes or time are wrong
     kept: float = 0.0  # share of gravity that stands still with it
     stated: float = 0.0  # and as stated
 
@@ -175,7 +176,7 @@ def find_disagreement(record: Record) -> Finding | None:
     if found is None:
         return None
     mistake, clear = found
-    values = {name: getattr(mistake, name) for name in ("text", "action", "sample_rate_hz")}
+    values = {name: getattr(mistake, name) for name in ("text", "action", "sample_rate_hz", "turned_ratio")}
     shares = {"kept_percent": 100.0 * mistake.kept, "stated_percent": 100.0 * mistake.stated}
     return finding("record.triads_disagree", "fail" if clear else "warn", **values, **shares)
 
@@ -272,7 +273,7 @@ def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArra
     ):
         if max(scale / unit, unit / scale) < ORDINARY:
             action = "correct the unit of the gyroscope in the map or the columns' names"
-            yield Mistake(text=text, action=action), seen.kept(np.eye(3), unit)
+            yield Mistake(text=text, action=action, turned_ratio=1.0 / unit), seen.kept(np.eye(3), unit)
             return
     if max(scale, 1.0 / scale) > ORDINARY:
         rate = record.sample_rate_hz / scale
@@ -280,7 +281,7 @@ def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArra
         if scale < COUNTS:  # No person mistakes a sample rate by as much
             text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
             yield (
-                Mistake(text=text, action="state the sensitivity: unit count and its scale"),
+                Mistake(text=text, action="state the sensitivity: unit count and its scale", turned_ratio=1.0 / scale),
                 seen.kept(np.eye(3), scale),
             )
             return
@@ -289,4 +290,5 @@ def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArra
             "another"
         )
         action = "state the true sample rate, unit of time or sensitivity"
-        yield Mistake(text=text, action=action, sample_rate_hz=rate), seen.kept(np.eye(3), scale)
+        found = Mistake(text=text, action=action, sample_rate_hz=rate, turned_ratio=1.0 / scale)
+        yield found, seen.kept(np.eye(3), scale)

@@ -30,10 +30,10 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import NotObservable
 
-MAX_ITERATIONS = 100
-TOLERANCE = 1e-4  # relative change of the excess variances at which the iteration ends
+MAX_ITERATIONS, MOST_HALVINGS = 100, 30
+TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
-ROUNDING = 1e-11  # of a variance: sound arithmetic of a sum of covariances
+ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
 RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
 RANK = 1e-9  # of the largest singular value of known columns
 SHOWN = 1e-6  # share of a shape that the residuals must keep
@@ -226,6 +226,7 @@ class _State:
     weighted: FloatArray  # (E,), V^-1 r
     inverse: FloatArray  # (E, E), V^-1
     projector: FloatArray  # (E, E), P
+    deviance: float  # -2 log of the restricted likelihood, up to a constant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,17 +249,16 @@ class _ScaledRows:
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
             covariance[np.ix_(shape.rows, shape.rows)] += variance * shape.block
-        covariance[np.diag_indices_from(covariance)] *= (
-            1.0 + ROUNDING
-        )  # sources in common can leave a sum that is singular
+        # noise may be less than the rounding of a source in common: the sum is then singular
+        covariance[np.diag_indices_from(covariance)] *= 1.0 + ROUNDING
         factor = np.linalg.cholesky(covariance)
         orthonormal, triangle = np.linalg.qr(np.vstack((solve_triangular(factor, self.design, lower=True), self.prior)))
         pivots = np.abs(np.diag(triangle))
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
         known = np.concatenate((solve_triangular(factor, self.value, lower=True), self.prior @ self.mean))
-        back = np.linalg.inv(triangle)
-        theta = back @ (orthonormal.T @ known)
+        back, along = np.linalg.inv(triangle), orthonormal.T @ known
+        theta, away = back @ along, known - orthonormal @ along
         residuals = self.value - self.design @ theta
         weighted_design = solve_triangular(factor, orthonormal[: len(self.value)], lower=True, trans="T")
         half = dpotri(factor, lower=1)[0]
@@ -271,10 +271,17 @@ class _ScaledRows:
             weighted=inverse @ residuals,
             inverse=inverse,
             projector=inverse - weighted_design @ weighted_design.T,
+            deviance=2.0 * float(np.log(np.diag(factor)).sum() + np.log(pivots).sum()) + float(away @ away),
         )
 
 
 # ---- excess variances by restricted likelihood: Fisher scoring, bounded at zero
+#
+# Variances s of score g and information I, g_j = r' V^-1 E_j V^-1 r - tr(P E_j) and I_jk = tr(P E_j P E_k), go towards
+#
+#     s+ = argmin_{x >= 0} (x - s)' I (x - s) / 2 - g' (x - s)
+#
+# and no farther than the likelihood rises: two shapes that are nearly alike would exchange their variances without end.
 
 
 def _excess_variances(rows: _ScaledRows) -> tuple[FloatArray, _State]:
@@ -293,11 +300,31 @@ def _excess_variances(rows: _ScaledRows) -> tuple[FloatArray, _State]:
                 for s, a in zip(shapes, products, strict=True)
             ]
         )
-        previous, variances = variances, _bounded_step(variances, score, information, shown)
-        if not (np.abs(variances - previous) > TOLERANCE * np.maximum(variances, previous)).any():
+        step = _bounded_step(variances, score, information, shown)
+        if score @ step <= 2.0 * TOLERANCE**2:
             break
-        state = rows.solve(variances)
+        for halvings in range(MOST_HALVINGS):
+            ahead = variances + 0.5**halvings * step
+            if (reached := rows.solve(ahead)).deviance < state.deviance:
+                break
+        else:
+            break  # the likelihood rises by less than its rounding
+        variances, state = ahead, reached
     return variances, state
+
+
+def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray, free: BoolArray) -> FloatArray:
+    """Return the step to s+; variances that are not free stay."""
+    from scipy.optimize import nnls
+
+    length = np.sqrt(np.diag(information)[free])
+    scaled = information[np.ix_(free, free)] / np.outer(length, length)
+    target = scaled @ (variances[free] * length) + score[free] / length
+    size, vectors = np.linalg.eigh(scaled)
+    root = np.sqrt(size.clip(RANK * size[-1]))  # scaled = R' R, R = diag(root) vectors'
+    step = np.zeros(len(variances))
+    step[free] = nnls(root[:, None] * vectors.T, vectors.T @ target / root)[0] / length - variances[free]
+    return step
 
 
 def _degrees(shape: _Shape, product: FloatArray) -> float:
@@ -312,22 +339,6 @@ def _error_at_zero(rows: _ScaledRows, state: _State, variances: FloatArray, kind
         state = rows.solve(np.where(np.arange(len(variances)) == kind, 0.0, variances))
     own = rows.shapes[kind].product(state.projector)[rows.shapes[kind].rows]
     return float(np.sqrt(2.0 / max(float((own * own.T).sum()), 1e-300)))
-
-
-def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray, free: BoolArray) -> FloatArray:
-    """Return the next variances: those at zero stay there if the likelihood falls away from it, or if they are not free."""
-    while True:
-        step = np.zeros(len(variances))
-        if free.any():
-            step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=None)[0]
-        leaves = free & (variances <= 0.0) & (step < 0.0)
-        if not leaves.any():
-            break
-        free = free & ~leaves
-    reached = variances + step
-    # a step may end at zero, but it goes there by a twentieth, so that a variance that overshoots can return
-    reached = np.where((variances > 0.0) & (reached < 0.05 * variances), 0.05 * variances, np.maximum(reached, 0.0))
-    return np.where(reached < 1e-12 * max(float(reached.max(initial=0.0)), 1e-300), 0.0, reached)
 
 
 # ---- excess variance: what the residuals show beyond the stated noise
