@@ -7,6 +7,7 @@ Ranges are sample numbers, half-open [start, stop). A face names the sensor axis
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
@@ -238,10 +239,9 @@ class Record(Shown):
 
     def computed(self, **fields: Any) -> "Record":
         """Return the record with other fields, unchecked: readings that were computed from its own, sample by sample."""
-        record = object.__new__(Record)
-        for name in Record.__slots__:
-            value = fields.get(name, getattr(self, name))
-            if name in fields and isinstance(value, np.ndarray):
+        record = copy(self)
+        for name, value in fields.items():
+            if isinstance(value, np.ndarray):
                 value = value.view()
                 value.flags.writeable = False
             object.__setattr__(record, name, value)

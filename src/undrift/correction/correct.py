@@ -186,8 +186,8 @@ def correct(
     Returns
     -------
     Record
-        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's range, and if record
-        and calibration do not fit.
+        rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's temperatures and
+        dynamic table, and if record and calibration do not fit.
 
     Raises
     ------
@@ -331,9 +331,8 @@ def correct_planned(
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
     spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
-    if (
-        plans[0] is not None and (at_rest := plans[0].constants.at_rest) is not None
-    ):  # step 6: the constants hold in motion
+    at_rest = None if plans[0] is None else plans[0].constants.at_rest
+    if at_rest is not None:  # step 6: the constants hold in motion
         outputs[0][:] += at_rest
         turning, state = find_turning(outputs[0], time, carry.turning)
         outputs[0][turning > 0.0] -= at_rest

@@ -124,8 +124,10 @@ def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatAr
     """Find the samples whose correction draws on nodes that no data were near, None without such; corrected (N, 3), SI."""
     mask: BoolArray | None = None
     for plan, rates in zip(plans, corrected, strict=True):
-        for table in plan.constants.tables if plan is not None else ():
-            if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
+        if plan is None:
+            continue
+        for table in plan.constants.tables:
+            if (weight := _weight_of_marks(table, temp_c, rates)) is not None:
                 drawn = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
                 mask = drawn if mask is None else mask | drawn
     return mask

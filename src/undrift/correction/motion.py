@@ -54,9 +54,7 @@ class MotionOffset:
     prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
     acceleration: float  # left in a mean, rms, m/s2
     rest: RestOffset | None  # None if the device never rested
-    vertical: (
-        FloatArray  # (3,), specific force of a body at rest in the attitude of the first sample, m/s2, frame b there
-    )
+    vertical: FloatArray  # (3,), specific force at rest in the attitude of the first sample, m/s2, frame b there
     vertical_covariance: FloatArray  # (3, 3), (m/s2)^2
 
     def __post_init__(self) -> None:

@@ -624,9 +624,8 @@ def check_once(sessions: Sequence[Session]) -> None:
     """Refuse data that were given twice, as one file or as equal readings: they would make the uncertainty too small."""
     first = dict[str, str]()
     for number, session in enumerate(sessions):
-        files = [
-            (name, digest) for name, digest in session.inputs if not name.endswith(".toml")
-        ]  # settings may be equal
+        # settings may be equal
+        files = [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
         digests = {digest: name for name, digest in files}
         for k, record in enumerate(session.records):
             readings = np.column_stack([part for part in (record.gyro, record.accel) if part is not None])

@@ -41,11 +41,8 @@ MOST_OF_SPAN = 0.8  # share of a pose's range that one mounting must have seen f
 # ---- cells
 CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell; cells are widened until there are about as many
 STEP_C = 2.0  # between blocks: a larger step begins another visit
-SLOW, STILL, LEAST_SOAKS = (
-    0.25,
-    0.05,
-    5,
-)  # shares of a log's fast ramps; temperatures from which a log is one of soaks [assumed]
+SLOW, STILL = 0.25, 0.05  # shares of a log's fast ramps [assumed]
+LEAST_SOAKS = 5  # temperatures from which a log is one of soaks [assumed]
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
 PAIRED = 30  # blocks of a cell that its correlation is taken from
 RESTS_APART_S = 60.0
@@ -170,13 +167,14 @@ def fit_static(
     rates = gyro_offsets(blocks, calibration)
     if rates is not None:
         gyro = _fit_triad(rates, nodes, settings)
-        findings += gyro.findings
+        findings += [*gyro.findings, *_left_out_findings("gyroscope", gyro)]
         if calibration is None or calibration.gyro is None or calibration.gyro.g_sensitivity is None:
             findings.append(finding("drift.g_unknown", "info"))
     try:
         accel = _fit_accel(blocks, nodes, calibration, settings)
         missing = "" if accel.offset is not None else _NO_TABLE
-        findings.append(_one_pose(blocks, accel))
+        findings += [_one_pose(blocks, accel), *_left_out_findings("accelerometer", accel)]
+        findings += () if gyro is not None else accel.findings  # otherwise those of the gyroscopes at the same rests
     except NotObservable as error:
         missing = str(error)
     except Implausible as error:
@@ -329,7 +327,6 @@ def _fit_triad(
             finding("drift.rests_disagree", "info", ratio=cells.rest / np.maximum(cells.rest_noise, 1e-300))
         )
     curve = _curve_through(cells, turn_on)
-    findings += _left_out_findings(curve, cells)
 
     # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference
     temp_c, n = blocks.temp_c, len(nodes)
@@ -414,14 +411,15 @@ def _through_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeVa
     )
 
 
-def _left_out_findings(curve: Curve, cells: Cells) -> list[Finding]:
+def _left_out_findings(sensor: str, triad: TriadDrift) -> list[Finding]:
     """Return the finding that groups of neighbours, left out in turn, are missed by more than is stated."""
     from scipy.special import chdtri
 
-    count, ratio = len(np.unique(cells.groups)), curve.left_out(cells.groups)[1]
+    groups = triad.cells.groups
+    count, ratio = len(np.unique(groups)), triad.curve.left_out(groups)[1]
     if count < LEAST_LEFT_OUT or not ratio.max() > np.sqrt(chdtri(count, CHANCE / len(ratio)) / count):
         return []
-    return [finding("drift.left_out_above", "warn", ratio=ratio, groups=count)]
+    return [finding("drift.left_out_above", "warn", sensor=sensor, ratio=ratio, groups=count)]
 
 
 # ---- cells

@@ -43,9 +43,8 @@ from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDri
 from undrift.units import si_factor
 
 STEP_C = 5.0  # between the nodes of the dynamic table
-MATRIX_GAP_C = (
-    10.0  # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
-)
+# a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
+MATRIX_GAP_C = 10.0
 _SAME_DIRECTION = 0.98  # cosine
 _SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
 _SAME_TEMPERATURE_C = 1.5

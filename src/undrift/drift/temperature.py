@@ -282,9 +282,6 @@ class LagState:
     output_c: float = math.nan  # last temperature returned, degC; held while readings are NaN
 
 
-# ---- subtract a lag
-
-
 def without_lag(
     temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: LagState | None = None
 ) -> tuple[FloatArray, LagState]:
@@ -410,9 +407,7 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
         return _unknown(
             f"each temperature was passed at one speed: it explains {100.0 * (1.0 - unexplained):.0f} % of the slopes"
         )
-    steady = np.abs(
-        blocks.ramp_c_per_min[_away_from_ends(blocks)]
-    )  # at the ends of a session a ramp is not at its speed
+    steady = np.abs(blocks.ramp_c_per_min[_away_from_ends(blocks)])  # at the ends a ramp is not at its speed
     steady = steady[steady > MOVING_C_PER_MIN]
     slow, fast = np.quantile(steady if len(steady) >= FEWEST else moving, (0.1, 0.9))
     two_speeds = bool(fast > TWO_SPEEDS * slow)

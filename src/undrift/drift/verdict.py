@@ -26,7 +26,7 @@ from undrift.drift.offset import UNKNOWN_SCALE_PER_K, StaticFit, TriadDrift, coo
 from undrift.drift.rates import ScaleFit, prepared, soak_matrices
 from undrift.drift.temperature import Temperature
 from undrift.errors import CalibrationError, Implausible
-from undrift.findings import finding
+from undrift.findings import Finding, finding
 from undrift.model import AXES, Calibration, TriadModel, Verdict, level_of
 from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
 
@@ -34,15 +34,13 @@ STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status befor
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
 FAR_DPS = 10.0  # no switch-on moves an offset so far
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
-MOST_BEND, LEAST_MISS_DPS = (
-    0.01,
-    0.25,
-)  # (deg/s)/K2, five times that of consumer gyroscopes [assumed]; smallest one reported
+MOST_BEND = 0.01  # (deg/s)/K2, five times that of consumer gyroscopes [assumed]
+LEAST_MISS_DPS = 0.25  # smallest one reported
 NARROW_C = 5.0  # a table over less is one of one temperature
 _SIGNIFICANT, _CERTAIN = (
     3.0,
     10.0,
-)  # standard uncertainties, from which two values differ, and from which they may be bad
+)  # standard uncertainties: two values differ from the first on, may be bad from the second
 _TEMPERATURE_OFF_C = 2.0  # between the thermometer of the calibration and that of the session
 _SCALE_OFF = (0.02, 0.05)  # marginal, and bad
 _SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
@@ -344,7 +342,7 @@ def static_verdict(
     static: StaticFit, accel: AccelDriftFit | None, device: Calibration, temperatures: tuple[Temperature, ...]
 ) -> Verdict:
     """Return what the offsets are worth; accelerometers of one pose count only if no poses determined them."""
-    findings = [f for f in static.verdict.findings if accel is None or not f.code.startswith("drift.accel_")]
+    findings = [f for f in static.verdict.findings if accel is None or not _of_accelerometers(f)]
     triad = static.gyro
     if triad is None:
         return Verdict.of(*findings)
@@ -360,6 +358,11 @@ def static_verdict(
         findings.append(finding("drift.power_on_transient", "warn"))
     findings += [item for temperature in temperatures for item in temperature.findings]
     return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))
+
+
+def _of_accelerometers(item: Finding) -> bool:
+    """Return True if a finding is about the offset of the accelerometers in one pose."""
+    return item.code.startswith("drift.accel_") or item.values.get("sensor") == "accelerometer"
 
 
 def _starts_fast(rests: RestBlocks) -> bool:
