@@ -121,6 +121,25 @@ def test_optics_that_jump_are_outvoted(noisy):
     assert np.abs(fit.triad.model.matrix - np.linalg.inv(FORWARD)).max() < 1e-3
 
 
+def clipped(records, limit):
+    return [replace(record, gyro=np.clip(record.gyro, -limit, limit)) for record in records]
+
+
+def test_saturated_readings_are_left_out_and_named(noisy):
+    fit = fit_reference(clipped(noisy[0], 1.6), noisy[1])  # rad/s, 1 in 10 samples of the third recording
+    model = fit.triad.model
+    # as without saturation, with the shorter windows that fit between the gaps; clipped readings would miss by 0.02
+    assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 2e-3
+    found = [item.values for item in fit.triad.verdict.findings if item.code == "reference.saturated"]
+    beyond = [int((np.abs(record.gyro) >= 1.6).any(axis=1).sum()) for record in noisy[0]]
+    assert [values["count"] for values in found] == beyond
+
+
+def test_refusal_names_saturation_as_its_cause(noisy):
+    with pytest.raises(NotObservable, match="saturated"):
+        fit_reference(clipped(noisy[0][:2], 1.2), noisy[1][:2])
+
+
 def test_counts_and_a_turned_mounting_are_taken_up_by_the_matrix():
     mounting = Rotation.from_rotvec((0.2, -1.1, 0.6))
     forward = 900.0 * FORWARD

@@ -5,6 +5,7 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.model import AXES
-from undrift.record import FACES, Face
+from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
 # ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
@@ -128,6 +129,24 @@ class Stuck(NamedTuple):
             samples=self.samples,
             extreme=self.reading,
         )
+
+
+def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
+    """Return the record with a gap in place of the readings at the end of the range, and a finding for each triad."""
+    from undrift.io.inspect import saturated_runs
+
+    found = list[Finding]()
+    for channel in ("gyro", "accel"):
+        readings = getattr(record, channel)
+        limits = [] if readings is None else [[limit for limit, _ in saturated_runs(column)] for column in readings.T]
+        if not any(limits):
+            continue
+        saturated = np.column_stack([np.isin(column, ends) for column, ends in zip(readings.T, limits, strict=True)])
+        axes = ", ".join(axis for axis, ends in zip(AXES, limits, strict=True) if ends)
+        item = {"channel": channel, "axes": axes, "count": int(saturated.any(axis=1).sum()), "of": len(record)}
+        found.append(finding("reference.saturated", "warn", **item))
+        record = replace(record, **{channel: np.where(saturated, np.nan, readings)})
+    return record, tuple(found)
 
 
 def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:

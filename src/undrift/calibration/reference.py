@@ -22,6 +22,7 @@ import numpy as np
 import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.codes import restored_gyro
+from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import (
     Recording,
     Solution,
@@ -135,11 +136,12 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
     """Find lag and motion of one recording."""
     whole, record = record, unpadded(record)
     named = sync.padding(whole, record)
+    record, saturated = without_saturated(record)
     record, lag, findings = sync.in_step(record, sync.native_poses(reference), lag_settings)
     poses = sync.seen_poses(record, sync.native_poses(reference), lag)
     span = sync.find_motion(record, poses, lag_s=lag.seconds)
     gyro = np.asarray(record.gyro)
-    return Aligned(record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *findings))
+    return Aligned(record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *saturated, *findings))
 
 
 def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
@@ -224,7 +226,14 @@ def fit_reference(
 
 def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
     """Fit the gyroscopes of one device to recordings whose lag and motion are known."""
-    return _fit([recording_of(one, settings) for one in aligned], settings, aligned[0].record.gyro_unit, adc)
+    prepared = [recording_of(one, settings) for one in aligned]
+    try:
+        return _fit(prepared, settings, aligned[0].record.gyro_unit, adc)
+    except NotObservable as error:
+        saturated = [item.text for one in prepared for item in one.findings if item.code == "reference.saturated"]
+        if not saturated:
+            raise
+        raise NotObservable("; ".join((str(error), *saturated)), **error.numbers) from error
 
 
 def leave_one_out(

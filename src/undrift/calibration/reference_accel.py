@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.quality import check_gravity_length
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -152,7 +153,8 @@ def _equations(
 
     step = float(np.median(np.diff(poses.time)))
     at = poses.time + lag_s
-    a, inside = RunningIntegral(record.time, np.asarray(record.accel)).mean(at - 0.5 * step, at + 0.5 * step)
+    accel = without_saturated(record)[0].accel
+    a, inside = RunningIntegral(record.time, np.asarray(accel)).mean(at - 0.5 * step, at + 0.5 * step)
     lost = 1.0 / 24.0 + (float(np.median(np.diff(record.time))) / step) ** 2 / 12.0
     a[1:-1] -= lost * np.where((inside[2:] & inside[1:-1] & inside[:-2])[:, None], np.diff(a, 2, axis=0), 0.0)
     valid = inside & np.isfinite(a).all(axis=1) & np.isfinite(poses.q_nb).all(axis=1)

@@ -53,6 +53,7 @@ class Twinned(Result):
                 _residuals(fitted, self.names),
                 *(_held_out(self) if held_out else ()),
             ),
+            findings=fitted.gyro.triad.verdict.findings,
             notes=() if held_out else (alone,),
             written=(self.output,),
             next=("simulate", "sit_to_stand", "--device", self.output, "-o", "trial.parquet") if self.output else (),
