@@ -141,7 +141,9 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
     poses = sync.seen_poses(record, sync.native_poses(reference), lag)
     span = sync.find_motion(record, poses, lag_s=lag.seconds)
     gyro = np.asarray(record.gyro)
-    return Aligned(record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *saturated, *findings))
+    return Aligned(
+        record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *saturated, *findings)
+    )
 
 
 def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:

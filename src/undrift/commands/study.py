@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # shares of the time at which each stage ends
 EFFECT_DEVICES = 10  # whose error is split
 FEWEST = 20  # devices, of which one lies above the 95 % quantile
+OFFSETS = {
+    "rest": "with the offset of the rest subtracted",
+    "motion": "with the offset from the motion subtracted",
+    "none": "no offset subtracted",
+}
 FEW = "{} devices do not determine the error that 95 % of devices stay below: study {} or more for a result"
 
 
@@ -170,9 +175,9 @@ def _sentence(answer: "Answer", outcome: "StudyOutcome") -> str:
         return f"for {answer.target_deg:g} deg no session is good enough"
     session = next(one for one in outcome.study.sessions if one.name == answer.session)
     needs = "no instrument" if session.instruments == "none" else session.instruments
-    tested = f", {answer.below} of {answer.tested} devices of the other group below" if answer.tested else ""
+    tested = f"; {answer.below} of {answer.tested} other devices on other people below" if answer.tested else ""
     tested += ", not confirmed" if answer.tested and not answer.confirmed else ""
-    return f"for {answer.target_deg:g} deg '{answer.session}', {session.length_min:.0f} min, {needs}{tested}"
+    return f"for {answer.target_deg:g} deg '{answer.session}' ({session.length_min:.0f} min, {needs}{tested})"
 
 
 def _answer(outcome: "StudyOutcome") -> str:
@@ -225,13 +230,15 @@ def _sessions(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         versus = "best" if row.against_best is None else row.against_best.verdict
         rows.append((*about, *cells, number(row.real_time_deg), enough[0] if enough else "–", versus, failed))
     heads = (
-        "session", "minutes", "instruments", "mean (deg)", "95 %", "95 % of devices below", "single device, 95 %",
+        "session", "minutes", "instruments", "mean (deg)", "its 95 % interval", "95 % of devices below", "single device, 95 %",
         "mean in real time", "enough for (deg)", "against the best", "devices that fail",
     )  # fmt: skip
     timing = "aligned in time, as the note compares" if outcome.study.timing == "aligned" else "in real time"
     text = (
-        f"Pitch error, root mean square over the motion, {timing}; {outcome.subjects} devices, {_rise(outcome)} K above the room, "
-        f"offset rule {outcome.study.offset}. Against the best: margin {outcome.study.margin_deg:g} deg, 5 % over all sessions.",
+        f"Root mean square of the pitch error over the motion, {timing}: {outcome.subjects} devices, {_rise(outcome)} K above the "
+        f"room, {OFFSETS[outcome.study.offset]}.",
+        f"Against the best: better or worse by more than {outcome.study.margin_deg:g} deg, or equivalent within it. The error rate "
+        "of all these tests together is 5 %.",
     )
     return Section(title=f"{_name(task)}: sessions", columns=heads, rows=tuple(rows), text=text)
 
@@ -253,7 +260,9 @@ def _sensitivity(outcome: "StudyOutcome") -> Section:
         )
         for rise, offset in keys
     )
-    text = (f"{_name(outcome.tasks[0])}: 95 % of devices stay below (deg), by what the study assumes of the trial.",)
+    text = (
+        f"{_name(outcome.tasks[0])}: error that 95 % of devices stay below (deg), for other temperatures and offsets.",
+    )
     return Section(title="Sensitivity", columns=("K above the room", "offset subtracted", *names), rows=rows, text=text)
 
 
@@ -293,7 +302,8 @@ def _stem(session: "CalibrationSession") -> str:
 def _commands(outcome: "StudyOutcome", folder: Path) -> Section:
     lines = list[str]()
     for session in _chosen(outcome):
-        lines += [f"{session.name}:", *session.commands(str(folder / _stem(session)))]
+        needs = "" if session.instruments == "none" else f" ({session.instruments})"
+        lines += [f"{session.name}{needs}:", *session.commands(str(folder / _stem(session)))]
     return Section(title="Commands", text=tuple(lines))
 
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from undrift.base.summary import Section, figure_of, interval, number
+from undrift.base.summary import Section, figure_of, interval, number, plain_words
 
 if TYPE_CHECKING:
     from undrift.study.figure3 import Figure3
@@ -43,7 +43,15 @@ def table_1(task: "TaskOutcome", name: str) -> Section:
         cells = ("–",) * 3 if test is None else (f"{test.f:.2f}", f"{test.p_value:.2g}", f"{effect.p_holm:.2g}")
         span = max(effect.means_deg, default=0.0) - min(effect.means_deg, default=0.0)
         rows.append((HEADINGS[effect.parameter], means, f"{span:.3f}", *cells, effect.verdict))
-    heads = ("parameter", "value: mean error (deg); * own", "span (deg)", "F", "p", "p (Holm)", "verdict")
+    heads = (
+        "parameter",
+        "value: mean error (deg), * with the values of the task",
+        "span (deg)",
+        "F",
+        "p",
+        "p (Holm)",
+        "verdict",
+    )
     note = next(
         (row for key, row in TABLE_1.items() if key == task.task.name and task.task.around == row.numbers), None
     )
@@ -52,14 +60,14 @@ def table_1(task: "TaskOutcome", name: str) -> Section:
         "Greenhouse and Geisser. The verdict uses the margin of the study, because p falls with every device that is added."
     ]
     if note is not None:
-        text.append(f"The note's own p of this row is {note.p_value:g}." + f" {note.erratum}." * bool(note.erratum))
+        text.append(f"The p of this row in the note is {note.p_value:g}." + f" {note.erratum}" * bool(note.erratum))
     return Section(
         title=f"{name}: the note's Table 1", columns=heads, rows=tuple(rows), text=tuple(text) if rows else ()
     )
 
 
 def table_2(outcome: "StudyOutcome") -> Section:
-    """Return both groups of people beside the note's Table 2."""
+    """Return both groups of people next to those of the note's Table 2."""
     import numpy as np
 
     from undrift.sim.motion.tasks import TABLE_2, cohort
@@ -129,7 +137,7 @@ def methods_section(outcome: "StudyOutcome") -> Section:
         )
         for row in outcome.methods
     )
-    tasks = (f"{task.task.key} (deg)" for task in outcome.tasks)
+    tasks = (f"{plain_words(task.task.key)} (deg)" for task in outcome.tasks)
     heads = ("method", "minutes", "instruments", "triads", *tasks, "tilt at rest (deg)", "devices that fail")
     text = (
         "Mean error of the pitch with its 95 % interval. All methods calibrate the same devices, which perform the same trials. "

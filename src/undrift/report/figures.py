@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray, runs
-from undrift.base.summary import PICTURES
+from undrift.base.summary import PICTURES, plain_words
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import saturated_runs
@@ -578,16 +578,17 @@ def draw_sessions(outcome: "StudyOutcome") -> "Figure":
             markersize=12.0,
             label="95 % of devices below",
         )
-        for row, at in zip(rows, minutes, strict=True):
+        for place, k in enumerate(np.argsort(minutes, kind="stable")):  # names of neighbours above and below
+            at, above = (minutes[k], rows[k].mean_deg), place % 2 == 0
             panel.annotate(
-                row.session.name, (at, row.mean_deg), xytext=(4.0, 3.0), textcoords="offset points", fontsize=7
+                rows[k].session.name, at, xytext=(4.0, 3.0 if above else -9.0), textcoords="offset points", fontsize=7
             )
         for target in outcome.study.target_deg:
             panel.axhline(target, color=OPTICS, linewidth=0.7, linestyle="--")
         panel.set(xscale="log", yscale="log", ylabel="error (deg)")
-        panel.set_title(task.task.key, loc="left", fontsize=9)
+        panel.set_title(plain_words(task.task.key), loc="left", fontsize=9)
     panels[-1].set_xlabel("session (min)")
-    legend_above(panels[0])
+    legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
 

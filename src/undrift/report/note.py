@@ -236,8 +236,8 @@ def draw_figure3(
     beside = ("diamond: typical unit", *(("bar: drawn units",) if drawn else ()), *(("cross: twin",) if twin else ()))
     for panel, label, title in (
         (pitch, "pitch (deg)", "sit-to-stand by the optics"),
-        (error, "error (deg)", "error: actual full, simulated dashed"),
-        (apart, "difference (deg)", "actual less simulated; dotted: the note's 0.15 deg"),
+        (error, "error (deg)", "error: actual solid, simulated dashed"),
+        (apart, "difference (deg)", "actual minus simulated; dotted: the note's 0.15 deg"),
         (largest, "largest error (deg)", "; ".join(beside)),
     ):
         panel.set_ylabel(label)

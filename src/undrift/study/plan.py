@@ -204,7 +204,7 @@ def _row(cutoff: float, step: float, low: float, high: float, p: float, erratum:
 
 TABLE_1: dict[TaskName, NoteRow] = {
     "sit_to_stand": _row(11.1, 5.0, 5.0, 90.0, 0.048),
-    "step": _row(11.4, 3.0, 3.0, 45.0, 0.040, "printed 111.4 Hz; lies between 11.1 and 11.5"),
+    "step": _row(11.4, 3.0, 3.0, 45.0, 0.040, "It prints 111.4 Hz, read here as 11.4 Hz: between the other two."),
     "posturography": _row(11.5, 0.1, 0.1, 5.0, 0.049),
 }
 CUTOFFS_HZ = (5.0, 8.0, 14.0, 20.0, 40.0)
