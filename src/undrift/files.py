@@ -12,7 +12,7 @@ import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -217,7 +217,7 @@ def call_writer(write: Callable[[Path], object], path: Path) -> None:
 
 
 def take_names(parts: Mapping[Path, Path | None]) -> None:
-    """Rename whole files (name: file) to their names, all or none; None deletes the file of that name."""
+    """Rename whole files (name: file) to their names, unless a folder has one of the names; None deletes the file of that name."""
     for path in parts:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -267,8 +267,9 @@ def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
 def hidden_folder(beside: Path) -> Iterator[Path]:
     """Make a folder for files that appear together when they are whole; those that a killed run left a day ago are deleted."""
     for stale in beside.glob(f"{_HIDDEN}*"):
-        if stale.stat().st_mtime < time.time() - _STALE_S:
-            shutil.rmtree(stale, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another process deletes its own
+            if stale.stat().st_mtime < time.time() - _STALE_S:
+                shutil.rmtree(stale, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name:
         yield Path(name)
 

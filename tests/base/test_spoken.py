@@ -1,9 +1,12 @@
 """Which words in back-ticks become options: parameters of the running command, and nothing that came from outside."""
 
+import re
+
 import pytest
 
-from undrift.base.spoken import CALLED, NAMED, showing, spoken
-from undrift.findings import finding
+from undrift.base.spoken import CALLED, NAMED, option_of, showing, spoken
+from undrift.cli.app import COMMANDS, command_line
+from undrift.findings import catalogue, finding
 
 
 @pytest.fixture
@@ -40,3 +43,16 @@ def test_a_finding_names_options_where_it_is_shown_and_arguments_as_data(calibra
     with showing():
         assert "`gravity_m_s2`" in beside.text
         assert "`old`" in beside.text
+
+
+def test_findings_name_options_that_a_command_has():
+    commands = command_line()
+    options = {
+        option
+        for name in COMMANDS.keys() - {"rig", "study"}
+        for argument in commands[name].assemble_argument_collection()
+        for option in argument.names
+    }
+    named = {name for entry in catalogue().values() for name in re.findall(r"`(\w+)`", "".join(map(str, entry)))}
+    assert named
+    assert {option_of(name) for name in named} <= options

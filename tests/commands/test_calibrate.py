@@ -165,5 +165,6 @@ def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):
     assert "has no use for" in refused.err
     assert "--turn-deg" in refused.err
     assert not (tmp_path / "c.json").exists()
-    for words, name in ((("--mode", "paper"), "--mode"), (("--still-window-s", "1"), "--still-window-s")):
-        assert name in undrift.refused("calibrate", tmp_path / "walk.csv", "--from", "motion", *words)
+    assert "no use for --mode" in undrift.refused(
+        "calibrate", tmp_path / "walk.csv", "--from", "motion", "--mode", "paper"
+    )

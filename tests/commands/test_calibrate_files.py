@@ -102,7 +102,7 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
     line = undrift.refused("calibrate", board)
     assert "wanted a folder with session.toml, got none" in line
     line = undrift.refused("calibrate", data_path("ferraris_nilspod", "example_ferraris_session.csv"))
-    assert "undrift info FILE proposes a map of them, --write-map map.toml writes it; give it with --map" in line
+    assert "undrift info FILE --write-map map.toml proposes a map of them; give it with --map" in line
     with pytest.raises(InputError, match="wanted one recording or more, got 0; name them"):
         session_from_files([])
 

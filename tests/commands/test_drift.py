@@ -90,10 +90,9 @@ def test_several_logs_are_combined_and_a_warm_up_is_fitted(undrift, soaks, tmp_p
     write_record(simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(9)).records[0], walk)
     words = [walk, "--calibration", own]
     assert "No warm-up was subtracted" in undrift.good("noise", *words).out
-    assert "No warm-up was subtracted" not in undrift.good("noise", *words, "--power-on-s", "0").out
-    words += ["-o", tmp_path / "angles.parquet"]
-    assert "No warm-up was subtracted" in undrift.good("orient", *words).out
-    assert "No warm-up was subtracted" not in undrift.good("orient", *words, "--power-on-s", "0").out
+    words += ["-o", tmp_path / "corrected.parquet"]
+    assert "No warm-up was subtracted" in undrift.good("correct", *words).out
+    assert "No warm-up was subtracted" not in undrift.good("correct", *words, "--power-on-s", "0").out
 
 
 def warm_log(path, *, temp_c=None, **changes):

@@ -26,7 +26,7 @@ Details: TypeAlias = Annotated[
 ]
 Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]
-Picture: TypeAlias = Annotated[Path | None, WRITTEN]
+WrittenPath: TypeAlias = Annotated[Path | None, WRITTEN]
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 Up: TypeAlias = Annotated[Literal["y", "z"] | None, Parameter(help="Laboratory axis that points up, in TRC or C3D.")]
 Gravity: TypeAlias = Annotated[float, Parameter(help="Local gravity, m/s2.")]

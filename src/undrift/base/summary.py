@@ -37,7 +37,6 @@ SUMMARISED_BY = {  # values that a notebook shows as the command does that makes
     "DriftFit": "undrift.commands.drift:drift_summary",
 }
 NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
-PICTURES = (".svg", ".png", ".pdf")  # endings of figures
 _SIGNED_ZERO = re.compile(r"(?<![\w.+/-])-(0(?:\.0+)?)(?![\w.])")  # as a small negative value is rounded
 Item = TypeVar("Item")
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None

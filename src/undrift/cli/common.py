@@ -309,7 +309,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     read = [one.name for one in kept if WRITTEN not in getattr(one.annotation, "__metadata__", ())]
 
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
-        NAMED.set(frozenset(names) | {"write_map", "reference_map"})  # messages also send people to info and validate
+        NAMED.set(frozenset(names) | {"reference_map"})  # info also sends people to validate
         files = tuple(dict.fromkeys(files_in((*words, *(more.get(key) for key in read)))))
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads

@@ -132,7 +132,9 @@ def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", ch
         },
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
-        findings=tuple(item for trial in trials for item in trial.findings),
+        findings=tuple(
+            {item.text: item for trial in trials for item in trial.findings}.values()
+        ),  # trials share the tables
         sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more()),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -61,9 +61,6 @@ class Opening:
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
     sample_rate_hz: float | None = None
     sensor: str | None = None
-    gaps: Annotated[Literal["raise", "keep"] | None, Parameter(parse=False)] = None  # these three are keys of a map
-    clock: Annotated[Literal["file", "regular"] | None, Parameter(parse=False)] = None
-    drop_bad_rows: Annotated[bool, Parameter(parse=False)] = False
     leave_out: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
@@ -81,13 +78,18 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        given = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "leave_out")}
-        return [*stated(map=self.column_map, **given)]
+        return [
+            *stated(
+                map=self.column_map,
+                sample_rate_hz=self.sample_rate_hz,
+                sensor=self.sensor,
+                leave_out=self.leave_out,
+            )
+        ]
 
     def _options(self) -> dict[str, Any]:
-        stated = {name: getattr(self, name) for name in ("sample_rate_hz", "sensor", "gaps", "clock")}
         spans = tuple(ends_of("`leave_out`", one, "s") for one in self.leave_out.split(",") if one.strip())
-        return stated | {"drop_bad_rows": self.drop_bad_rows or None, "leave_out": spans or None}
+        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "leave_out": spans or None}
 
     def how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
@@ -138,7 +140,7 @@ class Opening:
 
         if detect(path) != "session":
             return self.record(path)
-        records = read_session(path, clock=self.clock).records
+        records = read_session(path).records
         if len(records) > 1:
             raise InputError(f"{path}: wanted one recording, got a session of {len(records)}; name the file of one")
         return records[0]
@@ -227,12 +229,11 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
             "or state the recordings in its session.toml"
         )
-    session = read_session(stated[0], clock=opening.clock)
-    given: dict[str, object] = {"--map": opening.column_map, "drop_bad_rows": opening.drop_bad_rows or None}
-    given["--leave-out"] = opening.leave_out or None
+    session = read_session(stated[0])
+    given: dict[str, object] = {"--map": opening.column_map, "--leave-out": opening.leave_out or None}
     if session.gravity_source != "standard":
         given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
-    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor, "gaps": opening.gaps}
+    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:
         raise InputError(

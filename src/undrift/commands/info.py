@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from undrift.base.options import Files, OptionalOutput, Picture, Up, options, verb
+from undrift.base.options import Files, OptionalOutput, Up, WrittenPath, options, verb
 from undrift.base.summary import Drawing, Section, Summary, at, figure_of
 from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
@@ -51,7 +51,7 @@ class Proposal:
         With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
     """
 
-    write_map: Picture = None
+    write_map: WrittenPath = None
     gyro_unit: str | None = None
     accel_unit: str | None = None
 
@@ -75,7 +75,7 @@ def info(
     opening: Opening = Opening(),
     reference_up: Up = None,
     proposal: Proposal = Proposal(),
-    write_session: Picture = None,
+    write_session: WrittenPath = None,
     turn_deg: float | None = None,
     output: OptionalOutput = None,
     progress: Progress = silent,

@@ -237,7 +237,7 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
                 f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
-                "proposes a map of them, `write_map` map.toml writes it; give it with `column_map`"
+                "--write-map map.toml proposes a map of them; give it with `column_map`"
             )
         held["temp"], held["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
@@ -587,7 +587,7 @@ def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnM
         )  # fmt: skip
         raise InputError(
             f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{regular}; gaps = "keep" in a map or [[recording]] keeps them as gaps',
+            f'data row {row}{regular}; set gaps = "keep" in a map (`column_map` FILE) or its [[recording]] to keep them as gaps',
             row=row,
         )
     return gap

@@ -55,7 +55,7 @@ _STATED_RATE = re.compile(
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _NAMED = {
-    "time": re.compile(r"(?i)(time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
+    "time": re.compile(r"(?i)(\w*time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
     "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$)"),
 }
 _LIKELY = {

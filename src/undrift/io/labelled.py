@@ -375,7 +375,8 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
     if time is None and rate is None:
         raise InputError(
-            f"{sheet.path}: wanted the sample rate, got a file without time; give `sample_rate_hz`",
+            f"{sheet.path}: wanted the sample rate, got no column that is named time; give `sample_rate_hz`, or a map "
+            "(`column_map` FILE)",
             missing="sample_rate_hz",
         )
     table, trimmed = _trimmed(parsed, time, chosen) if None not in rates else (_timed(parsed, time), ())

@@ -286,8 +286,8 @@ def read_log(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> R
         found = read_sheet(sheet, settings)
     else:
         raise InputError(
-            f"{path}: wanted units in a log, got {', '.join(log.names[:8])} without; undrift info FILE proposes a map, "
-            "`write_map` map.toml writes it; give it with `column_map`"
+            f"{path}: wanted units in a log, got {', '.join(log.names[:8])} without; undrift info FILE --write-map "
+            "map.toml proposes a map; give it with `column_map`"
         )
     note = f"a log of {len(found.record)} readings" + f"; lines before the first left out: {log.before}" * bool(
         log.before

@@ -22,7 +22,7 @@ from undrift.io.columns import AXES, READ_SETTINGS, ColumnMap, ReadResult, ReadS
 from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet
 
 OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
-UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); rests and turns decide"
+UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); export Metadata.csv too"
 _GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
 _ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
 _UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # manual of Sensor Logger

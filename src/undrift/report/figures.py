@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray, runs
-from undrift.base.summary import PICTURES, plain_words
+from undrift.base.summary import plain_words
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import saturated_runs
@@ -198,7 +198,7 @@ def _in_lines(text: str, room_pt: float, size: float) -> tuple[str, float]:
 
 def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as SVG, PNG or PDF, by the ending of the name."""
-    if path.suffix.lower() not in PICTURES:
+    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise InputError(f"{path}: wanted a name ending in .svg, .png or .pdf, got another; name the format so")
     kind = path.suffix[1:].lower()
     write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
