@@ -6,7 +6,7 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -135,7 +135,7 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
     """Return the record with a gap in place of the readings at the end of the range, and a finding for each triad."""
     from undrift.io.inspect import saturated_runs
 
-    found = list[Finding]()
+    found, changed = list[Finding](), dict[str, Any]()
     for channel in ("gyro", "accel"):
         readings = getattr(record, channel)
         limits = [] if readings is None else [[limit for limit, _ in saturated_runs(column)] for column in readings.T]
@@ -145,8 +145,8 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
         axes = ", ".join(axis for axis, ends in zip(AXES, limits, strict=True) if ends)
         item = {"channel": channel, "axes": axes, "count": int(saturated.any(axis=1).sum()), "of": len(record)}
         found.append(finding("reference.saturated", "warn", **item))
-        record = replace(record, **{channel: np.where(saturated, np.nan, readings)})
-    return record, tuple(found)
+        changed[channel] = np.where(saturated, np.nan, readings)
+    return replace(record, **changed), tuple(found)
 
 
 def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:
