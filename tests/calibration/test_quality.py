@@ -106,7 +106,7 @@ def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():
                   for k in range(0, 6 * HOLD, HOLD))  # fmt: skip
     wrong = (replace(rests[0], gyro=rests[0].gyro + np.array([0.12, 0.0, 0.0])), *rests[1:])
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=wrong)
-    with pytest.raises(Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*another unit"):
+    with pytest.raises(Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*wrong unit"):
         observe(session, CalibrateSettings())
 
 
