@@ -43,6 +43,10 @@ def test_good_faces_pass():
     check_faces(np.concatenate((READING, READING[:2] + 0.02)), (*FACES, "+x", "-x"))
 
 
+def test_gravity_is_the_length_of_the_force_in_any_pose():
+    check_gravity(np.full((4, 3), 9.81 / np.sqrt(3.0)), 9.81)
+
+
 def test_a_face_recorded_twice_is_named():
     twice = READING.copy()
     twice[3] = twice[0] + 0.02

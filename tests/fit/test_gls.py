@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.fit.gls import Prior, excess_variance, noise_of_means, solve, student_factor
+from undrift.fit.gls import Prior, excess_variance, noise_of_means, solve, solve_inverse, student_factor
 
 
 def line(count=40):
@@ -19,6 +19,27 @@ def test_without_excess_it_is_weighted_least_squares():
     weighted = np.linalg.lstsq(design / sigma[:, None], value / sigma, rcond=None)[0]
     np.testing.assert_allclose(fit.theta, weighted, rtol=1e-12)
     np.testing.assert_allclose(fit.covariance, np.linalg.inv(design.T @ np.diag(sigma**-2) @ design), rtol=1e-9)
+
+
+def test_noise_of_the_readings_does_not_make_the_scale_smaller():
+    rng, noise, count = np.random.default_rng(7), 0.2, 30
+    value = rng.choice([-1.0, 1.0], (count, 3))
+    sources = {"noise": np.full(3 * count, noise**2)}
+    scales = [
+        np.diag(
+            solve_inverse(value + noise * rng.standard_normal((count, 3)), value, None, np.eye(3), sources)
+            .theta[:9]
+            .reshape(3, 3)
+        )
+        for _ in range(100)
+    ]
+    error = noise / np.sqrt(np.size(scales) * count)
+    show(
+        "scale from noisy readings, mean of 300",
+        f"{np.mean(scales):.4f}",
+        f"1 within {4.0 * error:.4f} (regression on them: {1.0 / (1.0 + noise**2):.3f})",
+    )
+    assert abs(np.mean(scales) - 1.0) < 4.0 * error
 
 
 def test_the_excess_of_one_kind_is_the_residual_variance():
