@@ -68,7 +68,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
         (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),
         (["orient", "a.csv"], "--output requires an argument"),
         (["validate", "a.csv", "--adc", "some"], 'Invalid value "some" for --adc'),
-        (["noise", "a.csv", "--leave-out"], "--leave-out requires an argument"),
+        (["noise", "a.csv", "--rest-s"], "--rest-s requires an argument"),
         (["demo", "extra"], "wanted fewer words, got also extra; say undrift demo --help"),
         (["--json"], 'Unknown command "--json"'),
     ],

@@ -277,7 +277,7 @@ def test_a_calibration_that_cannot_be_used_is_refused_in_one_line(undrift, bench
         path.write_text(how)
     words = words_for(command, bench / "trial.parquet", bench, tmp_path)
     if command == "noise":
-        words += ["--leave-out", "5:9999", "--calibration", path]  # the first five seconds are a rest
+        words += ["--rest-s", "0:5", "--calibration", path]
     else:
         words[words.index("--calibration") + 1] = path
     older_results(tmp_path)

@@ -40,7 +40,7 @@ CALLS = (  # the command, and how many commands follow from it at least
     ("calibrate bench/session -o b.json", 1),
     ("correct bench/trial.parquet --calibration bench/calibration.json -o corrected.parquet", 1),
     ("orient bench/corrected.parquet -o o.csv", 1),
-    ("noise bench/corrected.parquet --leave-out 3:9999", 0),
+    ("noise bench/corrected.parquet --rest-s 0:3", 0),
     (f"drift {WARM_UP} --map warm.toml -o d.json", 1),
     (f"drift {WARM_UP} --map warm.toml --warm-up --range-c 12:25 -o d.json", 1),
 )

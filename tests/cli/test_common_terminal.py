@@ -81,7 +81,7 @@ def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(u
     (trial,) = undrift.good(*words, "--json").json()["trials"]
     assert {trial["recording"], *(f"{trial[key]:.2f}" for key in SHOWN)} <= set(on_a_terminal(width, *words))
 
-    words = ("noise", bench / "corrected.parquet", "--leave-out", "5:9999")
+    words = ("noise", bench / "corrected.parquet", "--rest-s", "0:5")
     rows, shown = undrift.good(*words, "--json").json(), {word.strip("[],") for word in on_a_terminal(width, *words)}
     walks = [row["angle_random_walk"] for row in (*rows["gyro"], *rows["accel"])]
     assert {f"{value:.3g}" for walk in walks for value in (walk["value"], *walk["interval"])} <= shown

@@ -38,9 +38,9 @@ def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
     assert len(told["taus_s"]) == len(told["adev"]["gyro"]) == len(told["adev"]["accel"])
 
 
-def test_a_stretch_is_cut_out_and_known_noise_is_found(undrift, tmp_path):
+def test_known_noise_is_found_in_a_named_rest(undrift, tmp_path):
     at_rest(tmp_path, "rest.csv")
-    told = undrift.good("noise", tmp_path / "rest.csv", "--leave-out", "0:10,110:9999", "--json").json()
+    told = undrift.good("noise", tmp_path / "rest.csv", "--rest-s", "10:110", "--json").json()
     assert told["duration_s"] == pytest.approx(100.0, abs=0.02)
     assert told["accel"][0]["velocity_random_walk_ug_per_sqrt_hz"] == pytest.approx(
         told["accel"][0]["angle_random_walk"]["value"] / 9.80665e-6
@@ -65,8 +65,8 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
 
     assert "must be at rest" in refused(bench / "trial.parquet", "--report", tmp_path / "old.html")
     assert "make it first" in refused(tmp_path / "rest.csv", "--report", tmp_path / "none" / "a.html")
-    assert "LOW below HIGH" in refused(tmp_path / "rest.csv", "--leave-out", "50:40")
-    assert "LOW:HIGH" in refused(tmp_path / "rest.csv", "--leave-out", "nan")
+    assert "LOW below HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "50:40")
+    assert "LOW:HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "nan")
 
 
 def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regular_clock(undrift, tmp_path):
@@ -98,7 +98,7 @@ def test_an_angle_after_a_minute_stays_within_the_sentence(tmp_path):
     n = 360_000
     rate = rng.normal(0.0, 1e-3, (n, 3)) + np.cumsum(rng.normal(0.0, 1e-6, (n, 3)), axis=0)
     write_record(Record(time=np.arange(n) / 100.0, gyro=rate), tmp_path / "rest.parquet")
-    summary = noise(tmp_path / "rest.parquet", leave_out="1800:3600").summary()
+    summary = noise(tmp_path / "rest.parquet", rest_s="0:1800").summary()
     angle, white = map(float, re.match(MEANING, summary.answer).groups())
     axes = summary.data["angle_after_60_s_deg"]
     assert max(one["angle"] for one in axes) == pytest.approx(angle, rel=0.06)

@@ -34,7 +34,7 @@ from undrift.units import RADIAN_PER_DEGREE
 CALLS = {  # of commands that take no reference apart, in order: later ones read what earlier ones wrote
     "calibrate": "session -o c.json",
     "drift": "soaks --calibration c.json",
-    "noise": "rest.parquet --leave-out 0:1",
+    "noise": "rest.parquet --rest-s 1:10",
     "correct": "trial.parquet --calibration c.json -o corrected.parquet",
     "orient": "corrected.parquet -o angles.csv",
     "validate": "trial.parquet --reference reference.parquet --calibration c.json",

@@ -189,30 +189,6 @@ def test_options_are_called_as_the_page_calls_them():
     assert page_words("say --upload-mb 5") == "say --upload-mb 5"
 
 
-def test_a_stretch_is_left_out_on_the_clock_of_the_recording_and_a_refusal_changes_nothing(bench):
-    held, folder = bench.visit.recordings, bench.folder / "uploads" / "x"
-    folder.mkdir(parents=True)
-    about = {"kind": "recording", "trace": {"span_s": [1000.0, 1060.0]}}
-    one = StoredFile(
-        path=folder / "walk.csv", about=about, made={"orient: a.csv": folder / "a.csv", "map": folder / "map.toml"}
-    )
-    bench.answer = CommandOutcome(code=0, answer=about)
-    asyncio.run(held.leave_out(one, "leave", 2.5, 4.0))
-    assert one.options() == ("--leave-out", "1002.500000:1004.000000")
-    assert list(one.made) == ["map"]  # what was made of the whole is gone
-    asyncio.run(held.leave_out(one, "none", 0.0, 0.0))
-    assert one.options() == ()
-    asyncio.run(held.leave_out(one, "alone", 10.0, 50.0))
-    assert one.options() == ("--leave-out", "1000.000000:1010.000000,1050.000000:1061.000000")
-    bench.answer = CommandOutcome(
-        code=2, error="leave_out: wanted two samples or more that stay, got 0; leave out less"
-    )
-    with pytest.raises(InputError, match="wanted two samples or more that stay"):
-        asyncio.run(held.leave_out(one, "leave", 0.0, 70.0))
-    assert (one.about, one.error, len(one.out_s)) == (about, "", 2)
-    assert Bench(bench.settings).library.files == []  # no file of it is there
-
-
 def test_what_each_offset_gives_is_what_correct_answers_or_why_it_does_not(bench):
     visit, one = bench.visit, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     visit.calibration = bench.folder / "c.json"

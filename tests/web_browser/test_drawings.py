@@ -11,7 +11,7 @@ from playwright.sync_api import Page
 from undrift.commands.bench.capture import State
 from undrift.record import FACES
 from undrift.sim.motion.motion import unit_vector
-from undrift.web.panel import STATIC
+from undrift.web.app import STATIC
 
 SVG = "{http://www.w3.org/2000/svg}"
 

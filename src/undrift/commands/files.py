@@ -54,14 +54,11 @@ class Opening:
         Samples per second, for a file without time; overrules the map.
     sensor : str or None
         Which sensor, stream or topic, in a file of several.
-    leave_out : str
-        Stretches to leave out, START:STOP in s on the recording's clock, commas between: cut off at its ends, gaps elsewhere.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
     sample_rate_hz: float | None = None
     sensor: str | None = None
-    leave_out: Annotated[str, Parameter(allow_leading_hyphen=True)] = ""
     kept: Annotated["Kept | None", Parameter(parse=False)] = None
 
     def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
@@ -83,13 +80,11 @@ class Opening:
                 map=self.column_map,
                 sample_rate_hz=self.sample_rate_hz,
                 sensor=self.sensor,
-                leave_out=self.leave_out,
             )
         ]
 
     def _options(self) -> dict[str, Any]:
-        spans = tuple(ends_of("`leave_out`", one, "s") for one in self.leave_out.split(",") if one.strip())
-        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor, "leave_out": spans or None}
+        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
 
     def how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
@@ -230,7 +225,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             "or state the recordings in its session.toml"
         )
     session = read_session(stated[0])
-    given: dict[str, object] = {"--map": opening.column_map, "--leave-out": opening.leave_out or None}
+    given: dict[str, object] = {"--map": opening.column_map}
     if session.gravity_source != "standard":
         given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}

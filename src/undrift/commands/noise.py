@@ -13,7 +13,7 @@ from undrift.calibration.expanded import COVERAGE
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import ANSWERED_S
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import Opening, calibrated_part, named_columns
+from undrift.commands.files import NamedRest, Opening, calibrated_part, named_columns
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ def noise(
     /,
     *,
     calibration: Path | None = None,
+    named: NamedRest = NamedRest(),
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Noise:
@@ -106,6 +107,7 @@ def noise(
     """
     from undrift.calibration.noise import fit_noise
     from undrift.calibration.triads import check_force
+    from undrift.correction.rest import named_rest
 
     chosen = choose_calibration(calibration, (record,), opening)
     model = chosen.model
@@ -113,6 +115,8 @@ def noise(
         readings = opening.like(model, chosen.path).read(record)
     with named_columns(record):
         readings, notes = (readings, ()) if model is None else _corrected(readings, model)
+        if rest := named_rest(readings, named.stretch):
+            readings = readings.part(rest.start, rest.stop)
         check_force(readings)
     progress("fitting", 0.3)
     fit = fit_noise(readings)

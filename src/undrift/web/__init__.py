@@ -9,8 +9,8 @@ shows what it answered, findings and all (``commands.py``).
     device.py        the first page, Get readings, and the rail of steps; entries.py lists files and jobs
     parts.py         what pages are made of: texts bound to the state, one timer a page, forms made from dataclasses, buttons
     place.py result.py recordings.py    pages, each with the state behind it
+    chart.py         the trace of a recording on the page Check
     guided.py        the pages Six faces and Turns by hand
-    panel.py         the trace of a recording on the page Check
 
 The connected device, guides and captures are in commands/bench. Frames and units are those of that package; rates are drawn in
 deg/s, angles in deg.

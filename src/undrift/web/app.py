@@ -6,6 +6,7 @@ import os
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
+from pathlib import Path
 from typing import IO, Any
 
 import uvicorn
@@ -21,10 +22,10 @@ from undrift.errors import InputError, UndriftError
 from undrift.web import device, guided, parts, recordings
 from undrift.web.access import Access
 from undrift.web.bench import Bench, ServerSettings, Visit
-from undrift.web.panel import STATIC, trace_frame
 from undrift.web.parts import texts
 from undrift.web.uploads import receive_upload
 
+STATIC = Path(__file__).parent / "static"
 HOST = "127.0.0.1"  # pages are served to this computer only
 CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
@@ -110,14 +111,6 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
                 "sandbox allow-same-origin allow-popups; default-src 'self' data: 'unsafe-inline'"
             )
         return answer
-
-    @made.get("/trace/{name:path}")
-    def get_trace(name: str, start: float, stop: float, rows: int) -> Response:
-        try:
-            frame = trace_frame(bench.inside(name), start, stop, min(rows, 4000))
-            return Response(frame, media_type="application/octet-stream")
-        except (InputError, ValueError, IndexError, OSError):
-            return PlainTextResponse("trace: wanted readings of a file, got others; choose a recording\n", 404)
 
     @made.post("/upload")
     async def upload(request: Request) -> Response:

@@ -9,22 +9,21 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
-from urllib.parse import quote
 
 from nicegui import background_tasks, ui
 
 from undrift.base.codec import toml_text
 from undrift.base.options import asked, stated
 from undrift.commands.bench.library import StoredFile
-from undrift.commands.bench.trace import write_trace
+from undrift.commands.bench.trace import trace_of
 from undrift.commands.files import Opening
 from undrift.commands.mount import Movement, Posture, Worn, mounting_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.record import FACES
 from undrift.web import entries, parts, result
+from undrift.web.chart import chart_of
 from undrift.web.commands import CommandOutcome, remarks_of
-from undrift.web.panel import Panel
 from undrift.web.uploads import safe_name
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ class Recordings:
         """Ask what a file holds, and for its trace where it is a recording."""
         outcome = await self.bench.command("info", stored.path, *stored.options())
         stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
-        opening = Opening(column_map=stored.map, sample_rate_hz=stored.sample_rate_hz, leave_out=stored.leave_out)
+        opening = Opening(column_map=stored.map, sample_rate_hz=stored.sample_rate_hz)
         stored.about |= await self._trace(stored, stored.about, opening)
         stored.serial = stored.serial or str(stored.about.get("device") or "")
         noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
@@ -111,11 +110,11 @@ class Recordings:
         stored.save()
 
     async def _trace(self, stored: StoredFile, about: Mapping[str, Any], opening: Opening) -> dict[str, Any]:
-        """Write the trace of a recording that the page draws; return what belongs to it."""
+        """Return the trace of a recording that the page draws."""
         if about.get("kind") != "recording":
             return {}
         try:
-            return {"trace": await asyncio.to_thread(write_trace, stored.path, opening, stored.folder / "trace.npy")}
+            return {"trace": await asyncio.to_thread(trace_of, stored.path, opening)}
         except UndriftError:  # too short to look for rests
             return {}
 
@@ -125,19 +124,6 @@ class Recordings:
             raise InputError(NO_NUMBER.format(self.form.rate_hz))
         stored.sample_rate_hz = sample_rate_hz
         await self.look(stored)
-
-    async def leave_out(self, stored: StoredFile, kind: str, start: float, stop: float) -> None:
-        """Leave a stretch out, s since the first sample, or (alone) all others, or (none) nothing; earlier results go."""
-        (first, last), before = stored.about["trace"]["span_s"], (stored.out_s, stored.about)
-        spans = [(0.0, start), (stop, last - first + 1.0)] if kind == "alone" else [(start, stop)]
-        more = [(first + low, first + high) for low, high in spans if high > low and high > 0.0]
-        stored.out_s = [] if kind == "none" else [*stored.out_s, *more]
-        await self.look(stored)
-        if stored.error:  # nothing would stay
-            (stored.out_s, stored.about), refusal, stored.error = before, stored.error, ""
-            raise InputError(refusal)
-        stored.made = {name: path for name, path in stored.made.items() if name == "map"}
-        stored.save()
 
     async def try_map(self, stored: StoredFile) -> None:
         """Read a table by the columns and units that are chosen so far; one that is not is taken as it stands in the file."""
@@ -323,7 +309,7 @@ def _checked(visit: "Visit", one: StoredFile | None) -> None:
         parts.remarks_list(one.remarks["info"])
     if one.kind == "recording":
         parts.next_step(*(("Use it", "/use") if visit.calibration else ("Calibrate from it", "/calibrate")))
-        _trace(visit.recordings, one, one.about)
+        _trace(one.about)
         if one.map is not None:
             parts.button("Choose other columns or units", lambda: visit.recordings.choose_again(one))
 
@@ -400,7 +386,7 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
 
     def shown() -> None:
         parts.remarks_list(remarks_of(recordings.shown))
-        _trace(recordings, one, recordings.shown)
+        _trace(recordings.shown)
 
     parts.redrawn(lambda: id(recordings.shown), shown)
     parts.next_step("Read the file", lambda: recordings.use_map(one))
@@ -419,25 +405,19 @@ def proof_words(trace: Mapping[str, Any]) -> str:
     return ", ".join(shown) + ("; gravity is 1.00 g: look at columns and unit." if far else ".")
 
 
-def _trace(recordings: Recordings, one: StoredFile, about: Mapping[str, Any]) -> None:
-    """Add the trace of a recording with its rests, faces and turns; a stretch of it can be left out."""
+def _trace(about: Mapping[str, Any]) -> None:
+    """Add the trace of a recording with its rests, faces and turns, and what they prove."""
     parts.error_line(str(about.get("refused") or ""))
-    if (trace := about.get("trace")) is None:
+    if not (trace := about.get("trace")):
         return
-    (first, last), stretches = trace["span_s"], trace["stretches"]
+    stretches = trace["stretches"]
     counts = [sum(s[0] == kind and not s[2] for s in stretches) for kind in ("still", "turn")]
     faces = len({label for kind, label, why, *_ in stretches if kind == "still" and label and not why})
+    found = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     parts.text("p", proof_words(trace), "proof")
-    url = f"/trace/{quote((one.folder / 'trace.npy').relative_to(recordings.bench.folder).as_posix())}"
-    shown = {"url": url, "units": trace["units"], "length": last - first, "chosen": one.kind == "recording"}
-    shown["lying"] = trace["lying"]
-    shown["words"] = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
-    shown["stretches"] = [(*words, start - first, stop - first) for *words, start, stop in stretches]
-    Panel(shown).on("stretch", parts.acted(lambda event: recordings.leave_out(one, **event.args)))
-    if one.out_s:
-        words = ", ".join(f"{start - first:.2f} to {stop - first:.2f} s" for start, stop in one.out_s)
-        parts.text("p", f"Left out: {words}.")
-        parts.button("Use all again", lambda: recordings.leave_out(one, "none", 0.0, 0.0))
+    parts.text("p", f"{trace['time'][-1]:.1f} s: {found}.", "found")
+    words = f"Turn rate and specific force over {trace['time'][-1]:.1f} s: {found}"
+    ui.echart(chart_of(trace)).classes("trace").props(f'role="img" aria-label="{words}"')
 
 
 def _actions(visit: "Visit", one: StoredFile) -> None:

@@ -60,14 +60,13 @@ class StoredFile(Entry):
 
     SAVED = (
         *("serial", "error", "path", "about", "map", "sample_rate_hz"),
-        *("out_s", "made", "remarks", "mounting"),
+        *("made", "remarks", "mounting"),
     )
     folder: Path = Path()  # that of the file, with what was made of it
     path: Path
     about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
     map: Path | None = None
     sample_rate_hz: float | None = None  # that a person stated, of a file without time
-    out_s: list[tuple[float, float]] = field(default_factory=list)  # stretches that a person left out, on its clock
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
     mounting: str = ""  # that it showed, in a sentence
@@ -108,12 +107,7 @@ class StoredFile(Entry):
 
     def options(self) -> tuple[object, ...]:
         """Return the options by which commands read it."""
-        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz, leave_out=self.leave_out)
-
-    @property
-    def leave_out(self) -> str:
-        """Return the stretches that are left out, as an option."""
-        return ",".join(f"{start:.6f}:{stop:.6f}" for start, stop in self.out_s)
+        return stated(map=self.map, sample_rate_hz=self.sample_rate_hz)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -66,15 +66,6 @@ function box(face, turn = "") {
   return picture("-115 -125 230 210", `Box with ${face} up${turned}`, 2, drawn.join(""));
 }
 
-// The box as a recording says that the device lies: the quaternion takes its axes to the level ones, z up.
-function body(w, x, y, z) {
-  const rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]];
-  const k = [0, 1, 2].reduce((best, axis) => Math.abs(rows[2][axis]) > Math.abs(rows[2][best]) ? axis : best), up = rows[2][k];
-  const off = (Math.acos(Math.min(Math.abs(up), 1)) * 180 / Math.PI).toFixed(0), words = `Device with ${up > 0 ? "+" : "-"}${"xyz"[k]} up, ${off} deg off`;
-  return picture("-115 -125 230 210", words, 2, sides((v) => rows.map((row) => row[0] * v[0] + row[1] * v[1] + row[2] * v[2])).join("")) + `<p class="soft">${words}</p>`;
-}
-
 // Where each axis of a right-handed device points; none where the two sides do not show it.
 function ways(forward, up) {
   if (!forward || !up || forward[1] === up[1]) return [];
@@ -117,7 +108,7 @@ const table = (caption, head, rows) => `<div class="scroll" tabindex="0" role="r
 const readings = (...rows) => table("Readings now", "", rows.map(([name, values, unit]) =>
   [name, [..."xyz"].map((axis, k) => `${axis} ${values ? Number(values[k].toPrecision(4)) : "-"}`).concat(plain(unit))]));
 
-const DRAWINGS = { box, body, worn, lamp, ring, readings };
+const DRAWINGS = { box, worn, lamp, ring, readings };
 customElements.define("undrift-drawing", class extends HTMLElement {
   static observedAttributes = ["kind", "what"];
   connectedCallback() { this.attributeChangedCallback(); }
