@@ -8,7 +8,6 @@ import re
 import secrets
 import shutil
 import stat
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -217,7 +216,7 @@ def call_writer(write: Callable[[Path], object], path: Path) -> None:
 
 
 def take_names(parts: Mapping[Path, Path | None]) -> None:
-    """Rename whole files (name: file) to their names, unless a folder has one of the names; None deletes the file of that name."""
+    """Move finished files to their names (name: file). A name without a file is deleted; a name that a folder has is refused."""
     for path in parts:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -270,8 +269,12 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
         with suppress(FileNotFoundError):  # another process deletes its own
             if stale.stat().st_mtime < time.time() - _STALE_S:
                 shutil.rmtree(stale, ignore_errors=True)
-    with tempfile.TemporaryDirectory(dir=beside, prefix=_HIDDEN) as name:
-        yield Path(name)
+    folder = beside / f"{_HIDDEN}{secrets.token_hex(8)}"  # named before it is made: a signal between leaves nothing
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
