@@ -519,7 +519,7 @@ def _corrected(record: Record, gyro: TriadModel, accel: TriadModel) -> Record:
 
 
 def _check_by_gravity(record: Record) -> tuple[Finding, ...]:
-    """Return the finding of a corrected record whose rotation gravity contradicts; raise if it is clear.
+    """Compare the rotation of a corrected record with gravity: a finding if they may disagree, an error if they clearly do.
 
     The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
     """

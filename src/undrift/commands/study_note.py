@@ -67,7 +67,7 @@ def table_1(task: "TaskOutcome", name: str) -> Section:
 
 
 def table_2(outcome: "StudyOutcome") -> Section:
-    """Return both groups of people next to those of the note's Table 2."""
+    """Return both groups of people, compared with the note's Table 2."""
     import numpy as np
 
     from undrift.sim.motion.tasks import TABLE_2, cohort

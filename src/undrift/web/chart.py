@@ -1,4 +1,4 @@
-"""The trace of a recording as a chart of ECharts: turn rate above specific force, rests and turns behind the lines."""
+"""Chart of a recording: turn rate above specific force. Bands behind the lines mark rests and turns."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +11,7 @@ AXIS = {"type": "value", "axisLabel": GREY, "nameTextStyle": GREY, "splitLine": 
 
 
 def chart_of(trace: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of the chart."""
+    """Return the settings of the chart, as ECharts takes them."""
     shown = [name for name in QUANTITIES if name in trace["readings"]]
     both, length, height = {"xAxisIndex": "all"}, trace["time"][-1], 78 // len(shown)
     grids, times, values, series = list[Any](), list[Any](), list[Any](), list[Any]()

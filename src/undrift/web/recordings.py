@@ -110,7 +110,7 @@ class Recordings:
         stored.save()
 
     async def _trace(self, stored: StoredFile, about: Mapping[str, Any], opening: Opening) -> dict[str, Any]:
-        """Return the trace of a recording that the page draws."""
+        """Return what the page draws of a recording; nothing if it is too short."""
         if about.get("kind") != "recording":
             return {}
         try:
@@ -406,7 +406,7 @@ def proof_words(trace: Mapping[str, Any]) -> str:
 
 
 def _trace(about: Mapping[str, Any]) -> None:
-    """Add the trace of a recording with its rests, faces and turns, and what they prove."""
+    """Add the chart of a recording, how many rests and turns it has, and the mean readings at rest."""
     parts.error_line(str(about.get("refused") or ""))
     if not (trace := about.get("trace")):
         return

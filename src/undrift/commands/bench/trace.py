@@ -1,4 +1,4 @@
-"""Readings, rests, faces and turns of a recording, for the page that draws them."""
+"""The readings of a recording, its rests and its turns, as the page Check draws them."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ _SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
 
 
 def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
-    """Return time and readings of a recording as a page draws them, its rests and turns, and the means at rest.
+    """Return what a page draws of a recording: time, readings, rests and turns, and the mean readings at rest.
 
     Times are s since the first sample; readings are [x, y, z] of each sensor, deg/s and g if the recording has physical units.
     """
