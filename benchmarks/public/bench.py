@@ -214,8 +214,8 @@ def dwells_of(run: str, sensor: str) -> tuple[FloatArray, FloatArray]:
 def by_fit(run: str, sensor: str) -> tuple[float, float]:
     """Return undrift's scale and offset, deg/s."""
     record, turns = turned(run, sensor)
-    (line,) = fit_rate_table(dwell_means([record], turns)).linearity
-    return line.scale_factor * np.pi / 180.0, line.offset
+    model = fit_rate_table(dwell_means([record], turns)).model
+    return float(model.forward_matrix[1, 1]) * np.pi / 180.0, float(model.offset[1])
 
 
 def by_line(run: str, sensor: str) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """Findings: what a fit noticed, as a code with numbers; ``findings.toml`` alone holds the sentences.
 
-A fit returns ``finding("rate_table.mounting", "warn", angle_deg=0.3)``. Its text has three parts: a headline, one line of detail,
+A fit returns ``finding("six_face.tilt", "warn", tilt_deg=0.6)``. Its text has three parts: a headline, one line of detail,
 and one action. A verdict shows the most consequential findings first: by level (fail, warn, info), then by the rank of the code::
 
     1  numbers may be wrong          2  uncertainty is larger, or not complete

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.known_rotation import fit_known_rotation, rotation_data
+from undrift.calibration.known_rotation import fit_known_rotation, rotation_rows
 from undrift.calibration.plausibility import face_vectors
 from undrift.calibration.six_face import FaceMeans, fit_six_face
 from undrift.errors import Implausible
@@ -141,7 +141,7 @@ def test_the_closed_form_gives_the_published_numbers(read, angle_deg, golden):
     stills, turns = pieces(ranges, angle_deg)
     poses = face_readings(record, stills)
     forward, offset = accel_closed_form(poses)
-    data = rotation_data([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
+    data = rotation_rows([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
     model = fit_known_rotation(data, gravity=G, mode="paper").model
     gain, axes = split(model.forward_matrix * np.pi / 180.0)
     assert_equal("K_g", gain, golden["K_g"])
@@ -187,7 +187,7 @@ def test_the_first_row_of_the_example_session_is_corrected_as_published():
     record, ranges = example()
     stills, turns = pieces(ranges, -360.0)
     forward, offset = accel_closed_form(face_readings(record, stills))
-    data = rotation_data([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
+    data = rotation_rows([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
     model = fit_known_rotation(data, gravity=G, mode="paper").model
     force = np.linalg.solve(forward, record.accel[0] - offset)
     np.testing.assert_allclose(force, [9.827509503062053, -0.047742624123060955, -0.015169203751548592], rtol=1e-9)
@@ -199,7 +199,7 @@ def test_turns_the_other_way_are_refused_with_the_right_angle():
     record, ranges = annotated()
     stills, turns = pieces(ranges, -360.0)
     forward, offset = accel_closed_form(face_readings(record, stills))
-    data = rotation_data([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
+    data = rotation_rows([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
     with pytest.raises(
         Implausible, match=r"the turn about x, y, z reads reversed.* x \+360 deg, y \+360 deg, z \+360 deg"
     ):

@@ -7,17 +7,13 @@ import pytest
 
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import (
-    Outcome,
     calibrate,
     each_once,
-    limits_of,
 )
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import finding
-from undrift.fit.triad import TriadFit
-from undrift.model import Verdict
 from undrift.record import Record, Session, Still, Turn
 from undrift.segments import StillSettings
 from undrift.sim.device.presets import random_device
@@ -538,14 +534,7 @@ def test_the_limits_alone_leave_a_verdict_good():
 def test_a_rate_table_without_an_accelerometer_asks_for_one_once():
     session = limited("bench")
     numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records), stills=())
-    found = calibrate(numb)
-    asks = [code for code in codes(found.verdict.findings) if code in (NO_ACCEL, "rate_table.axis_offset")]
-    assert asks == ["rate_table.axis_offset"]  # the fit saw its effect, and that asks for the same recording
-    triad = TriadFit(model=found.gyro, residuals=np.zeros(3), verdict=found.verdict)
-    gyro = Outcome(fit=triad, method="rate-table")
-    assert codes(limits_of(Outcome(), gyro, 25.0, thermal=True)) == []
-    quiet = replace(gyro, fit=replace(triad, verdict=Verdict()))
-    assert codes(limits_of(Outcome(), quiet, 25.0, thermal=True)) == [NO_ACCEL]
+    assert codes(calibrate(numb).verdict.findings).count(NO_ACCEL) == 1
 
 
 def test_a_thermal_session_is_not_sent_to_record_one():

@@ -52,7 +52,7 @@ def test_a_short_record_of_white_noise_says_what_it_does_not_show() -> None:
     for axis in fit.gyro:
         assert axis.angle_random_walk.value == pytest.approx(0.005, rel=0.05)
         assert np.isnan(axis.rate_random_walk.value)
-        assert axis.rate_random_walk.reason.startswith("not observable: no certain rise of the curve up to")
+        assert axis.rate_random_walk.reason.startswith("not observable in averages up to")
         assert axis.rate_random_walk.interval[0] == 0.0
         assert axis.rate_random_walk.interval[1] > 0.0
         assert "record longer" in axis.bias_instability.reason
@@ -97,8 +97,7 @@ def test_counts_stay_counts_and_give_no_model() -> None:
 def test_degrees_become_radians() -> None:
     fit = fit_noise(noisy(5_000, 1.0, 0.0, seed=4, unit="dps"))
     assert fit.gyro[0].angle_random_walk.value == pytest.approx(np.radians(1.0), rel=0.1)
-    assert fit.gyro_adev.shape == (len(fit.taus_s), 3)
-    assert fit.accel_adev.shape == (len(fit.taus_s), 0)
+    assert fit.accel == ()
 
 
 def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
@@ -144,14 +143,13 @@ def test_a_record_with_gaps_gives_the_coefficients_within_their_uncertainty(nan:
                 low, high = getattr(axis, name).interval
                 inside.append(low < true < high)
                 ratio.append(getattr(axis, name).value / getattr(other, name).value)
-        assert fit.taus_s[-1] < full.taus_s[-1]  # no window spans a gap
+        assert fit.gyro[0].curve.taus_s[-1] < full.gyro[0].curve.taus_s[-1]  # no window spans a gap
     covered = float(np.mean(inside))
     print(
         f"  with gaps 95 % intervals of N and K cover {100 * covered:.1f} % of 36; against the whole record {np.std(ratio):.3f}"
     )
     assert covered >= share_limits(36)[0]
     np.testing.assert_allclose(ratio, 1.0, atol=0.3)  # K rests on fewer long windows: 7 % one sigma
-    assert fit.gyro_limits.shape == (2, len(fit.taus_s), 3)
 
 
 def test_a_record_without_gaps_gives_the_same_to_the_last_bit_as_one_array() -> None:
@@ -159,7 +157,7 @@ def test_a_record_without_gaps_gives_the_same_to_the_last_bit_as_one_array() -> 
     assert record.gyro is not None
     fit = fit_noise(record)
     for k, column in enumerate(record.gyro.T):
-        assert (allan_deviation(column, RATE).deviation == fit.gyro_adev[:, k]).all()
+        assert (allan_deviation(column, RATE).deviation == fit.gyro[k].curve.deviation).all()
 
 
 def test_one_triad_may_have_more_gaps_than_the_other() -> None:
@@ -167,8 +165,7 @@ def test_one_triad_may_have_more_gaps_than_the_other() -> None:
     accel = np.array(record.gyro)
     accel[::3_000] = np.nan
     fit = fit_noise(Record(time=record.time, gyro=record.gyro, accel=accel))
-    assert fit.gyro_adev.shape == fit.accel_adev.shape == (len(fit.taus_s), 3)
-    assert fit.taus_s[-1] < 15.0  # of 30 s between the gaps, two windows and as many terms
+    assert fit.accel[0].curve.taus_s[-1] < 15.0  # of 30 s between the gaps, two windows and as many terms
     assert fit.gyro[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
     assert fit.accel[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
 
@@ -189,7 +186,7 @@ def test_a_device_that_is_carried_about_is_not_at_rest() -> None:
     time = np.arange(6000) / 100.0
     swing = np.sin(2.0 * np.pi * 0.8 * time)[:, None] * np.array([0.5, 0.2, 0.1])
     record = Record(time=time, gyro=swing + np.random.default_rng(1).normal(0.0, 1e-3, swing.shape))
-    with pytest.raises(InputError, match="readings vary by"):
+    with pytest.raises(InputError, match="readings move"):
         fit_noise(record)
 
 
@@ -206,8 +203,8 @@ def test_overlapping_deviation_is_its_definition_sum_by_sum() -> None:
         assert got.taus_s[0] == pytest.approx(m / 10.0)
 
 
-@pytest.mark.parametrize(("kind", "power"), [("white", 0), ("walk", -2)])
-def test_degrees_of_freedom_are_those_of_repeated_records(kind: str, power: int) -> None:
+@pytest.mark.parametrize("kind", ["white", "walk"])
+def test_degrees_of_freedom_are_those_of_repeated_records(kind: str) -> None:
     rng = np.random.default_rng(2)
     draws = rng.normal(size=(250, 512))
     records = draws if kind == "white" else np.cumsum(draws, axis=1)
@@ -217,7 +214,6 @@ def test_degrees_of_freedom_are_those_of_repeated_records(kind: str, power: int)
     stated = np.median([f.edf for f in fits], axis=0)
     # 250 records: a variance is known to 9 %, that of a skewed chi-square to 20 %; kinds taken wrong at tau 32 add some
     np.testing.assert_allclose(stated / counted, 1.0, atol=0.45)
-    assert np.median([f.noise[0] for f in fits]) == power
 
 
 def test_limits_enclose_the_truth_as_often_as_they_say() -> None:
@@ -243,7 +239,7 @@ def test_what_cannot_be_averaged_is_refused() -> None:
     every_third = np.where(np.arange(100) % 2 == 0, y, np.nan)
     with pytest.raises(InputError, match="50 gaps"):
         allan_deviation(every_third, 1.0)
-    with pytest.raises(InputError, match="sample rate above"):
+    with pytest.raises(InputError, match="a confidence between"):
         allan_deviation(y, 1.0, confidence=1.0)
     with pytest.raises(InputError, match="got 60 to"):
         allan_deviation(y, 1.0, taus=[60.0])
@@ -262,7 +258,6 @@ def test_terms_that_are_whole_are_those_of_the_pieces() -> None:
     assert (joined.lower < both).all()
     assert (joined.upper > both).all()
     assert (joined.edf > parts[0].edf).all()  # twice the terms
-    assert list(joined.noise) == [0, 0, 0]
 
 
 def test_limits_with_gaps_cover_the_true_deviation() -> None:

@@ -13,7 +13,7 @@ from undrift.calibration.rate_table import (
     fit_rate_table,
     scale_verdict,
 )
-from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, linearity, spline_filter
+from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, spline_filter
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.gls import block_size, noise_of_means
 from undrift.programme import rate_grid
@@ -40,9 +40,6 @@ def test_affine_gives_back_the_device_and_its_table():
     assert fit.model.count == 306
     assert fit.model.valid_range == pytest.approx((-90.0 * DPS, 90.0 * DPS))
     assert fit.residuals.shape == (102, 3)
-    assert [line.axis for line in fit.linearity] == ["x", "y", "z"]
-    assert all(line.scale_factor_nonlinearity < 1e-12 for line in fit.linearity)
-    assert all(abs(line.scale_factor_asymmetry) < 1e-12 for line in fit.linearity)
 
 
 def test_offset_is_not_taken_from_the_one_code_that_dwells_share():
@@ -140,8 +137,6 @@ def test_turns_about_one_axis_show_one_column():
     fit = fit_rate_table(about("y"))
     np.testing.assert_allclose(fit.model.forward_matrix[:, 1], K[:, 1], rtol=1e-9)
     np.testing.assert_allclose(fit.model.offset, B, rtol=1e-9)
-    (line,) = fit.linearity
-    assert line.scale_factor == pytest.approx(950.0)
 
 
 def test_mode_paper_needs_three_axes():
@@ -180,16 +175,6 @@ def test_a_left_handed_or_misstated_gyroscope_is_refused():
     degrees = replace(dwells(k=np.eye(3) * 0.5 / DPS), unit="dps")
     with pytest.raises(Implausible, match=r"readings are 2 times too small"):
         fit_rate_table(degrees)
-
-
-def test_curvature_and_asymmetry_are_measured_against_the_line():
-    rate = np.linspace(-10.0, 10.0, 41)
-    bent = 2.0 * rate + np.where(rate > 0.0, 0.02, -0.02) * rate  # S+ = 2.02, S- = 1.98
-    table = linearity(bent + 1.0, rate, "x")
-    assert table.scale_factor_asymmetry == pytest.approx(2.0 * 0.04 / 4.0, rel=1e-9)
-    assert table.scale_factor_nonlinearity == pytest.approx(np.abs(table.error).max())
-    assert table.scale_factor_nonlinearity_percent == pytest.approx(10.0 * table.scale_factor_nonlinearity)
-    assert np.isnan(linearity(2.0 * np.arange(1.0, 5.0), np.arange(1.0, 5.0), "x").scale_factor_asymmetry)
 
 
 def record(noise=0.0, seconds=3.0, settle=True):
@@ -337,8 +322,8 @@ def test_dwells_count_by_their_noise_and_their_noise_is_the_covariance():
 
 
 def test_the_covariance_of_mode_paper_is_the_first_order_of_its_readings():
-    made = scattered(k=UNEQUAL)
-    made = replace(made, reading=made.reading - B, noise=np.full(made.reading.shape, 1.0) * [0.02, 0.05, 0.2])
+    made = dwells(offset=np.zeros(3), grid=np.array([-90.0, -40.0, 10.0, 60.0]) * DPS, k=UNEQUAL)
+    made = replace(made, noise=np.full(made.reading.shape, 1.0) * [0.02, 0.05, 0.2])
     model = fit_rate_table(made, mode="paper").model
     rates, shape = imposed_rates(made, None), made.reading.shape
 
@@ -348,7 +333,6 @@ def test_the_covariance_of_mode_paper_is_the_first_order_of_its_readings():
 
     expected = propagated(of, made.reading.reshape(-1), np.diag(made.noise.reshape(-1) ** 2))
     size = np.sqrt(np.diag(expected))
-    # residuals of 1e-4 of the readings, which the formula leaves out, stay below a hundredth of the noise's own share
     np.testing.assert_allclose(
         model.covariance[:9, :9] / np.outer(size, size), expected / np.outer(size, size), rtol=0, atol=0.02
     )
@@ -396,17 +380,8 @@ def joined(x, y):
     )
 
 
-def test_a_bent_line_has_an_asymmetry():
-    bent = turned()
-    bent = replace(bent, reading=np.where(bent.reading > 1.0, 1.1 * bent.reading, bent.reading))
-    (line,) = fit_rate_table(bent).linearity
-    # 2 (1.1 - 1) / (1.1 + 1) less the offset of 0.3
-    assert 100.0 * line.scale_factor_asymmetry == pytest.approx(9.5, abs=0.05)
-
-
 def test_one_rate_about_an_axis_leaves_it_out():
     fit = fit_rate_table(joined(turned(axis="x"), turned(axis="y")))
-    assert [line.axis for line in fit.linearity] == ["x"]
     np.testing.assert_allclose(fit.model.offset, 0.3, rtol=1e-6)
 
 
@@ -509,10 +484,10 @@ def checked(dwells, rests, **more):
 @pytest.mark.parametrize(
     ("rate", "reads"),
     [
-        (45.0, r"turn 6, y at \+45 deg/s: reads as -45[.0-9]*. Check its sign, value"),
-        (-67.5, r"turn 6, y at -67.5 deg/s: reads as -4[45]"),
-        (0.0, r"turn 6, y at \+0 deg/s: reads as -4[45]"),
-        (-47.5, r"turn 6, y at -47.5 deg/s: reads as -4[45]"),
+        (45.0, r"turn 6, y at \+45 deg/s: reads as \(\S+, -4[45]"),
+        (-67.5, r"turn 6, y at -67.5 deg/s: reads as \(\S+, -4[45]"),
+        (0.0, r"turn 6, y at \+0 deg/s: reads as \(\S+, -4[45]"),
+        (-47.5, r"turn 6, y at -47.5 deg/s: reads as \(\S+, -4[45]"),
     ],
 )
 def test_a_wrong_sign_or_value_is_named_with_what_it_reads(rate, reads):
@@ -525,7 +500,7 @@ def test_a_wrong_sign_or_value_is_named_with_what_it_reads(rate, reads):
 def test_a_wrong_axis_and_the_numbers_of_the_session_are_named():
     dwells, rests = table()
     wrong = replace(dwells, axis=(*dwells.axis[:5], "z", *dwells.axis[6:]))
-    with pytest.raises(Implausible, match=r"turn 26, z at -45 deg/s: reads as -45.* about y. Check"):
+    with pytest.raises(Implausible, match=r"turn 26, z at -45 deg/s: reads as \(\S+, -4[45]"):
         checked(wrong, rests, numbers=tuple(range(21, 33)))
 
 

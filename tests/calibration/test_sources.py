@@ -55,7 +55,7 @@ def test_the_covariance_is_that_of_slopes_drawn_from_the_prior() -> None:
     offset = rng.normal(0.0, 0.5e-3 * STANDARD_GRAVITY, (20_000, 1))
     scale = rng.normal(0.0, 2e-4, (20_000, 1))
     drawn = gain * creep.warmth * (offset + scale * signal)
-    expected = creep.covariance(signal, gain)
+    expected = creep.columns(signal, gain) @ creep.columns(signal, gain).T
     # the standard error of a variance of 20,000 draws is 1 %, that of a covariance no more: five of them
     np.testing.assert_allclose(drawn.T @ drawn / 20_000, expected, atol=0.05 * expected.max())
 

@@ -18,7 +18,7 @@ from testkit.data import show
 from undrift.calibration.known_rotation import (
     KnownRotationMode,
     fit_known_rotation,
-    rotation_data,
+    rotation_rows,
 )
 from undrift.model import TriadModel
 from undrift.sim.device.model import DeviceModel
@@ -36,7 +36,7 @@ FACES = [replace(still, start=still.stop - 99) for still in MOTION.stills if sti
 def fitted(device: DeviceModel, rng: np.random.Generator, mode: KnownRotationMode = "affine") -> TriadModel:
     record = simulate_device(device, MOTION, rng=rng).record
     matrix, offset = np.linalg.inv(device.accel.forward_matrix), device.accel.raw_offset
-    data = rotation_data((record,), FACES, MOTION.turns, matrix=matrix, offset=offset)
+    data = rotation_rows((record,), FACES, MOTION.turns, matrix=matrix, offset=offset)
     return fit_known_rotation(data, gravity=STANDARD_GRAVITY, mode=mode).model
 
 

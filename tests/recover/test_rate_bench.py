@@ -13,7 +13,6 @@ from scipy.stats import binom, chi2
 
 from testkit.cramer_rao import white_device
 from testkit.data import show
-from testkit.findings import codes
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.model import Calibration
@@ -99,12 +98,11 @@ def test_a_wobble_that_nobody_stated_shows_in_the_residuals() -> None:
 
 @pytest.mark.slow
 def test_a_ripple_in_short_dwells_is_found_by_their_arcs() -> None:
-    ratio, error, made = errors("rate_table", replace(MOUNTED, table_rate=1e-4, ripple=0.003, excess=0.003))
+    ratio, error, _ = errors("rate_table", replace(MOUNTED, table_rate=1e-4, ripple=0.003, excess=0.003))
     check("scale, ripple", ratio[:, SCALES])
     check("cross-axis, ripple", ratio[:, CROSS])
     # Arcs of 30 to 135 deg keep 0.99 to 0.8 of a ripple: 2e-3 of the scale if it stays. A tenth of 0.3 % may be left.
     assert float(np.sqrt((error[:, SCALES] ** 2).mean())) < 3e-4
-    assert all("rate_table.uneven_rate" not in codes(one.verdict.findings) for one in made)
 
 
 @pytest.mark.slow

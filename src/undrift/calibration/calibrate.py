@@ -376,9 +376,7 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     if accel.fit is not None and accel.method in ("multi-position", "six-face"):
         yield finding("multi_position.mounting" if accel.method == "multi-position" else "six_face.fixture", "info")
     if gyro.fit is not None and gyro.method in ("rate-table", "known-rotation") and accel.fit is None:
-        # An offset that differs between the axes asks for the same recording.
-        shown = any(item.code == "rate_table.axis_offset" for item in gyro.fit.verdict.findings)
-        yield from () if shown else (finding("rate_table.no_accel", "info"),)
+        yield finding("rate_table.no_accel", "info")
     if not thermal:
         where = (
             f"near {temp_c:.1f} degC"

@@ -24,7 +24,7 @@ Moves between the rests turn gravity, which shows the matrix as well (multi_posi
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -41,15 +41,15 @@ from undrift.calibration.plausibility import (
     missing_faces,
     nearest_signed_permutation,
 )
-from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior, walks_of
+from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
 from undrift.calibration.session import Observed, Outcome, spans_of
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case
+from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, walks_of
 from undrift.calibration.triads import find_disagreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
-from undrift.fit.gls import block_size, noise_of_means, solve_inverse
+from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, parameters_of, scaled_condition
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -60,235 +60,151 @@ CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one sess
 MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic
 GAP = 1.5  # median steps of the clock: a longer one is a gap, not jitter
 
-# ---- sums over rests and turns
+# ---- means over rests and turns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestReadings:
-    """Mean gyroscope readings at rest."""
+class RotationRows:
+    """Means over P rests, then over R turns: E pieces."""
 
-    reading: FloatArray  # (P, 3), ``unit``
-    faces: tuple[Face | None, ...]  # face that points up in each; None for a rest in any pose
-    noise: FloatArray | None = None  # (P, 3), standard deviation of each mean; None if it is not known
+    reading: FloatArray  # (E, 3), of the gyroscopes, ``unit``
+    noise: FloatArray  # (E, 3), standard deviation of each mean
+    force: FloatArray | None  # (E, 3), calibrated specific force, m/s2; None without accelerometers
+    samples: FloatArray  # (P,), samples in each rest
+    faces: tuple[Face | None, ...]  # (P,), face that points up; None for a rest in any pose
+    duration: FloatArray  # (R,), of each turn, s
+    axis: tuple[Axis, ...]  # (R,), of each turn
+    angle: FloatArray  # (R,), of each turn about +axis, rad
+    slip: FloatArray | None = None  # (R,), what jitter of the clock adds to the integral along the axis, unit * s
+    span: FloatArray | None = None  # (E, 2), start and stop of each piece on one clock, s
+    rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, ``unit``
     unit: str = "rad/s"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RotationData:
-    """Sums of readings over still phases and turns."""
-
-    rest: RestReadings
-    rest_samples: FloatArray  # (P,), samples behind each mean
-    angle: FloatArray  # (R,), angle of each turn about +axis, rad
-    axis: tuple[Axis, ...]  # axis of each turn
-    reading: FloatArray  # (R, 3), integral of the gyroscope readings over each turn, unit * s
-    force: FloatArray | None  # (R, 3), integral of the calibrated specific force over each turn, m/s
-    duration: FloatArray  # (R,), s
-    noise: FloatArray | None = None  # (R, 3), standard deviation of ``reading`` from sample noise alone
-    slip: FloatArray | None = None  # (R,), what jitter of the clock adds to ``reading`` of the turned axis, unit * s
-    rest_force: FloatArray | None = None  # (P, 3), specific force at rest, m/s2; None takes gravity along the faces
-    span: FloatArray | None = None  # (P + R, 2), start and stop of rests and turns on one clock, s
-    rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, unit
-    pieces: tuple[Still | Turn, ...] = ()  # rests and turns, in this order
+    pieces: tuple[Still | Turn, ...] = ()  # (E,)
 
     @property
-    def up(self) -> FloatArray:
-        """Direction that points up in each rest, (P, 3); zeros off the faces."""
-        up = np.zeros_like(self.rest.reading)
-        rows = [n for n, face in enumerate(self.rest.faces) if face is not None]
-        up[rows] = face_vectors([face for face in self.rest.faces if face is not None])
-        return up
+    def rate(self) -> FloatArray:
+        """Known mean rate of each piece, (E, 3), rad/s."""
+        return self.of_turns(axis_vectors(self.axis) * (self.angle / self.duration)[:, None])
+
+    def of_turns(self, values: FloatArray) -> FloatArray:
+        """Return rows (E, 3, ..) that are zero at rest, from those of the turns (R, 3, ..)."""
+        return np.concatenate((np.zeros((len(self.faces), *values.shape[1:])), values))
 
 
-def rotation_data(
+def rotation_rows(
     records: Sequence[Record],
     stills: Sequence[Still],
     turns: Sequence[Turn],
     *,
     matrix: FloatArray | None,
     offset: FloatArray | None,
-) -> RotationData:
-    """Sum the readings of a session over its rests and its turns; matrix and offset are the accelerometer's, if there is one."""
-    accel = None if matrix is None or offset is None else (matrix, offset)
-    used = [t for t in turns if t.axis is not None and t.angle is not None]
+) -> RotationRows:
+    """Average the readings of a session over its rests and turns; matrix and offset are the accelerometer's, if there is one."""
+    used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
     windows, force, rests = list[FloatArray](), list[FloatArray](), list[Still]()
-    for still in sorted(stills, key=lambda still: still.face is None):
-        window = slice(still.start, still.stop)
-        gyro, felt = _gyro(records[still.recording])[window], _force(records[still.recording], accel)[window]
+    for still in stills:
+        gyro, felt = (values[still.start : still.stop] for values in _triads(records[still.recording], matrix, offset))
         whole = ~np.isnan(gyro).any(axis=1) & ~np.isnan(felt).any(axis=1)
-        if still.face is not None and whole.sum() < 2:
-            raise InputError(
-                f"known rotation: expected readings at rest on face {still.face}, got {whole.sum()}. Choose another stretch."
-            )
         if whole.sum() > 1:
             windows.append(gyro[whole])
             force.append(felt[whole].mean(axis=0))
             rests.append(still)
-    count = np.array([len(window) for window in windows], float)
-    sizes = np.array([block_size(records[s.recording].sample_rate_hz) for s in rests])
-    white = block = np.zeros(3)  # standard deviation of a sample at rest, and of a block mean
+        elif still.face is not None:
+            raise InputError(
+                f"known rotation: expected readings at rest on face {still.face}, got {whole.sum()}. Choose another stretch."
+            )
+    samples, noise = np.array([len(window) for window in windows], float), list[FloatArray]()
+    white = sample_sd = np.zeros(3)  # by the scatter of samples, and of block means, at rest
     if windows:
         square = np.sum([((w - w.mean(axis=0)) ** 2).sum(axis=0) for w in windows], axis=0)
-        white = np.sqrt(square / max(1.0, float(count.sum()) - len(count)))
-        blocks = noise_of_means(windows, sizes.tolist())
-        block = block if blocks is None else blocks[0] * np.sqrt(count[0] / sizes[0])
-    sums = [_turn_sums(records[t.recording], t, white, block, accel) for t in used]
-    return RotationData(
-        rest=RestReadings(
-            reading=np.array([w.mean(axis=0) for w in windows]).reshape(-1, 3),
-            faces=tuple(still.face for still in rests),
-            noise=np.maximum(white, block * sizes[:, None] ** 0.5) / count[:, None] ** 0.5 if rests else None,
-            unit=records[0].gyro_unit,
-        ),
-        rest_samples=count,
-        angle=np.array([t.angle for t in used], float),
-        axis=tuple(t.axis for t in used if t.axis is not None),
-        reading=np.array([turn.reading for turn in sums]).reshape(-1, 3),
-        force=None if accel is None else np.array([turn.force for turn in sums]).reshape(-1, 3),
-        duration=np.array([turn.duration for turn in sums]),
-        noise=np.array([turn.noise for turn in sums]).reshape(-1, 3),
-        slip=np.array([turn.slip for turn in sums]),
-        rest_force=None if accel is None else np.array(force).reshape(-1, 3),
+        white = np.sqrt(square / max(1.0, float(samples.sum()) - len(samples)))
+        blocks = noise_of_means(windows, [block_size(records[s.recording].sample_rate_hz) for s in rests])
+        sample_sd = white if blocks is None else np.maximum(white, blocks[0] * samples[0] ** 0.5)
+        noise = [sample_sd / count**0.5 for count in samples]
+    reading, duration, slip = [window.mean(axis=0) for window in windows], list[float](), list[float]()
+    for turn in used:
+        record, k = records[turn.recording], AXES.index(turn.axis or "x")
+        gyro, felt = (values[turn.start : turn.stop] for values in _triads(record, matrix, offset))
+        if np.isnan(gyro).any() or np.isnan(felt).any():
+            raise InputError(f"known rotation: the turn about {turn.axis} has gaps. Record it again.")
+        check_range([gyro], f"gyroscope in the turn about {turn.axis}")
+        steps = np.diff(record.time)
+        step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
+        duration.append(float(step.sum()))
+        reading.append(step @ gyro / duration[-1])
+        force.append(step @ felt / duration[-1])
+        noise.append(sample_sd * np.sqrt(step @ step) / duration[-1])
+        # A stamp off by d moves the integral by d times the change of the reading there: jitter of steps has twice its variance.
+        even = steps[steps < GAP * np.median(steps)]
+        change = float((np.diff(gyro[:, k]) ** 2).sum()) - 2.0 * (len(gyro) - 1) * float(white[k]) ** 2
+        slip.append(float(np.sqrt(0.5 * even.var() * max(change, 0.0))))
+    return RotationRows(
+        reading=np.array(reading).reshape(-1, 3),
+        noise=np.array(noise).reshape(-1, 3),
+        force=None if matrix is None else np.array(force).reshape(-1, 3),
+        samples=samples,
+        faces=tuple(still.face for still in rests),
+        duration=np.array(duration),
+        axis=tuple(turn.axis for turn in used if turn.axis is not None),
+        angle=np.array([turn.angle for turn in used], float),
+        slip=np.array(slip),
         span=spans_of(records, [*rests, *used]),
-        rounding=mean_rounding([_gyro(records[k]) for k in {s.recording for s in rests}], windows) if rests else None,
+        rounding=mean_rounding([_triads(records[k], None, None)[0] for k in {s.recording for s in rests}], windows)
+        if rests
+        else None,
+        unit=records[0].gyro_unit,
         pieces=(*rests, *used),
     )
 
 
-class _TurnSums(NamedTuple):
-    """Sums over one turn."""
-
-    reading: FloatArray  # (3,), unit * s
-    force: FloatArray  # (3,), m/s
-    duration: float  # s
-    noise: FloatArray  # (3,), unit * s
-    slip: float  # unit * s
-
-
-def _turn_sums(
-    record: Record, turn: Turn, white: FloatArray, block: FloatArray, accel: tuple[FloatArray, FloatArray] | None
-) -> _TurnSums:
-    gyro, force = _gyro(record)[turn.start : turn.stop], _force(record, accel)[turn.start : turn.stop]
-    if np.isnan(gyro).any() or np.isnan(force).any():
-        raise InputError(f"known rotation: the turn about {turn.axis} has gaps. Record it again.")
-    check_range([gyro], f"gyroscope in the turn about {turn.axis}")
-    steps = np.diff(record.time)
-    step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
-    sample = np.maximum(white, block * block_size(record.sample_rate_hz) ** 0.5)
-    # A stamp off by d moves the sum by d times the change of the reading there: jitter of the steps has twice its variance.
-    even, axis = steps[steps < GAP * np.median(steps)], AXES.index(turn.axis or "x")
-    change = float((np.diff(gyro[:, axis]) ** 2).sum()) - 2.0 * (len(gyro) - 1) * float(white[axis]) ** 2
-    return _TurnSums(
-        reading=step @ gyro,
-        force=step @ force,
-        duration=float(step.sum()),
-        noise=sample * np.sqrt(step @ step),
-        slip=float(np.sqrt(0.5 * even.var() * max(change, 0.0))),
-    )
-
-
-def _gyro(record: Record) -> FloatArray:
-    if record.gyro is None:
-        raise InputError("known rotation: expected gyroscope readings in every recording, got none. Map their columns.")
-    return record.gyro
-
-
-def _force(record: Record, accel: tuple[FloatArray, FloatArray] | None) -> FloatArray:
-    """Return the specific force (N, 3), m/s2, by matrix and offset of the accelerometer; zeros without them."""
-    if accel is None:
-        return np.zeros((len(record), 3))
-    if record.accel is None:
+def _triads(record: Record, matrix: FloatArray | None, offset: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return rate readings and the specific force (N, 3), m/s2; zeros without matrix and offset of an accelerometer."""
+    if record.gyro is None or (matrix is not None and record.accel is None):
         raise InputError(
-            "known rotation: expected both sensors in every recording. Map the columns of the accelerometer."
+            "known rotation: expected both sensors in every recording. Map the columns of gyroscope and accelerometer."
         )
-    return np.asarray((record.accel - accel[1]) @ accel[0].T)
+    if matrix is None or offset is None or record.accel is None:
+        return record.gyro, np.zeros((len(record), 3))
+    return record.gyro, np.asarray((record.accel - offset) @ matrix.T)
 
 
-# ---- rows and sources
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _RotationRows:
-    """Rests, then turns, by their means: E pieces, three rows each."""
-
-    reading: FloatArray  # (E, 3), unit of the readings
-    rate: FloatArray  # (E, 3), rad/s
-    force: FloatArray | None  # (E, 3), m/s2
-    noise: FloatArray  # (E, 3), standard deviation of each mean
-    duration: FloatArray  # (R,), of the turns, s
-    along: FloatArray  # (R, 3), axis of each turn
-
-    @property
-    def rests(self) -> int:
-        """Number of rests."""
-        return len(self.reading) - len(self.duration)
-
-    def of_turns(self, values: FloatArray) -> FloatArray:
-        """Return rows (E, 3, ...) that are zero at rest, from those of the turns (R, 3, ...)."""
-        return np.concatenate((np.zeros((self.rests, *values.shape[1:])), values))
-
-
-def _rows(data: RotationData, gravity: float) -> _RotationRows:
-    duration, along = data.duration[:, None], axis_vectors(data.axis)
-    force = None
-    if data.force is not None:
-        at_rest = gravity * data.up if data.rest_force is None else data.rest_force
-        force = np.vstack((at_rest, data.force / duration))
-    if data.rest.noise is None or data.noise is None:  # alike in all samples
-        samples = data.rest_samples.mean() / data.rest_samples
-        noise = np.sqrt(np.concatenate((samples, 1.0 / data.duration)))[:, None] * np.ones(3)
-    else:
-        noise = np.vstack((data.rest.noise, data.noise / duration))
-    reading = np.vstack((data.rest.reading, data.reading / duration))
-    return _RotationRows(
-        reading=reading,
-        rate=np.vstack((np.zeros_like(data.rest.reading), along * data.angle[:, None] / duration)),
-        force=force,
-        noise=np.maximum(noise, MIN_NOISE * np.abs(reading).max()),
-        duration=data.duration,
-        along=along,
-    )
+# ---- sources and fit
 
 
 def _sources(
-    rows: _RotationRows, data: RotationData, matrix: FloatArray, sigma: tuple[float, float], creep: Creep | None
+    rows: RotationRows, matrix: FloatArray, angle_uncertainty: float, axis_uncertainty: float
 ) -> dict[str, FloatArray]:
-    """Return the stated covariances (3 E, 3 E) of the rows, or their diagonals (3 E,), (rad/s)^2; sigma of angle and axis, rad."""
-    count, own = len(rows.reading), np.eye(len(rows.reading))
-    sources = {"noise": in_case(matrix, own[:, :, None] * rows.noise[:, None] ** 2)}
-    if data.rounding is not None:
+    """Return the stated covariances (3 E, 3 E) of the rows, or their diagonals (3 E,), (rad/s)^2; angle and axis in rad."""
+    rests, own, along = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
+    noise = np.maximum(rows.noise, MIN_NOISE * np.abs(rows.reading).max())
+    sources = {"noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2)}
+    if rows.rounding is not None:
         alike = own.copy()  # the rests read one code and err alike; a turn errs by itself
-        alike[: rows.rests, : rows.rests] = 1.0
-        sources["adc"] = in_case(matrix, alike[:, :, None] * data.rounding**2)
-    if data.span is not None:
-        sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(data.span), np.eye(3))
-    if creep is not None:
-        sources["temperature"] = creep.covariance_in_case(rows.rate)
-    slip = 0.0 if data.slip is None else data.slip[:, None] * np.diag(matrix)  # rad
-    angle = rows.along * (sigma[0] ** 2 + slip**2) / rows.duration[:, None] ** 2
+        alike[:rests, :rests] = 1.0
+        sources["adc"] = in_case(matrix, alike[:, :, None] * rows.rounding**2)
+    if rows.span is not None:
+        sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
+    slip = 0.0 if rows.slip is None else rows.slip[:, None] * np.diag(matrix)  # rad
+    angle = along * (angle_uncertainty**2 + slip**2) / rows.duration[:, None] ** 2
     sources["angle"] = rows.of_turns(angle).ravel()
     # all turns about one axis lean alike, as a fixture or an edge does
-    rate = rows.rate[rows.rests :].sum(axis=1)
-    lean = np.einsum("rj,ik->rijk", rows.along * rate[:, None], np.eye(3)) * (1.0 - np.eye(3))[:, :, None]
-    columns = sigma[1] * rows.of_turns(lean.reshape(-1, 3, 9)).reshape(3 * count, 9)
+    lean = np.einsum("rj,ik->rijk", rows.rate[rests:], np.eye(3)) * (1.0 - np.eye(3))[:, :, None]
+    columns = axis_uncertainty * rows.of_turns(lean.reshape(-1, 3, 9)).reshape(-1, 9)
     sources["axis"] = columns @ columns.T
     if rows.force is None:  # the g-sensitivity keeps its prior
-        sources["prior"] = np.full(3 * count, (G_SENSITIVITY * STANDARD_GRAVITY) ** 2)
+        sources["prior"] = np.full(rows.reading.size, (G_SENSITIVITY * STANDARD_GRAVITY) ** 2)
     return sources
 
 
-# ---- fit
-
-
 def fit_known_rotation(
-    data: RotationData,
+    rows: RotationRows,
     *,
     gravity: float,
     mode: KnownRotationMode = "affine",
     angle_uncertainty: float = 0.0,
     axis_uncertainty: float = 0.0,
-    scale_tolerance: float = SCALE_TOLERANCE,
     cross_axis_prior: float = 0.01,
+    scale_tolerance: float = SCALE_TOLERANCE,
     creep: Creep | None = None,
     moves: Callable[[TriadParameters, FloatArray], TriadModel | PoorFit | None] = lambda fitted, walk: None,
 ) -> TriadFit:
@@ -298,71 +214,61 @@ def fit_known_rotation(
     offset, (rad/s)^2 / s, and returns the matrix that turns and moves together determine. The columns of axes that were not turned
     keep the nominal scale factor, and cross-axis terms of ``cross_axis_prior``.
     """
-    turned = _check_complete(data, mode)
-    rows = _rows(data, gravity)
-    matrix = first_table_matrix(rows.rate, rows.reading, turned, data.rest.unit)
-    if rows.force is not None and len(turned) == 3:
-        full = np.column_stack((rows.rate, np.ones(len(rows.rate)), rows.force))
-        if scaled_condition(full)[0] == full.shape[1]:  # the rests show the g-sensitivity
-            matrix = np.linalg.inv(np.linalg.lstsq(full, rows.reading, rcond=None)[0][:3].T)
-    _check_turns(np.linalg.inv(matrix), data, turned, scale_tolerance)
-    sources = _sources(rows, data, matrix, (angle_uncertainty, axis_uncertainty), creep)
-    findings = list[Finding]()
+    turned = _check_complete(rows, mode)
+    matrix = first_table_matrix(rows.rate, rows.reading, turned, rows.unit)
+    _check_turns(np.linalg.inv(matrix), rows, turned, scale_tolerance)
+    sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
+    if creep is not None:
+        sources["temperature"] = creep.covariance_in_case(rows.rate)
     if mode == "paper":
-        fitted, residuals = _paper(data, rows, sources, gravity)
+        fitted, residuals = _closed_form(rows, sources, gravity)
     else:
-        excess = walks_of(data.span)
-        if len(rows.along) > len(turned):  # one turn about each axis shows nothing of the hand
+        excess = walks_of(rows.span)
+        if len(rows.axis) > len(turned):  # one turn about each axis shows nothing of the hand
             excess["angle"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
-        prior = table_prior(matrix, turned, rows.force is not None, data.rest.unit, cross_axis_prior)
+        prior = table_prior(matrix, turned, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
         walk = np.array([gls.excess.get(f"instability {axis}", 0.0) for axis in AXES])
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
         if len(turned) == 3:
             fitted, findings = _with_moves(fitted, moves(fitted, walk))
         else:
-            names = [AXES[k] for k in turned]
-            findings = [axes_missing(names, data.rest.unit, cross_axis_prior)]
-    if data.rest.noise is None or data.noise is None:
-        fitted = fitted._replace(covariance=np.full(fitted.covariance.shape, np.nan))
-    if data.rounding is not None:
-        variance = np.diag(fitted.covariance)[9:12]
-        findings += limited_by_codes("gyroscope", data.rounding**2, variance, data.rest.unit)
-    names_of = {"method": f"known-rotation/{mode}", "unit_in": data.rest.unit, "unit_out": "rad/s"}
-    return fit_of(fitted, rows.rate, residuals, Verdict.of(*findings), remainder="instability", **names_of)
+            findings = [axes_missing([AXES[k] for k in turned], rows.unit, cross_axis_prior)]
+    if rows.rounding is not None:
+        findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
+    names = {"method": f"known-rotation/{mode}", "unit_in": rows.unit, "unit_out": "rad/s"}
+    return fit_of(fitted, rows.rate, residuals, Verdict.of(*findings), remainder="instability", **names)
 
 
-def _paper(
-    data: RotationData, rows: _RotationRows, sources: dict[str, FloatArray], gravity: float
+def _closed_form(
+    rows: RotationRows, sources: dict[str, FloatArray], gravity: float
 ) -> tuple[TriadParameters, FloatArray]:
-    """Return the parameters by the closed form, and the residuals (E, 3), rad/s.
+    """Return the parameters of mode paper, and the residuals (E, 3), rad/s.
 
     K, b and H of s = K w + b + H a are linear in the mean readings; M = K^-1, G = M H: dM = -M dK M, dG = -M dK G + M dH.
     """
-    duration, force = data.duration, np.zeros_like(data.reading) if data.force is None else data.force
-    turns, rests = rows.along * data.angle[:, None], rows.rests
-    samples, up = data.rest_samples, data.up
-    per_turn, closed = np.linalg.pinv(turns), np.zeros((7, rests + len(turns)))  # K, b and H of one sensor
+    rests, samples = len(rows.faces), rows.samples
+    up = np.array([face_vectors([face])[0] if face else np.zeros(3) for face in rows.faces])
+    force = np.zeros_like(rows.reading) if rows.force is None else rows.force
+    per_turn, closed = np.linalg.pinv(rows.rate[rests:]), np.zeros((7, len(rows.reading)))  # K, b and H of one sensor
     # b is the mean of all samples at rest, H the half difference of opposite faces
     closed[3:, :rests] = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
-    closed[:3, :rests] = -per_turn @ np.column_stack((duration, force)) @ closed[3:, :rests]
+    closed[:3, :rests] = -per_turn @ np.column_stack((np.ones(len(rows.axis)), force[rests:])) @ closed[3:, :rests]
     closed[:3, rests:] = per_turn
-    forward = (closed @ np.vstack((data.rest.reading, data.reading))).T
+    forward = (closed @ rows.reading).T
     matrix = np.linalg.inv(forward[:, :3])
     g = matrix @ forward[:, 4:]
     jacobian = np.eye(21)
     jacobian[:9, :9], jacobian[12:, :9] = inverse_jacobian(matrix), -np.kron(matrix, g.T)
     jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    # errors e of the rows are errors K e of the mean readings, and T K e of the sums over turns
-    extent = np.concatenate((np.ones(rests), duration))
-    each = np.einsum("pe,ik->ipek", closed * extent, forward[:, :3]).reshape(3, 7, -1)
+    each = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(
+        3, 7, -1
+    )  # errors e of the rows are K e of the readings
     gains = jacobian @ np.vstack((each[:, :3].reshape(9, -1), each[:, 3], each[:, 4:].reshape(9, -1)))
-    parts = {name: (gains * s if s.ndim == 1 else gains @ s) @ gains.T for name, s in sources.items()}
+    parts = {name: carried(gains, covariance) for name, covariance in sources.items()}
     theta = np.concatenate((matrix.ravel(), forward[:, 3], g.ravel()))
-    corrected = (rows.reading - forward[:, 3]) @ matrix.T
-    if rows.force is not None:
-        corrected = corrected - rows.force @ g.T
-    return TriadParameters(theta, np.sum([*parts.values()], axis=0), parts), corrected - rows.rate
+    residuals = (rows.reading - forward[:, 3]) @ matrix.T - force @ g.T - rows.rate
+    return TriadParameters(theta, np.sum([*parts.values()], axis=0), parts), residuals
 
 
 # Moves from rest to rest turn gravity (multi_position.py), whatever angle and axis of a turn were. The turns' matrix and its
@@ -376,7 +282,7 @@ def _paper(
 def _with_moves(fitted: TriadParameters, moved: TriadModel | PoorFit | None) -> tuple[TriadParameters, list[Finding]]:
     """Return the parameters by rests, turns and moves together, and a finding if turns and moves disagree."""
     if isinstance(moved, PoorFit):
-        return fitted, [finding("known_rotation.moves_contradict", "warn", reason=str(moved))]
+        return fitted, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moved}")]
     if moved is None:
         return fitted, []
     by_turns, joint = fitted.covariance[:9, :9], moved.covariance[:9, :9]
@@ -391,32 +297,33 @@ def _with_moves(fitted: TriadParameters, moved: TriadModel | PoorFit | None) -> 
     if away @ np.linalg.solve((1.0 + 1e-6) * by_turns - joint, away) <= CONTRADICTION:
         return joined, []
     percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moved.matrix, 2))
-    return joined, [finding("known_rotation.moves_disagree", "warn", percent=percent, count=moved.count // 2)]
+    what = f"the matrix of the turns is {percent:.2g} % off that of {moved.count // 2} moves, beyond its uncertainty"
+    return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
 
 
-def _check_complete(data: RotationData, mode: KnownRotationMode) -> list[int]:
+def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
     """Return the axes of the turns; raise if rests or turns are too few."""
-    turned = [k for k, axis in enumerate(AXES) if axis in data.axis]
-    if not turned:
+    turned = [k for k, axis in enumerate(AXES) if axis in rows.axis]
+    if not turned or not rows.faces:
         raise NotObservable(
-            "known rotation: expected a turn by a known angle, got none. Turn the device about x, y and z."
+            f"known rotation: expected a turn by a known angle and a rest, got {len(rows.axis)} turns and {len(rows.faces)} rests. "
+            "Turn the device about x, y and z, and rest before and after each turn."
         )
-    if not len(data.rest.reading):
-        raise NotObservable(
-            "known rotation: expected a rest for the offset, got none. Rest before and after each turn."
-        )
-    faces = missing_faces([face for face in data.rest.faces if face is not None])
-    lacking = tuple(axis for axis in AXES if axis not in data.axis)
-    if mode == "paper" and (faces or lacking or data.force is None):
+    lacking = (
+        *missing_faces([face for face in rows.faces if face is not None]),
+        *(axis for axis in AXES if axis not in rows.axis),
+        *(("the accelerometers",) if rows.force is None else ()),
+    )
+    if mode == "paper" and lacking:
         raise NotObservable(
             "known rotation, mode paper: expected accelerometers, rests on all six faces and turns about x, y and z, got none for "
-            f"{', '.join((*faces, *lacking)) or 'the accelerometers'}. Record them.",
-            missing=(*faces, *lacking),
+            f"{', '.join(lacking)}. Record them.",
+            missing=lacking,
         )
     return turned
 
 
-def _check_turns(forward: FloatArray, data: RotationData, turned: list[int], tolerance: float) -> None:
+def _check_turns(forward: FloatArray, rows: RotationRows, turned: list[int], tolerance: float) -> None:
     """Raise if the axes of gyroscopes and turns disagree, or if a scale is not that of the unit."""
     if len(turned) < 3:
         for k in turned:
@@ -424,14 +331,14 @@ def _check_turns(forward: FloatArray, data: RotationData, turned: list[int], tol
     elif not np.diag(signs := nearest_signed_permutation(forward)).all():
         check_axis_order(forward, "known rotation", against="turns")
     elif reversed_ := tuple(AXES[k] for k in range(3) if signs[k, k] < 0.0):
-        angles = ((axis, -data.angle[data.axis.index(axis)] / RADIAN_PER_DEGREE) for axis in reversed_)
+        angles = ((axis, -rows.angle[rows.axis.index(axis)] / RADIAN_PER_DEGREE) for axis in reversed_)
         raise Implausible(
             f"known rotation: the turn about {', '.join(reversed_)} reads reversed. If the device was turned the other way, give "
             f"its angle as {', '.join(f'{axis} {angle:+g} deg' for axis, angle in angles)}; otherwise reverse that column.",
             reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)[turned]
-    check_own_scale(scale, data.rest.unit, "rate", tolerance, "gyroscope turned by hand")
+    check_own_scale(scale, rows.unit, "rate", tolerance, "gyroscope turned by hand")
 
 
 # ---- from a session
@@ -449,14 +356,14 @@ def with_edges(
     rests, longer = [], list(turns)
     for still in stills:
         chunk = max(1, round(CHUNK_S * records[still.recording].sample_rate_hz))
-        reading = _gyro(records[still.recording])[still.start : still.stop]
+        reading = _triads(records[still.recording], None, None)[0][still.start : still.stop]
         start, stop = still.start + _moving_start(reading, chunk), still.stop - _moving_start(reading[::-1], chunk)
         rests.append(replace(still, start=start, stop=stop))
         for k, turn in enumerate(turns):
-            if turn.recording == still.recording and 0 <= still.start - turn.stop <= BESIDE and start > still.start:
-                longer[k] = replace(longer[k], stop=start)
-            if turn.recording == still.recording and 0 <= turn.start - still.stop <= BESIDE and stop < still.stop:
-                longer[k] = replace(longer[k], start=stop)
+            if turn.recording == still.recording and 0 <= still.start - turn.stop <= BESIDE:
+                longer[k] = replace(longer[k], stop=max(turn.stop, start))
+            if turn.recording == still.recording and 0 <= turn.start - still.stop <= BESIDE:
+                longer[k] = replace(longer[k], start=min(turn.start, stop))
     return tuple(rests), tuple(longer)
 
 
@@ -484,7 +391,7 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
 
 
 def _by_moves(
-    seen: Observed, data: RotationData, accel: TriadModel, fitted: TriadParameters, walk: FloatArray
+    seen: Observed, rows: RotationRows, accel: TriadModel, fitted: TriadParameters, walk: FloatArray
 ) -> TriadModel | PoorFit | None:
     """Fit the matrix to turns and moves, with readings freed of the g-sensitivity.
 
@@ -497,7 +404,7 @@ def _by_moves(
         for r in seen.session.records
         if r.gyro is not None and r.accel is not None
     ]
-    stills = sorted((p for p in data.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
+    stills = sorted((p for p in rows.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     # an offset that follows the temperature is interpolated between the rests as a walk is
     drift = creep[1].offset_per_k * creep[1].span_k
@@ -512,18 +419,13 @@ def _by_moves(
         return error
 
 
-def _corrected(record: Record, gyro: TriadModel, accel: TriadModel) -> Record:
-    """Return a record with both triads corrected."""
-    rate, force = ((v - m.offset) @ m.matrix.T for v, m in ((_gyro(record), gyro), (np.asarray(record.accel), accel)))
-    return replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2")
-
-
-def _check_by_gravity(record: Record) -> tuple[Finding, ...]:
-    """Compare the rotation of a corrected record with gravity: a finding if they may disagree, an error if they clearly do.
+def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tuple[Finding, ...]:
+    """Compare the corrected rotation with gravity: a finding if they may disagree, an error if they clearly do.
 
     The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
     """
-    conflict = find_disagreement(record)
+    rate, force = ((v - m.offset) @ m.matrix.T for v, m in ((record.gyro, gyro), (record.accel, accel)))
+    conflict = find_disagreement(replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2"))
     if conflict is None:
         return ()
     values = dict(conflict.values)
@@ -554,26 +456,24 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         rests = (*rests, *seen.unused_stills((*rests, *turns)))
     if lacking := _without_rest(records, rests, turns):
         findings.append(finding("known_rotation.no_rests", "warn", axes=lacking, within_s=NEAR_S))
-    if settings.angle_uncertainty_deg == 0.0:
-        findings.append(finding("known_rotation.angles_exact", "info"))
     model = None if accel is None else accel.model
     matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
     if mode != "paper":
         rests, turns = with_edges(records, rests, turns)
-    data = rotation_data(records, rests, turns, matrix=matrix, offset=offset)
-    creep = creep_of(seen, data.pieces, "gyro")
+    rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
+    creep = creep_of(seen, rows.pieces, "gyro")
     fit = fit_known_rotation(
-        data,
+        rows,
         gravity=seen.session.gravity_m_s2,
         mode="paper" if mode == "paper" else "affine",
         angle_uncertainty=settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
-        moves=lambda fitted, walk: None if model is None else _by_moves(seen, data, model, fitted, walk),
+        moves=lambda fitted, walk: None if model is None else _by_moves(seen, rows, model, fitted, walk),
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's
         for record in records:
-            findings += _check_by_gravity(_corrected(record, fit.model, model))
+            findings += _check_by_gravity(record, fit.model, model)
     return Outcome(fit=fit, method="known-rotation", findings=(*findings, *creep.findings()))

@@ -11,7 +11,7 @@ The errors of dwell or rest i, in the frame of the case, by source:
 
     noise, adc     M n_i                       noise and rounding of the mean
     rate           w_i r                       stated rates, wrong in common
-    mounting       w_i (d_i + e_i)             the table's axis as gravity shows it or as stated, and its wobble beyond that
+    mounting       w_i (d_i + e_i)             the table's axis as gravity shows it or as stated, and its wobble
     ripple         w_i (p_m(psi_i) + u_i)      the rate about the dwell's axis: it ripples with the azimuth psi of the table, if a
                                                dwell is shorter than a turn, and differs from dwell to dwell
     temperature    warmth_i (alpha + beta w_i) offset and scale follow the temperature
@@ -31,20 +31,11 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes
 from undrift.calibration.plausibility import SCALE_TOLERANCE, axis_vectors, check_axis_order, check_own_scale
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, walk_about_mean
-from undrift.calibration.table import (
-    DwellMeans,
-    Linearity,
-    dwell_means,
-    imposed_rates,
-    linearity,
-    mountings,
-    table_axes,
-    table_turns,
-)
+from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, walks_of
+from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes, table_turns
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, above, finding
-from undrift.fit.gls import GlsFit, Prior, block_size, noise_of_means, solve_inverse
+from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
 from undrift.fit.priors import (
     DRIFT_DPS,
     G_SENSITIVITY,
@@ -54,37 +45,17 @@ from undrift.fit.priors import (
     SCALE_LIMIT,
     UNCERTAIN_PERCENT,
 )
-from undrift.fit.triad import (
-    TriadFit,
-    TriadParameters,
-    fit_of,
-    fit_paper,
-    offset_verdict,
-    parameters_of,
-    scaled_condition,
-)
+from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of, scaled_condition
 from undrift.model import AXES, TriadModel, Verdict, level_of
 from undrift.record import Still, Turn
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-UNEVEN_PERCENT = (0.1, 2.0)  # standard uncertainty of a scale by uneven rates: marginal, bad
 MINUTE_S = 60.0
-CHANCE = 1e-3  # of a g-sensitivity that is reported without there being one
-UNDETERMINED = 0.9  # of its prior: a g-sensitivity as uncertain as this was not determined
 MIN_NOISE = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
-MOUNTED = 2.0  # times the stated size, from which a mounting is a finding
-SMALL_ANGLE = 1e-3  # rad: what every case lies off by, however well it is mounted
 
 # ---- fit of dwells and rests
 
 RateTableMode = Literal["paper", "affine"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateTableFit(TriadFit):
-    """Gyroscopes fitted to a rate table; ``residuals`` are corrected minus imposed rate, rad/s, one row per dwell or rest."""
-
-    linearity: tuple[Linearity, ...]  # own-axis table, nonlinearity and asymmetry of each turned axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,61 +80,57 @@ def fit_rate_table(
     scale_tolerance: float = SCALE_TOLERANCE,
     cross_axis_prior: float = 0.01,
     creep: Creep | None = None,
-) -> RateTableFit:
+) -> TriadFit:
     """Fit gyroscopes to the dwells of a rate table and to rests; its latitude adds the Earth's rate to a vertical axis.
 
-    The columns of axes that the table did not turn keep the nominal scale factor; cross-axis terms of ``cross_axis_prior``.
+    Residuals are corrected minus imposed rate, rad/s. The columns of axes that the table did not turn keep the nominal scale
+    factor; cross-axis terms of ``cross_axis_prior``.
     """
-    lines = _check_turned(dwells, scale_tolerance)
-    turned = [AXES.index(line.axis) for line in lines]
-    rates = imposed_rates(dwells, latitude_deg)
+    turned, rates = _check_turned(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
+    if mode == "paper" and len(turned) < 3:
+        lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turned)
+        raise NotObservable(
+            f"rate table, mode paper: expected turns about x, y and z, got none about {lacking}. Record them."
+        )
+    rows = _rows(dwells, rates, rests)
+    matrix = first_table_matrix(rows.rate, rows.reading, turned, dwells.unit)
+    check_axis_order(np.linalg.inv(matrix), "rate table", against="turns")
+    sources = _sources(rows, matrix, dwells)
+    if creep is not None:
+        sources["temperature"] = creep.covariance_in_case(rows.rate)
+    prior = table_prior(matrix, turned, rows.force is not None, dwells.unit, cross_axis_prior)
+    excess = _excess(rows, dwells)
+    gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
     names: dict[str, Any] = {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if mode == "paper":
-        if len(turned) < 3:
-            lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turned)
-            raise NotObservable(
-                f"rate table, mode paper: expected turns about x, y and z, got none about {lacking}. Record them."
-            )
-        fit = fit_paper(rates, dwells.reading, dwells.noise, **names)
-        fit = replace(fit, verdict=offset_verdict(fit, rates, dwells.reading, dwells.noise))
+        fit = fit_paper(rates, dwells.reading, gls, **names)
     else:
-        rows = _rows(dwells, rates, rests, creep)
-        matrix = first_table_matrix(rows.rate, rows.reading, turned, dwells.unit)
-        check_axis_order(np.linalg.inv(matrix), "rate table", against="turns")
-        gls = solve_inverse(
-            rows.reading,
-            rows.rate,
-            rows.force,
-            matrix,
-            _sources(rows, matrix, dwells),
-            excess=_excess(rows, dwells),
-            prior=table_prior(matrix, turned, rows.force is not None, dwells.unit, cross_axis_prior),
-        )
-        parameters, findings = _without_undetermined_g(parameters_of(gls), felt=rests is None or rests.felt)
+        parameters = parameters_of(gls)
+        if rests is not None and not rests.felt:
+            parameters = parameters.without_g()
         fit = fit_of(parameters, rows.rate, -gls.residuals.reshape(-1, 3), **names)
-        fit = replace(fit, verdict=Verdict.of(*findings, *_findings(fit.model, gls, dwells)))
+        fit = replace(fit, verdict=Verdict.of(*_findings(fit.model, gls, dwells)))
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
-    return RateTableFit(model=fit.model, residuals=fit.residuals, verdict=fit.verdict, linearity=lines)
+    return fit
 
 
-def _check_turned(dwells: DwellMeans, scale_tolerance: float) -> tuple[Linearity, ...]:
-    """Return the own-axis table of each axis that the table turned at two rates or more."""
-    lines = []
+def _check_turned(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
+    """Return the axes that the table turned at two rates or more; raise if a single one reads as another axis or scale."""
+    turned = list[int]()
     for k, axis in enumerate(AXES):
         rows = [n for n, name in enumerate(dwells.axis) if name == axis]
-        rate, reading = dwells.turn_rate[rows], dwells.reading[rows]
-        if len(np.unique(rate)) < 2:
+        if len(np.unique(dwells.turn_rate[rows])) < 2:
             continue
+        turned.append(k)
         if len(set(dwells.axis)) < 3:  # with three axes the whole matrix shows exchanged columns
-            slope = np.linalg.lstsq(np.column_stack((rate, np.ones_like(rate))), reading, rcond=None)[0][0]
+            slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
-        lines.append(linearity(reading[:, k], rate, AXES[k]))
-    if not lines:
+    if not turned:
         raise NotObservable(
             "rate table: expected dwells at two different rates or more about an axis, got none about x, y, z. Record both signs."
         )
-    return tuple(lines)
+    return turned
 
 
 def check_reads_positive(slope: FloatArray, k: int) -> None:
@@ -190,21 +157,17 @@ class _TableRows:
     force: FloatArray | None  # (E, 3), m/s2
     noise: FloatArray | None  # (E, 3), standard deviation of each mean
     span: FloatArray | None  # (E, 2), s
-    creep: Creep | None
 
 
-def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None, creep: Creep | None) -> _TableRows:
+def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -> _TableRows:
     if rests is None:
-        return _TableRows(
-            reading=dwells.reading, rate=rates, force=None, noise=dwells.noise, span=dwells.span, creep=creep
-        )
+        return _TableRows(reading=dwells.reading, rate=rates, force=None, noise=dwells.noise, span=dwells.span)
     return _TableRows(
         reading=np.vstack((dwells.reading, rests.reading)),
         rate=np.vstack((rates, np.zeros_like(rests.reading))),
         force=np.vstack((rests.dwell_force, rests.force)),
         noise=None if dwells.noise is None else np.vstack((dwells.noise, rests.noise)),
         span=None if dwells.span is None else np.vstack((dwells.span, rests.span)),
-        creep=creep,
     )
 
 
@@ -238,10 +201,10 @@ def table_prior(
 
 def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, FloatArray]:
     """Return the stated covariances (3 E, 3 E) of the rows, (rad/s)^2."""
-    count, number = len(rows.rate), len(dwells.turn_rate)
+    count, number, axes = len(rows.rate), len(dwells.turn_rate), dwells.axes
     floor = (MIN_NOISE * float(np.abs(rows.reading).max())) ** 2 + 1e-300
     noise = np.zeros_like(rows.reading) if rows.noise is None else rows.noise**2
-    codes = np.minimum(np.broadcast_to(dwells.codes, noise.shape), noise)
+    codes = np.minimum(dwells.codes, noise)
     # Equal inputs have equal rounding errors. Inputs a step or more apart have independent ones, since nothing states where between
     # two codes each of them lies; in between the correlation falls linearly.
     place = rows.rate @ np.linalg.inv(matrix).T / np.where(dwells.codes > 0.0, dwells.step, 1.0)
@@ -252,17 +215,14 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
     }
     if rows.span is not None:
         sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
-    if rows.creep is not None:
-        sources["temperature"] = rows.creep.covariance_in_case(rows.rate)
-    if (axes := dwells.axes) is not None:
-        across = _turning(dwells, count)[0]
-        across[:number] *= axes.wobble[:, None]
+    if axes is not None:
         columns = np.zeros((count, 3, axes.columns.shape[2]))
         columns[:number] = axes.columns * dwells.turn_rate[:, None, None]
-        tilts = columns.reshape(3 * count, -1)
-        common = axes.rate * rows.rate.ravel()
+        tilts, common = columns.reshape(3 * count, -1), axes.rate * rows.rate.ravel()
+        wobble = _turning(dwells, count)[0]
+        wobble[:number] *= axes.wobble[:, None]
         sources["rate"] = np.outer(common, common)
-        sources["mounting"] = tilts @ tilts.T + np.diag(across.ravel() ** 2)
+        sources["mounting"] = tilts @ tilts.T + np.diag(wobble.ravel() ** 2)
     return sources
 
 
@@ -281,14 +241,6 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
     return shapes | walks_of(rows.span)
 
 
-def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
-    """Return the shapes (3 E, 3 E) of a walk of each sensor's offset, for pieces (E, 2) on one clock, s."""
-    if span is None or not np.ptp(middle := span.mean(axis=1)) > 0.0:
-        return {}
-    walk = walk_about_mean(middle)
-    return {f"instability {axis}": np.kron(walk, np.diag(np.eye(3)[k])) for k, axis in enumerate(AXES)}
-
-
 def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each; 0 at rest."""
     along, across = np.zeros((count, 3)), np.zeros((count, 3))
@@ -301,39 +253,13 @@ def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
 # ---- findings
 
 
-def _without_undetermined_g(parameters: TriadParameters, *, felt: bool) -> tuple[TriadParameters, list[Finding]]:
-    """Return the parameters without a g-sensitivity that was not determined, or that no accelerometer corrects."""
-    if (g := parameters.g_sensitivity) is None:
-        return parameters, []
-    covariance = parameters.covariance[12:, 12:]
-    determined = np.sqrt(np.diag(covariance)).min() <= UNDETERMINED * G_SENSITIVITY
-    if determined and felt:
-        return parameters, []
-    from scipy.special import chdtri
-
-    flat, findings = g.ravel(), []
-    if determined and float(flat @ np.linalg.solve(covariance, flat)) > float(chdtri(9, CHANCE)):
-        apart = float(np.ptp(g, axis=1).max()) * STANDARD_GRAVITY / RADIAN_PER_DEGREE
-        findings = [finding("rate_table.axis_offset", level_of(apart, DRIFT_DPS), offset_dps=apart)]
-    return parameters.without_g(), findings
-
-
 def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Finding]:
-    walks = [variance for kind, variance in fit.excess.items() if kind.startswith("instability") and fit.shows(kind)]
-    dps = max(walks, default=0.0) ** 0.5 * MINUTE_S**0.5 / RADIAN_PER_DEGREE
+    walk = max((variance for kind, variance in fit.excess.items() if kind.startswith("instability")), default=0.0)
+    dps = (walk * MINUTE_S) ** 0.5 / RADIAN_PER_DEGREE
     yield from above("rate_table.drift", dps, DRIFT_DPS, dps_per_minute=dps)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
-    if (axes := dwells.axes) is not None and np.isfinite(axes.off).any():
-        off, uncertainty = axes.off[np.nanargmax(axes.off[:, 0])]
-        if off - 2.0 * uncertainty > max(MOUNTED * 2.0**0.5 * axes.mount_tilt, SMALL_ANGLE):
-            angles = {"angle_deg": off / RADIAN_PER_DEGREE, "stated_deg": axes.mount_tilt / RADIAN_PER_DEGREE}
-            yield finding("rate_table.mounting", "warn", **angles)
     uncertain = 100.0 * model.relative_uncertainty
     yield from above("rate_table.uncertainty", uncertain, UNCERTAIN_PERCENT, uncertainty_percent=uncertain)
-    if model.budget is not None and "ripple" in model.budget.sources:
-        uneven = model.budget.uncertainty[model.budget.sources.index("ripple")][[0, 4, 8]] / np.diag(model.matrix)
-        worst, axis = 100.0 * float(uneven.max()), AXES[int(uneven.argmax())]
-        yield from above("rate_table.uneven_rate", worst, UNEVEN_PERCENT, axis=axis, uncertainty_percent=worst)
 
 
 def axes_missing(turned: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
@@ -363,37 +289,32 @@ def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Ver
 
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
-# One such dwell moves a least-squares fit, and an offset that may drift follows it. So before either, each sensor is fitted by
-# least absolute deviations, which a few false dwells do not move:
-#
-#     (K, b) = argmin sum_i |s_i - K w_i - b|        e_i = K^-1 (s_i - b) - w_i, rad/s; with rests, + H a_i beside b
-#
-# A dwell is refused if |e_i| is beyond 8 times the typical |e|, the median over the dwells minus one for every parameter that the
-# fit makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
+# One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
+# weights, s = K w + b, with rests + H a. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i| is beyond 8
+# times the typical |e|, the median over the dwells minus one for every parameter that the fit makes exact, and beyond 2 % of the
+# largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
 
 SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
 SHARE = 0.02  # of the largest rate
 LEAST_SPARE = 4  # equations beyond the parameters of a sensor; with fewer, a false dwell does not stand out
-MOST_PASSES = 60
 
 
 def check_dwells(
     dwells: DwellMeans, rates: FloatArray, *, rests: RestMeans | None = None, numbers: tuple[int, ...] | None = None
 ) -> None:
     """Raise if the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
-    design, reading, count = np.column_stack((rates, np.ones(len(rates)))), dwells.reading, len(rates)
-    if rests is not None:
-        zero = np.column_stack((np.zeros_like(rests.reading), np.ones(len(rests.reading))))
-        design, reading = np.vstack((design, zero)), np.vstack((reading, rests.reading))
-        full = np.hstack((design, np.vstack((rests.dwell_force, rests.force))))
+    rows, count = _rows(dwells, rates, rests), len(rates)
+    design = np.column_stack((rows.rate, np.ones(len(rows.rate))))
+    if rows.force is not None:
+        full = np.hstack((design, rows.force))
         if len(full) - 7 >= LEAST_SPARE and scaled_condition(full)[0] == 7:
             design = full
     if len(design) - design.shape[1] < LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
-    theta = np.array([_least_deviations(design, column) for column in reading.T])
+    theta = np.array([fit_huber(design, column)[0] for column in rows.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
         return  # two columns that read the same; the fit itself reports it
-    away = (reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    away = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error, size = np.linalg.norm(away, axis=1), np.linalg.norm(rates, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
     with_rate = np.median(error[:count] / np.maximum(size, 1e-300)) * size  # a table that wobbles errs with its rate
@@ -401,34 +322,17 @@ def check_dwells(
     wrong = np.flatnonzero(error[:count] > limits)
     if len(wrong):
         numbers = tuple(range(1, count + 1)) if numbers is None else numbers
-        named = "; ".join(_named(dwells, rates[k] + away[k], k, numbers[k]) for k in wrong[:3])
-        rest = f"; and {len(wrong) - 3} more" if len(wrong) > 3 else ""
+        read = (rates + away[:count]) / RADIAN_PER_DEGREE
+        named = "; ".join(
+            f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "
+            f"({', '.join(f'{value:+.4g}' for value in read[k])})"
+            for k in wrong[:3]
+        )
         raise Implausible(
-            f"rate table: expected dwells that agree within {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s, got {named}{rest}. "
-            "Check its sign, value, axis and times, or leave it out.",
+            f"rate table: {len(wrong)} dwells contradict the others by more than {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s: "
+            f"{named}. Check their sign, value, axis and times, or leave them out.",
             turns=tuple(numbers[k] for k in wrong),
         )
-
-
-def _named(dwells: DwellMeans, read: FloatArray, k: int, number: int) -> str:
-    own, most = AXES.index(dwells.axis[k]), int(np.abs(read).argmax())
-    other = most != own and abs(read[most]) >= 2.0 * abs(read[own])
-    value = read[most if other else own] / RADIAN_PER_DEGREE
-    return (
-        f"turn {number}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as {value:+.4g}"
-        f"{f' about {AXES[most]}' if other else ''}"
-    )
-
-
-def _least_deviations(design: FloatArray, reading: FloatArray) -> FloatArray:
-    # Iteratively reweighted least squares; the floor shrinks until the deviations that remain are the false ones.
-    theta: FloatArray = np.linalg.lstsq(design, reading, rcond=None)[0]
-    for step in range(MOST_PASSES):
-        away = np.abs(reading - design @ theta)
-        floor = max(float(np.median(away)) * 0.9**step, 1e-12 * float(np.abs(reading).max()), 1e-300)
-        root = 1.0 / np.sqrt(np.maximum(away, floor))
-        theta = np.linalg.lstsq(design * root[:, None], reading * root, rcond=None)[0]
-    return theta
 
 
 # ---- from a session
@@ -449,27 +353,33 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         gravity_m_s2=session.gravity_m_s2,
         settle_s=settings.settle_s,
     )
-    dwells = replace(dwells, axes=axes)
-    rests = _rest_means(seen, turns, dwells, model)
+    dwells, rests = replace(dwells, axes=axes), _rest_means(seen, turns, dwells, model)
     numbers = tuple(k for k, turn in enumerate(session.turns, 1) if turn in turns)
     check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
-    findings, turned = creep_of(seen, turns, "gyro").findings(), tuple(axis for axis in AXES if axis in dwells.axis)
-    known: dict[str, Any] = {"latitude_deg": settings.latitude_deg}
-    if mode != "paper" or len(turned) < 3:
-        pieces: list[Still | Turn] = [*turns, *(() if rests is None else rests.stills)]
-        creep = creep_of(seen, pieces, "gyro")
-        fit: TriadFit = fit_rate_table(dwells, rests, cross_axis_prior=settings.cross_axis_prior, creep=creep, **known)
-        if len(turned) < 3:
-            findings = (*findings, axes_missing(turned, dwells.unit, settings.cross_axis_prior))
-        return Outcome(fit=fit, method="rate-table", findings=findings)
-    if not settings.remove_offset:
-        return Outcome(fit=fit_rate_table(dwells, mode="paper", **known), method="rate-table", findings=findings)
-    offset, variance = seen.rest_rate()
-    if np.isnan(offset).any():
-        offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
-        variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
-    fit = fit_rate_table(replace(dwells, reading=dwells.reading - offset), mode="paper", **known)
-    return Outcome(fit=with_offset(fit, offset, variance), method="rate-table", findings=findings)
+    turned = tuple(axis for axis in AXES if axis in dwells.axis)
+    paper = mode == "paper" and len(turned) == 3
+    pieces: list[Still | Turn] = [*turns, *(() if rests is None or paper else rests.stills)]
+    creep = creep_of(seen, pieces, "gyro")
+    findings = creep.findings()
+    if len(turned) < 3:
+        findings = (*findings, axes_missing(turned, dwells.unit, settings.cross_axis_prior))
+    offset = None
+    if paper and settings.remove_offset:
+        offset, variance = seen.rest_rate()
+        if np.isnan(offset).any():
+            offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
+            variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
+        dwells = replace(dwells, reading=dwells.reading - offset)
+    fit = fit_rate_table(
+        dwells,
+        None if paper else rests,
+        mode="paper" if paper else "affine",
+        latitude_deg=settings.latitude_deg,
+        cross_axis_prior=settings.cross_axis_prior,
+        creep=creep,
+    )
+    fit = fit if offset is None else with_offset(fit, offset, variance)
+    return Outcome(fit=fit, method="rate-table", findings=findings)
 
 
 def _rest_means(
@@ -482,21 +392,19 @@ def _rest_means(
     records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
     if accel is None:
         rests = [rest for rest in rests if rest.face is not None]
-    parts = [records[s.recording].part(s.start, s.stop) for s in rests]
-    if not parts or not turning or any(r.gyro is None or np.isnan(r.gyro).any() for r in parts):
+    parts = [records[piece.recording].part(piece.start, piece.stop) for piece in (*turning, *rests)]
+    windows = [np.asarray(part.gyro, float) for part in parts[len(turning) :]]
+    lacking = accel is not None and any(part.accel is None for part in parts)
+    if not windows or not turning or lacking or any(np.isnan(window).any() for window in windows):
         return None
-    windows = [record.gyro for record in parts if record.gyro is not None]
-    noise = noise_of_means(windows, [block_size(record.sample_rate_hz) for record in parts])
+    noise = noise_of_means(windows, [block_size(records[rest.recording].sample_rate_hz) for rest in rests])
     if noise is None:
         return None
     if accel is None:
         force = _stated_force(rests, turning, dwells) * seen.session.gravity_m_s2
     else:
-        turns = [records[t.recording].part(t.start, t.stop).accel for t in turning]
-        felt = [values for values in (*turns, *(record.accel for record in parts)) if values is not None]
-        if len(felt) < len(turns) + len(parts):
-            return None
-        force = (np.array([np.nanmean(values, axis=0) for values in felt]) - accel.offset) @ accel.matrix.T
+        felt = np.array([np.nanmean(part.accel, axis=0) for part in parts if part.accel is not None])
+        force = (felt - accel.offset) @ accel.matrix.T
     return RestMeans(
         dwell_force=force[: len(turning)],
         reading=np.array([window.mean(axis=0) for window in windows]),

@@ -16,7 +16,7 @@ The variance of the tilt is the excess of the residuals across gravity (fit/gls.
 cosine takes along gravity is added to the covariance for a tilt of the estimated size.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -41,17 +41,9 @@ from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_
 from undrift.calibration.table import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.gls import block_size, noise_of_means, solve_inverse
+from undrift.fit.gls import GlsFit, block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER
-from undrift.fit.triad import (
-    TriadFit,
-    first_matrix,
-    fit_of,
-    fit_paper,
-    offset_verdict,
-    parameters_of,
-    scaled_condition,
-)
+from undrift.fit.triad import TriadFit, first_matrix, fit_of, fit_paper, parameters_of, scaled_condition
 from undrift.model import Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -83,13 +75,34 @@ class FaceMeans:
 class SixFaceFit(TriadFit):
     """A triad fitted to six faces."""
 
-    # standard deviation of the faces' tilt about each horizontal axis, rad; 0 if not significant, NaN if not estimated
-    tilt: float = float("nan")
+    tilt: float = float(
+        "nan"
+    )  # standard deviation of the faces' tilt about each horizontal axis, rad; NaN if not estimated
 
 
 def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affine") -> SixFaceFit:
     """Fit accelerometers to mean readings of their faces."""
     _check(poses, gravity, mode)
+    inputs, gls = gravity * face_vectors(poses.faces), _solve(poses, gravity)
+    tilt = float(np.sqrt(gls.excess.get("level", np.nan)))
+    names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
+    findings = list[Finding]()
+    if poses.rounding is not None and poses.noise is not None:
+        findings += limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
+    if tilt > TILT_LIMIT:
+        findings.append(finding("six_face.tilt", "warn", tilt_deg=tilt / RADIAN_PER_DEGREE))
+    if mode == "paper":
+        fit = fit_paper(inputs, poses.reading, gls, **names)
+    else:
+        fit = fit_of(parameters_of(gls), inputs, -gls.residuals.reshape(-1, 3), **names)
+    check_handedness(fit.model.forward_matrix, "accelerometer")
+    return SixFaceFit(
+        model=fit.model, residuals=fit.residuals, verdict=fit.verdict.also(Verdict.of(*findings)), tilt=tilt
+    )
+
+
+def _solve(poses: FaceMeans, gravity: float) -> GlsFit:
+    """Return the fit of M and c, and the covariances of its rows, (m/s2)^2."""
     up = face_vectors(poses.faces)
     rank, _ = scaled_condition(np.column_stack((up, np.ones(len(up)))))
     if rank < 4:
@@ -97,36 +110,10 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affin
             f"six faces: expected faces that span three axes and both signs, got rank {rank} of 4. Record the missing faces.",
             rank=rank,
         )
-    inputs, noise_known = gravity * up, poses.noise is not None
-    matrix = first_matrix(inputs, poses.reading)
-    shapes = {"level": _tilt_shape(poses, up, gravity)} if noise_known else {"noise": np.full(3 * len(up), gravity**2)}
-    gls = solve_inverse(poses.reading, inputs, None, matrix, _sources(poses, inputs, matrix), excess=shapes)
-    tilt = float("nan")
-    if noise_known:
-        tilt = float(np.sqrt(gls.excess["level"])) if gls.shows("level") else 0.0
-    names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
-    findings = Verdict.of(*_findings(poses, tilt, mode))
-    if mode == "paper":
-        fit, tilt = fit_paper(inputs, poses.reading, poses.noise, _in_common(poses, inputs), **names), float("nan")
-        verdict = offset_verdict(fit, inputs, poses.reading, poses.noise).also(findings)
-        fit = replace(fit, verdict=verdict)
-    else:
-        if noise_known:
-            cosine = (gls.excess_bound("level") * np.abs(inputs.ravel())) ** 2
-            part = gls.gains * cosine @ gls.gains.T
-            level = gls.budget["level"] + part
-            gls = replace(gls, covariance=gls.covariance + part, budget={**gls.budget, "level": level})
-        fit = fit_of(parameters_of(gls), inputs, -gls.residuals.reshape(-1, 3), findings, **names)
-    check_handedness(fit.model.forward_matrix, "accelerometer")
-    return SixFaceFit(model=fit.model, residuals=fit.residuals, verdict=fit.verdict, tilt=tilt)
-
-
-def _sources(poses: FaceMeans, inputs: FloatArray, matrix: FloatArray) -> dict[str, FloatArray]:
-    """Return the stated covariances (3 P, 3 P) of the rows, (m/s2)^2; ``matrix`` takes readings to m/s2."""
-    floor = MIN_NOISE * float(np.abs(poses.reading).max())
+    inputs, own = gravity * up, np.eye(len(up))[:, :, None]
+    matrix, floor = first_matrix(inputs, poses.reading), MIN_NOISE * float(np.abs(poses.reading).max())
     noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
     rounding = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise)
-    own = np.eye(len(noise))[:, :, None]
     sources = {
         "noise": in_case(matrix, own * np.maximum(noise**2 - rounding**2, floor**2)[:, None]),
         "adc": in_case(matrix, own * np.broadcast_to(rounding**2, noise.shape)[:, None]),
@@ -135,70 +122,42 @@ def _sources(poses: FaceMeans, inputs: FloatArray, matrix: FloatArray) -> dict[s
         sources["temperature"] = poses.creep.covariance_in_case(inputs)
     if poses.flicker is not None:
         sources["instability"] = np.kron(poses.flicker, np.eye(3))
-    return sources
-
-
-def _tilt_shape(poses: FaceMeans, up: FloatArray, gravity: float) -> FloatArray:
-    """Return the covariance (3 P, 3 P) of g d_p x up_p for a tilt d_p of 1 rad about each horizontal axis."""
+    if poses.noise is None:
+        return solve_inverse(
+            poses.reading, inputs, None, matrix, sources, excess={"noise": np.full(3 * len(up), gravity**2)}
+        )
+    # g d_p x up_p for a tilt of 1 rad about each horizontal axis
     placement = np.arange(len(up)) if poses.placement is None else poses.placement
-    alike = np.kron(placement[:, None] == placement, np.eye(3))
     across = gravity * np.sqrt(1.0 - up.ravel() ** 2)
-    return np.asarray(alike * np.outer(across, across))
-
-
-def _in_common(poses: FaceMeans, inputs: FloatArray) -> FloatArray:
-    """Return the covariance (3, P, P) of what moves the readings of each sensor together, ``unit`` squared."""
-    gain = 1.0 / np.diag(first_matrix(inputs, poses.reading))
-    covariance = np.zeros((3, len(inputs), len(inputs)))
-    for axis in range(3):
-        if poses.creep is not None:
-            covariance[axis] += poses.creep.covariance(inputs[:, axis], float(gain[axis]))
-        if poses.flicker is not None:
-            covariance[axis] += gain[axis] ** 2 * poses.flicker
-    return covariance
-
-
-def _findings(poses: FaceMeans, tilt: float, mode: SixFaceMode) -> Iterator[Finding]:
-    if poses.rounding is not None and poses.noise is not None:
-        yield from limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
-    tilt_deg = tilt / RADIAN_PER_DEGREE
-    if mode == "paper" and tilt > 0.0:  # the closed form assumes level faces, and so does its covariance
-        yield finding("six_face.tilt_left_out", "warn", tilt_deg=tilt_deg, gain_share=tilt)
-    elif mode == "affine" and tilt > TILT_LIMIT:
-        yield finding("six_face.tilt", "warn", tilt_deg=tilt_deg)
+    shape = np.kron(placement[:, None] == placement, np.eye(3)) * np.outer(across, across)
+    fit = solve_inverse(poses.reading, inputs, None, matrix, sources, excess={"level": shape})
+    return fit.widened("level", np.diag((fit.excess_bound("level") * np.abs(inputs.ravel())) ** 2))
 
 
 def face_means(
     records: Sequence[Record], stills: Sequence[Still], *, window_s: float = 6.0, polynomial_degree: int = 1
 ) -> FaceMeans:
     """Filter and average the middle ``window_s`` of each labelled still phase by a polynomial in time."""
-    used = [s for s in stills if s.face is not None]
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
-    cut = [_middle(records[s.recording], s, window_s) for s in used]
-    windows = [_window(records[s.recording], s, unit, polynomial_degree) for s in cut]
+    middles = list[Still]()
+    for still in (still for still in stills if still.face is not None):
+        wanted = max(2, round(window_s * records[still.recording].sample_rate_hz))
+        start = still.start + max(0, (still.stop - still.start - wanted) // 2)
+        middles.append(replace(still, start=start, stop=min(still.stop, start + wanted)))
+    windows = [_window(records[still.recording], still, unit, polynomial_degree) for still in middles]
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
-    sizes = [block_size(records[s.recording].sample_rate_hz) for s in used]
+    sizes = [block_size(records[still.recording].sample_rate_hz) for still in middles]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
-    rounding = flicker = None
-    if noise is not None:
-        flicker = ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, cut))
-        every = [np.asarray(records[k].accel) for k in {s.recording for s in used}]
-        rounding = mean_rounding(every, [rest for _, rest in filtered])
-        noise = np.hypot(noise, rounding)
+    every = [np.asarray(records[k].accel) for k in {still.recording for still in middles}]
+    rounding = mean_rounding(every, [rest for _, rest in filtered]) if middles else np.zeros(3)
     return FaceMeans(
         reading=np.array([smooth.mean(axis=0) for smooth, _ in filtered]).reshape(-1, 3),
-        faces=tuple(s.face for s in used if s.face is not None),
-        noise=noise,
+        faces=tuple(still.face for still in middles if still.face is not None),
+        noise=None if noise is None else np.hypot(noise, rounding),
         rounding=rounding,
         unit=unit,
-        flicker=flicker,
+        flicker=ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, middles)) if middles else None,
     )
-
-
-def _middle(record: Record, still: Still, window_s: float) -> Still:
-    wanted = max(2, round(window_s * record.sample_rate_hz))
-    start = still.start + max(0, (still.stop - still.start - wanted) // 2)
-    return replace(still, start=start, stop=min(still.stop, start + wanted))
 
 
 def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
@@ -263,11 +222,10 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
         findings = (*findings, finding("six_face.short_faces", "warn"))
     if paper and settings.remove_offset:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
-        faces = np.array(poses.faces)
+        faces, rows = np.array(poses.faces), _solve(poses, gravity)
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
-        variance = np.full(3, np.nan) if poses.noise is None else (poses.noise**2).mean(axis=0) / len(poses.faces)
-        variance = variance + _in_common(poses, gravity * face_vectors(poses.faces)) @ share @ share
-        offset = share @ poses.reading
+        mean = np.kron(share, np.linalg.inv(rows.theta[:9].reshape(3, 3)))
+        variance, offset = np.diag(mean @ np.sum([*rows.sources.values()], axis=0) @ mean.T), share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
     fit: TriadFit = fit_six_face(poses, gravity=gravity, mode="paper" if paper else "affine")
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", SCALE_TOLERANCE, "accelerometer")

@@ -33,8 +33,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 #     F (E, E)        flicker: exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
 #     B (E, E)        random walk (Brownian covariance)
 
-
-_TIMES_S = np.geomspace(1.0, 1e4, 9)
+FLICKER_TIMES_S = np.geomspace(1.0, 1e4, 9)
 
 
 def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -49,10 +48,10 @@ def flicker_of_means(span: FloatArray) -> FloatArray:
     start, stop = span[:, 0], np.maximum(span[:, 1], span[:, 0] + 1e-3)
     apart = [to[:, None] - of for to, of in ((stop, start), (start, stop), (stop, stop), (start, start))]
     total = np.zeros((len(span), len(span)))
-    for time_s in _TIMES_S:  # twice the integral of exp(-|t| / time) over t, then its second difference
+    for time_s in FLICKER_TIMES_S:  # twice the integral of exp(-|t| / time) over t, then its second difference
         late, early, stops, starts = (np.expm1(-np.abs(t) / time_s) + np.abs(t) / time_s for t in apart)
         total += time_s**2 * (late + early - stops - starts)
-    return np.asarray(total / len(_TIMES_S) / np.outer(stop - start, stop - start))
+    return np.asarray(total / len(FLICKER_TIMES_S) / np.outer(stop - start, stop - start))
 
 
 def flicker_about_mean(span: FloatArray) -> FloatArray:
@@ -70,18 +69,24 @@ def walk_about_mean(time: FloatArray) -> FloatArray:
     return np.asarray(np.minimum.outer(since, since) - mean[:, None] - mean + length / 3.0)
 
 
+def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
+    """Return the shapes (3 E, 3 E) of a walk of each sensor's offset, for pieces (E, 2) on one clock, s."""
+    if span is None or not np.ptp(middle := span.mean(axis=1)) > 0.0:
+        return {}
+    walk = walk_about_mean(middle)
+    return {f"instability {axis}": np.kron(walk, np.diag(np.eye(3)[k])) for k, axis in enumerate(AXES)}
+
+
 # ---- drift of the gyroscopes' rest offsets between start and end of a session
 #
 #     m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r; T from the first to the last
 #
-# for each axis by least squares. h a_r, the g-sensitivity along the directions of gravity that the poses change, is fitted to six
-# rests or more. A drift is a finding if chance alone makes one as large on any axis in less than one session in a
-# hundred.
+# for each axis by least squares. h a_r, the g-sensitivity along the axes on which gravity changes, is fitted to six rests or more.
+# A drift is a finding if chance makes one as large on any axis in less than one session in a hundred.
 
-_LEAST_RESTS = 4
-_LEAST_WITH_POSES = 6
-_POSES_CHANGE = 0.1  # of gravity, root sum of squares over the rests
-_CHANCE = 0.01
+LEAST_RESTS, LEAST_WITH_POSES = 4, 6
+POSES_CHANGE = 0.1  # of gravity
+CHANCE = 0.01
 
 
 def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
@@ -89,23 +94,22 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
     from scipy.special import stdtr, stdtrit
 
     records = seen.session.records
-    rests = {s: mean_reading(records[s.recording].gyro, s.start, s.stop) for s in seen.stills}
-    stills = [s for s, rest in rests.items() if np.isfinite(rest).all()]
-    if seen.session.kind == "thermal" or len(stills) < _LEAST_RESTS:
+    means = {still: mean_reading(records[still.recording].gyro, still.start, still.stop) for still in seen.stills}
+    stills = [still for still, mean in means.items() if np.isfinite(mean).all()]
+    if seen.session.kind == "thermal" or len(stills) < LEAST_RESTS:
         return ()
     time = middles(records, stills)
     force = np.array([mean_reading(records[s.recording].accel, s.start, s.stop) for s in stills])
-    poses = np.zeros((len(stills), 0))
-    if len(stills) >= _LEAST_WITH_POSES and np.isfinite(force).all():
-        left, size, _ = np.linalg.svd(force - force.mean(axis=0), full_matrices=False)
-        poses = left[:, size > _POSES_CHANGE * np.linalg.norm(force, axis=1).mean()]
+    moved = np.ptp(force, axis=0) > POSES_CHANGE * np.linalg.norm(force, axis=1).mean()
+    poses = (force - force.mean(axis=0))[:, moved & (len(stills) >= LEAST_WITH_POSES)]
+    poses /= np.linalg.norm(poses, axis=0)
     design = np.column_stack(((time - time.mean()) / (float(np.ptp(time)) or np.inf), np.ones(len(time)), poses))
-    theta, square, rank, _ = np.linalg.lstsq(design, np.array([rests[s] for s in stills]), rcond=None)
+    theta, square, rank, _ = np.linalg.lstsq(design, np.array([means[s] for s in stills]), rcond=None)
     freedom, change = len(stills) - design.shape[1], theta[0]
     if rank < design.shape[1] or freedom < 1:
         return ()
     sigma = np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
-    sure = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < _CHANCE
+    sure = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < CHANCE
     if not sure.any():
         return ()
     axis, dps = int(np.argmax(np.where(sure, np.abs(change), 0.0))), gain / RADIAN_PER_DEGREE
@@ -138,13 +142,6 @@ class Creep:
     limit_k: float = np.inf  # a larger span is a finding, K
     kind: Kind = "accel"
 
-    def covariance_in_case(self, value: FloatArray) -> FloatArray:
-        """Return the covariance (3 P, 3 P) of warmth (alpha + beta value), each axis with slopes of its own; value (P, 3), SI."""
-        slopes = np.stack((self.offset_per_k * np.ones_like(value), self.scale_per_k * value))
-        columns = (self.warmth[:, None] * slopes)[:, :, :, None] * np.eye(3)  # slope, piece, row, axis
-        both = columns.transpose(1, 2, 0, 3).reshape(value.size, -1)
-        return np.asarray(both @ both.T)
-
     def columns(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
         """Return C (P, 2) of one sensor, unit of the reading: of offset and of scale, one standard deviation each.
 
@@ -153,10 +150,13 @@ class Creep:
         slopes = np.stack((np.full(len(self.warmth), self.offset_per_k), self.scale_per_k * value))
         return np.asarray((gain * self.warmth * slopes).T)
 
-    def covariance(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
-        """Return C C' (P, P) of one sensor, unit of the reading squared; arguments as of ``columns``."""
-        columns = self.columns(value, gain)
-        return np.asarray(columns @ columns.T)
+    def covariance_in_case(self, value: FloatArray) -> FloatArray:
+        """Return the covariance (3 P, 3 P) of warmth (alpha + beta value), each axis with slopes of its own; value (P, 3), SI."""
+        columns = np.zeros((len(value), 3, 3, 2))
+        for axis in range(3):
+            columns[:, axis, axis] = self.columns(value[:, axis])
+        both = columns.reshape(value.size, 6)
+        return np.asarray(both @ both.T)
 
     @property
     def none(self) -> bool:
@@ -187,29 +187,30 @@ def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Cree
     """Return the temperature of some stills and turns of a session, and what it does to one sensor."""
     prior = seen.session.sensitivity
     every: tuple[Still | Turn, ...] = (*seen.stills, *seen.session.turns) or tuple(pieces)
-    time = middles(seen.session.records, (*every, *pieces))
-    stated = np.array([piece.temp_c is not None for piece in (*every, *pieces)])
-    own = slice(0, len(every))
-    rise = (time - time[own].mean()) / (float(np.ptp(time[own])) or np.inf) if every else np.zeros(len(time))
-    temps = piece_temperatures(seen.session, (*every, *pieces))
-    if np.isfinite(temps[own]).any():
-        warmth = np.nan_to_num(temps - seen.mean_temperature())
-        step = 0.0 if stated.any() else _thermometer_step(seen)
-        if np.ptp(warmth[own]) <= step:
-            warmth = step * rise
-        elif prior.thermometer_lag_s:
-            course = np.polynomial.Polynomial.fit(time[own], warmth[own], min(2, len(every) - 1)).deriv()
-            warmth = warmth + prior.thermometer_lag_s * np.where(stated, 0.0, course(time))
-    else:
-        warmth = prior.unrecorded_span_k * rise
-    accel = kind == "accel"
+    if not every:
+        return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0, kind=kind)
+    both = (*every, *pieces)
+    own, time, temps = slice(0, len(every)), middles(seen.session.records, both), piece_temperatures(seen.session, both)
+    warmth: FloatArray = np.nan_to_num(temps - seen.mean_temperature())
+    stated = np.array([piece.temp_c is not None for piece in both])
+    least_k = 0.0 if stated.any() else _thermometer_step(seen)
+    if not np.isfinite(temps[own]).any():
+        least_k = prior.unrecorded_span_k
+    if np.ptp(warmth[own]) <= least_k:
+        warmth = least_k * (time - time[own].mean()) / (float(np.ptp(time[own])) or np.inf)
+    elif prior.thermometer_lag_s:
+        course = np.polynomial.Polynomial.fit(time[own], warmth[own], min(2, len(every) - 1)).deriv()
+        warmth = warmth + prior.thermometer_lag_s * np.where(stated, 0.0, course(time))
+    offset, scale, unit = (
+        (prior.accel_offset_mg_per_k, prior.accel_scale_percent_per_k, 1e-3 * STANDARD_GRAVITY)
+        if kind == "accel"
+        else (prior.gyro_offset_dps_per_k, prior.gyro_scale_percent_per_k, RADIAN_PER_DEGREE)
+    )
     return Creep(
         warmth=warmth[len(every) :],
-        offset_per_k=prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
-        if accel
-        else prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE,
-        scale_per_k=0.01 * (prior.accel_scale_percent_per_k if accel else prior.gyro_scale_percent_per_k),
-        span_k=float(np.ptp(warmth[own])) if every else 0.0,
+        offset_per_k=offset * unit,
+        scale_per_k=0.01 * scale,
+        span_k=float(np.ptp(warmth[own])),
         limit_k=prior.span_limit_k,
         kind=kind,
     )
@@ -218,5 +219,5 @@ def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Cree
 def _thermometer_step(seen: Observed) -> float:
     """Return the smallest step between recorded temperatures, K."""
     read = [record.temp_c[np.isfinite(record.temp_c)] for record in seen.session.records if record.temp_c is not None]
-    steps = np.diff(np.unique(np.concatenate(read)))
+    steps = np.diff(np.unique(np.concatenate(read))) if read else np.empty(0)
     return float(steps.min()) if len(steps) else 0.0

@@ -1,4 +1,4 @@
-"""Dwells on a rate table: mean readings, about which axis of the case the table really turned, linearity of one axis.
+"""Dwells on a rate table: mean readings, and about which axis of the case the table really turned.
 
 ``dwell_means`` averages the steady turns of a session, ``table_axes`` measures by gravity about which axis of the case the table
 turned them, and ``imposed_rates`` returns the rates that a fit takes as its input.
@@ -16,7 +16,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, mean_rounding
 from undrift.calibration.plausibility import axis_vectors, check_saturation
 from undrift.calibration.session import spans_of
-from undrift.errors import InputError, NotObservable
+from undrift.errors import InputError
 from undrift.fit.gls import Prior, block_size, noise_of_means, solve
 from undrift.fit.priors import ACCEL_FLICKER, SETTLE_S, TABLE_ARM, TABLE_MOUNTING
 from undrift.model import AXES, TriadModel
@@ -25,7 +25,9 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 MOST_SETTLING = 0.5  # of a dwell
 LEAST_SAMPLES = 8
+WHOLE_TURN = 0.99 * 2.0 * np.pi  # rad: over it a ripple averages out
 FILTER_S = 0.3  # in which a second-order filter at 11 Hz settles to 1e-6: gravity leaves out no more of a dwell's start
+MOST_BLOCKS = 12  # means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
 
 # ---- mean readings of the dwells
@@ -33,15 +35,13 @@ MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound ari
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableAxes:
-    """About which axes of the case the dwells turned, and what is not known about them."""
+    """About which axes of the case the dwells turned, and what is not known about them and their rates."""
 
     direction: FloatArray  # (N, 3), axis of each dwell
     columns: FloatArray  # (N, 3, C), errors of ``direction`` by C independent causes of one standard deviation each
-    off: FloatArray  # (N, 2), angle between case axis and table axis and its uncertainty, rad; NaN if gravity did not show it
     ripple: FloatArray  # (N, R), change of the rate by R independent ripples, relative, of an amplitude of one each
     rate: float  # standard uncertainty of all stated rates in common, relative
     wobble: FloatArray  # (N,), stated standard uncertainty of the axis from dwell to dwell, rad; 0 if gravity showed the axis
-    mount_tilt: float  # stated standard uncertainty of the mounting, rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -176,9 +176,9 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 #
 #     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g
 #
-# All are fitted with their priors; the sizes of noise and wobble are excess variances. psi is the integral of the gyroscope of axis
-# k. The errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d and e_i are zero, with
-# the stated uncertainties of mounting and wobble.
+# All are fitted with their priors, with an l for each recording; the sizes of noise and wobble are excess variances. psi is the
+# integral of the gyroscope of axis k. The errors of the accelerometers are common to all mountings: df = dM s - M do. Without
+# accelerometers d and e_i are zero, with the stated uncertainties of mounting and wobble.
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -209,34 +209,6 @@ def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
     return numbers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Mounting:
-    """Dwells of one mounting on the table: R of them, about axis k of the case."""
-
-    records: Sequence[Record]
-    turns: Sequence[Turn]  # (R,), in order of their recordings
-    k: int
-    gravity: float  # specific force along +axis k, m/s2; 0 if the axis is not vertical
-    line: FloatArray  # (2,), scale factor and offset of the gyroscope of axis k; NaN if its dwells do not show them
-    settle_s: float  # start of each dwell that is left out, s
-
-    @property
-    def across(self) -> list[int]:
-        """The two axes of the case across the table's."""
-        return [(self.k + 1) % 3, (self.k + 2) % 3]
-
-    def azimuth(self, number: int) -> FloatArray | None:
-        """Return the angle of the table (N,) at the samples of a recording, from its first dwell to its last; None in a gap."""
-        own, record = [turn for turn in self.turns if turn.recording == number], self.records[number]
-        begin, end = min(turn.start for turn in own), max(turn.stop for turn in own)
-        if record.gyro is None or np.isnan([*self.line, record.gyro[begin:end].sum()]).any():
-            return None
-        rate = (record.gyro[begin:end, self.k] - self.line[1]) / self.line[0]
-        angle = np.full(len(record), np.nan)
-        angle[begin:end] = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(record.time[begin:end])))
-        return angle
-
-
 def table_axes(
     records: Sequence[Record],
     turns: Sequence[Turn],
@@ -253,114 +225,134 @@ def table_axes(
     ``turns`` (N,) are those of the dwells, and ``mounting`` (N,) is the number of the mounting of each.
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
-    lines = [_line(dwells.turn_rate[axis == k], dwells.reading[axis == k, k]) for k in range(3)]
-    groups: dict[tuple[int, int, float], list[int]] = {}
-    for n in sorted(range(count), key=lambda n: turns[n].recording):
-        groups.setdefault((int(mounting[n]), int(axis[n]), float(np.broadcast_to(dwells.up, count)[n])), []).append(n)
+    up, stretches = (
+        np.broadcast_to(dwells.up, count),
+        [(t.recording, int(m)) for t, m in zip(turns, mounting, strict=True)],
+    )
+    azimuths = _azimuths(records, turns, stretches, dwells)
     direction: FloatArray = np.eye(3)[axis]
-    off: FloatArray = np.full((count, 2), np.nan)
-    mount_tilt = table.mount_tilt_deg * RADIAN_PER_DEGREE
-    wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
     by_accel: FloatArray = np.zeros((count, 3, 12))
+    wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
     columns = list[FloatArray]()
-    for (_, k, up), rows in groups.items():
-        group = _Mounting(
-            records=records, turns=[turns[n] for n in rows], k=k, gravity=up * gravity_m_s2, line=lines[k], settle_s=settle_s
-        )  # fmt: skip
-        tilts = None if accel is None or up == 0.0 else _axes_by_gravity(group, table, accel)
-        if tilts is None or accel is None:
-            root: FloatArray = np.tile(mount_tilt * np.eye(2), (len(rows), 1, 1))
-        else:
-            direction[np.ix_(rows, group.across)], root, off[rows] = tilts
-            wobble[rows] = 0.0
-            reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
-            by_matrix, by_offset = np.kron(np.eye(3), reading), accel.matrix / group.gravity
-            by_accel[np.ix_(rows, group.across)] = np.hstack((by_matrix, -by_offset))[group.across]
+    for number in sorted(set(mounting.tolist())):
+        rows = np.flatnonzero(mounting == number)
+        k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
+        across = [(k + 1) % 3, (k + 2) % 3]
+        root: FloatArray = np.tile(table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2), (len(rows), 1, 1))
+        if accel is not None and abs(gravity) == gravity_m_s2:
+            felt = [_felt(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows]
+            parts = [part[:, [0, 1, 2 + across[0], 2 + across[1]]] / [1.0, 1.0, gravity, gravity] for part in felt]
+            if all(len(part) for part in parts):
+                tilt, root = _tilt_by_gravity(
+                    parts, dwells.turn_rate[rows], [turns[n].recording for n in rows], table, gravity
+                )
+                direction[np.ix_(rows, across)], wobble[rows] = tilt, 0.0
+                readings = [np.asarray(record.accel) for record in records]
+                windows = [readings[turns[n].recording][turns[n].start : turns[n].stop] for n in rows]
+                # all dwells feel one gravity, and so read one code
+                codes = accel.matrix[across] / gravity * np.nan_to_num(mean_rounding(readings, windows))
+                root = np.concatenate((root, np.broadcast_to(codes, (len(rows), 2, 3))), axis=2)
+                reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
+                by_accel[np.ix_(rows, across)] = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))[
+                    across
+                ]
         columns.append(np.zeros((count, 3, root.shape[2])))
-        columns[-1][np.ix_(rows, group.across)] = root
+        columns[-1][np.ix_(rows, across)] = root
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
         columns.append(by_accel @ (vectors * np.sqrt(variance.clip(0.0))))
     return TableAxes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
-        off=off,
-        ripple=_ripples(records, turns, mounting, lines, settle_s),
+        ripple=_ripples(records, turns, stretches, azimuths, settle_s),
         rate=table.rate_uncertainty,
         wobble=wobble,
-        mount_tilt=mount_tilt,
     )
 
 
+def _azimuths(
+    records: Sequence[Record], turns: Sequence[Turn], stretches: list[tuple[int, int]], dwells: DwellMeans
+) -> list[FloatArray]:
+    """Return the angle of the table at the samples of each dwell's recording, NaN if the gyroscope does not show it.
+
+    It is the integral of the gyroscope of the dwell's axis, over all dwells of one mounting in one recording.
+    """
+    from scipy.integrate import cumulative_trapezoid
+
+    azimuths = [np.full(len(records[turn.recording]), np.nan) for turn in turns]
+    for stretch in set(stretches):
+        rows = [n for n, other in enumerate(stretches) if other == stretch]
+        record, axis = records[stretch[0]], dwells.axis[rows[0]]
+        about = [n for n, other in enumerate(dwells.axis) if other == axis]
+        if record.gyro is None or len(np.unique(dwells.turn_rate[about])) < 2:
+            continue
+        k, whole = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
+        scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
+        angle = cumulative_trapezoid((record.gyro[whole, k] - offset) / scale, record.time[whole], initial=0.0)
+        for n in rows:
+            azimuths[n][whole] = angle
+    return azimuths
+
+
 def _ripples(
-    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, lines: list[FloatArray], settle_s: float
+    records: Sequence[Record],
+    turns: Sequence[Turn],
+    stretches: list[tuple[int, int]],
+    azimuths: list[FloatArray],
+    settle_s: float,
 ) -> FloatArray:
     """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch in which it is known.
 
     The rate ripples once a turn, by a cos psi + b sin psi. Over whole turns this averages out. Shorter dwells of one mounting start
     where the ones before ended, and err alike.
     """
-    keys = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
-    columns = [np.zeros((len(turns), 0))]
-    for key in sorted(set(keys)):
-        rows = [n for n, other in enumerate(keys) if other == key]
-        k = AXES.index(turns[rows[0]].axis or "x")
-        group = _Mounting(
-            records=records, turns=[turns[n] for n in rows], k=k, gravity=0.0, line=lines[k], settle_s=settle_s
-        )
-        angle, pair = group.azimuth(key[0]), np.zeros((len(turns), 2))
-        for n in rows if angle is not None else []:
-            psi = angle[steady(records[key[0]], turns[n], settle_s)]  # type: ignore[index]
-            if np.ptp(psi) < 0.99 * 2.0 * np.pi:
+    columns = np.zeros((len(turns), 0))
+    for stretch in sorted(set(stretches)):
+        pair = np.zeros((len(turns), 2))
+        for n, turn in enumerate(turns):
+            psi = azimuths[n][steady(records[turn.recording], turn, settle_s)]
+            if stretches[n] == stretch and np.ptp(psi) < WHOLE_TURN:
                 pair[n] = np.cos(psi).mean(), np.sin(psi).mean()
-        columns.append(pair)
-    return np.hstack(columns)
+        columns = np.hstack((columns, pair))
+    return columns
 
 
-def _line(rate: FloatArray, reading: FloatArray) -> FloatArray:
-    if len(np.unique(rate)) < 2:
-        return np.full(2, np.nan)
-    return np.asarray(np.linalg.lstsq(np.column_stack((rate, np.ones_like(rate))), reading, rcond=None)[0])
+def _felt(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
+    """Return block means (B, 5) of cosine and sine of the azimuth and of the specific force, m/s2; without blocks with gaps."""
+    if record.accel is None:
+        return np.empty((0, 5))
+    window = steady(record, turn, min(settle_s, FILTER_S))
+    force = (record.accel[window] - accel.offset) @ accel.matrix.T
+    parts = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force))
+    size = max(block_size(record.sample_rate_hz), len(parts) // MOST_BLOCKS)
+    means = parts[: len(parts) // size * size].reshape(-1, size, 5).mean(axis=1)
+    return np.asarray(means[~np.isnan(means).any(axis=1)])
 
 
-def _axes_by_gravity(
-    group: _Mounting, table: RateTable, accel: TriadModel
-) -> tuple[FloatArray, FloatArray, tuple[float, float]] | None:
-    """Return d + e_i (R, 2) of the dwells of a mounting, a root of their covariance (R, 2, C), and |d| with its uncertainty.
+def _tilt_by_gravity(
+    parts: list[FloatArray], turn_rate: FloatArray, recordings: list[int], table: RateTable, gravity: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return d + e_i (R, 2) of the dwells of a mounting, and a root of their covariance (R, 2, 2 R).
 
-    Return None if gaps hide the azimuth or the force.
+    ``parts`` (B, 4) are the blocks of each dwell: cosine and sine of the azimuth, and f / g.
     """
-    count, recordings = len(group.turns), sorted({turn.recording for turn in group.turns})
-    common = 4 + 2 * len(recordings)  # d, r, and l of each recording; then e_i and e'_i of each dwell
-    design, across = list[FloatArray](), list[FloatArray]()
-    azimuths = {number: group.azimuth(number) for number in recordings}
-    for n, turn in enumerate(group.turns):
-        record, azimuth = group.records[turn.recording], azimuths[turn.recording]
-        if azimuth is None or record.accel is None:
-            return None
-        window = steady(record, turn, min(group.settle_s, FILTER_S))
-        force = (np.asarray(record.accel)[window] - accel.offset) @ accel.matrix.T / group.gravity
-        parts = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force[:, group.across]))
-        size = block_size(record.sample_rate_hz)
-        means = parts[: len(parts) // size * size].reshape(-1, size, 4).mean(axis=1)
-        means = means[~np.isnan(means).any(axis=1)]
-        if not len(means):
-            return None
-        turned = np.stack((means[:, [0, 1]], means[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
-        level_column, wobble_column = 4 + 2 * recordings.index(turn.recording), common + 2 * n
-        block = np.zeros((len(means), 2, common + 4 * count))
-        block[:, :, :2] = block[:, :, wobble_column : wobble_column + 2] = np.eye(2)
-        block[:, :, 2:4] = (turn.turn_rate or 0.0) ** 2 / group.gravity * np.eye(2)
-        block[:, :, level_column : level_column + 2] = turned
-        block[:, :, wobble_column + 2 * count : wobble_column + 2 * count + 2] = turned
-        design.append(block.reshape(-1, block.shape[2]))
-        across.append(means[:, 2:].ravel())
+    count, levels, designs = len(parts), sorted(set(recordings)), list[FloatArray]()
+    common = 4 + 2 * len(levels)  # d, r, and l of each recording; then e_i and e'_i of each dwell
+    for n, (part, rate, recording) in enumerate(zip(parts, turn_rate, recordings, strict=True)):
+        turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
+        level_column, wobble_column = 4 + 2 * levels.index(recording), common + 4 * n
+        design = np.zeros((len(part), 2, common + 4 * count))
+        design[:, :, :2] = design[:, :, wobble_column : wobble_column + 2] = np.eye(2)
+        design[:, :, 2:4] = rate**2 / gravity * np.eye(2)
+        design[:, :, level_column : level_column + 2] = turned
+        design[:, :, wobble_column + 2 : wobble_column + 4] = turned
+        designs.append(design.reshape(2 * len(part), -1))
     level, stated = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD), table.wobble_deg * RADIAN_PER_DEGREE
-    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level], [2, 2, 2 * len(recordings)])
-    matrix, felt = np.vstack(design), np.concatenate(across)
-    noise, wobbles = np.full(len(felt), MIN_TILT_SD**2), matrix[:, common:] @ matrix[:, common:].T
+    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level], [2, 2, 2 * len(levels)])
+    design, felt = np.vstack(designs), np.concatenate([part[:, 2:].ravel() for part in parts])
+    noise, wobbles = np.full(len(felt), MIN_TILT_SD**2), design[:, common:] @ design[:, common:].T
     scatter = solve(
-        matrix[:, :common],
+        design[:, :common],
         felt,
         {"noise": noise, "wobble": stated**2 * wobbles},
         excess={"noise": np.ones(len(felt)), "wobble": wobbles},
@@ -369,69 +361,11 @@ def _axes_by_gravity(
     # the same rows, with the wobble of each dwell among the parameters
     wobble_sd = max(stated**2 + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
     sizes = np.concatenate((sizes, np.full(4 * count, wobble_sd)))
-    fit = solve(
-        matrix,
-        felt,
-        {"noise": noise + scatter.excess_bound("noise")},
-        prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
-    )
-    to_axes = np.zeros((2 * count, len(sizes)))  # d + e_i
-    to_axes[:, :2] = np.tile(np.eye(2), (count, 1))
-    to_axes[:, common : common + 2 * count] = np.eye(2 * count)
-    flicker = (ACCEL_FLICKER / group.gravity) ** 2 * np.eye(2 * count)
-    root = np.linalg.cholesky(to_axes @ fit.covariance @ to_axes.T + flicker)
-    readings = [np.asarray(record.accel) for record in group.records]
-    windows = [readings[turn.recording][turn.start : turn.stop] for turn in group.turns]
-    # all dwells feel one gravity, and so read one code
-    codes = accel.matrix[group.across] / group.gravity * np.nan_to_num(mean_rounding(readings, windows))
-    return (
-        (to_axes @ fit.theta).reshape(-1, 2),
-        np.concatenate((root.reshape(count, 2, -1), np.broadcast_to(codes, (count, 2, 3))), axis=2),
-        (float(np.hypot(*fit.theta[:2])), float(np.sqrt(fit.covariance[0, 0]))),
-    )
-
-
-# ---- linearity of one axis (IEEE Std 1431, clause 12 terms)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Linearity:
-    """Table of one axis: imposed rate, and how far the reading is from the line."""
-
-    axis: Axis  # x, y or z
-    turn_rate: FloatArray  # (N,), imposed, rad/s, increasing
-    error: FloatArray  # (N,), reading less line, in rad/s of input
-    scale_factor: float  # Slope of the line, reading per rad/s
-    offset: float  # Reading of the line at zero rate
-    scale_factor_nonlinearity: float  # Largest departure from the line, rad/s
-    scale_factor_nonlinearity_percent: float  # The same in per cent of the largest imposed rate
-    # 2 (S+ - S-) / (S+ + S-) of reading = o + S+ max(w, 0) + S- min(w, 0); NaN for one sign
-    scale_factor_asymmetry: float
-
-
-def linearity(reading: FloatArray, turn_rate: FloatArray, axis: Axis) -> Linearity:
-    """Compare readings (N,) of one axis at rates (N,) with their least-squares line, reading = o + S w."""
-    if len(np.unique(turn_rate)) < 2:
-        raise NotObservable(
-            f"rate axis {axis}: wanted dwells at two different rates or more, got {len(np.unique(turn_rate))}; "
-            "record both signs of several rates"
-        )
-    order = np.argsort(turn_rate)
-    rate, value = turn_rate[order], reading[order]
-    offset, slope = np.linalg.lstsq(np.column_stack((np.ones_like(rate), rate)), value, rcond=None)[0]
-    error = (value - offset - slope * rate) / slope
-    worst, asymmetry = float(np.abs(error).max()), float("nan")
-    if len(np.unique(rate)) > 2 and rate[0] < 0.0 < rate[-1]:
-        bent = np.column_stack((np.ones_like(rate), np.maximum(rate, 0.0), np.minimum(rate, 0.0)))
-        _, plus, minus = np.linalg.lstsq(bent, value, rcond=None)[0]
-        asymmetry = float(2.0 * (plus - minus) / (plus + minus))
-    return Linearity(
-        axis=axis,
-        turn_rate=rate,
-        error=error,
-        scale_factor=float(slope),
-        offset=float(offset),
-        scale_factor_nonlinearity=worst,
-        scale_factor_nonlinearity_percent=100.0 * worst / float(np.abs(rate).max()),
-        scale_factor_asymmetry=asymmetry,
-    )
+    prior = Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2))
+    fit = solve(design, felt, {"noise": noise + scatter.excess_bound("noise")}, prior=prior)
+    to_axes = np.zeros((count, 2, len(sizes)))  # d + e_i
+    for n in range(count):
+        to_axes[n, :, :2] = to_axes[n, :, common + 4 * n : common + 4 * n + 2] = np.eye(2)
+    both = to_axes.reshape(2 * count, -1)
+    flicker = (ACCEL_FLICKER / gravity) ** 2 * np.eye(2 * count)
+    return to_axes @ fit.theta, np.linalg.cholesky(both @ fit.covariance @ both.T + flicker).reshape(count, 2, -1)

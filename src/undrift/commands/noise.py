@@ -170,15 +170,20 @@ def _corrected(readings: "Record", model: "Calibration") -> "tuple[Record, tuple
 
 
 def _data(fit: "NoiseFit") -> dict[str, object]:
-    triads = ("gyro", "accel")
-    return (
-        {name: [_axis_json(axis) for axis in getattr(fit, name)] for name in triads}
-        | {
-            key: {name: getattr(fit, f"{name}_{of}") for name in triads}
-            for key, of in (("adev", "adev"), ("units", "unit"))
-        }
-        | {key: getattr(fit, key) for key in ("taus_s", "duration_s", "confidence")}
-    )
+    import numpy as np
+
+    triads = {name: axes for name in ("gyro", "accel") if (axes := getattr(fit, name))}
+    taus_s = min((axes[0].curve.taus_s for axes in triads.values()), key=len)  # one triad may have more gaps
+    return {name: [_axis_json(axis) for axis in getattr(fit, name)] for name in ("gyro", "accel")} | {
+        "adev": {
+            name: np.column_stack([axis.curve.deviation[: len(taus_s)] for axis in axes])
+            for name, axes in triads.items()
+        },
+        "units": {"gyro": fit.gyro_unit, "accel": fit.accel_unit},
+        "taus_s": taus_s,
+        "duration_s": fit.duration_s,
+        "confidence": fit.confidence,
+    }
 
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:

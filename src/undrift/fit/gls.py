@@ -23,11 +23,11 @@ projection s^ on the known columns (f, a, 1) takes their place, and what is left
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import NotObservable
 
 MAX_ITERATIONS, MOST_HALVINGS = 100, 30
@@ -57,13 +57,15 @@ class GlsFit:
     budget: Mapping[str, FloatArray]  # covariance (P, P) by source; the sum is ``covariance``
     excess: Mapping[str, float]  # excess variance s_j by its kind
     freedom: Mapping[str, float]  # degrees of freedom nu_j of each excess variance
-    excess_error: Mapping[str, float]  # standard error of each excess variance if it were zero
     residuals: FloatArray  # (E,), y - X theta
     gains: FloatArray  # (P, E), d theta / d y
+    sources: Mapping[str, FloatArray]  # covariance (E, E) of the rows by source, with the excess of its kind, widened
 
-    def shows(self, kind: str) -> bool:
-        """Return True if an excess variance is more than chance makes of it: two standard errors, 4 % of cases."""
-        return self.excess[kind] > 2.0 * self.excess_error[kind]
+    def widened(self, source: str, covariance: FloatArray) -> "GlsFit":
+        """Return the same fit with more covariance (E, E) of the rows in one source."""
+        sources = {**self.sources, source: self.sources[source] + covariance}
+        budget = {**self.budget, source: self.budget[source] + carried(self.gains, covariance)}
+        return replace(self, sources=sources, budget=budget, covariance=np.sum([*budget.values()], axis=0))
 
     def excess_bound(self, kind: str) -> float:
         """Return the excess variance of a kind, widened for its degrees of freedom."""
@@ -104,39 +106,36 @@ def solve(
     definite. In the budget, an excess counts as the source that is the first word of its kind. Raises
     ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
     """
-    length = np.linalg.norm(design, axis=0)
+    length, excess = np.linalg.norm(design, axis=0), excess or {}
     length[length == 0.0] = 1.0
-    rows = _ScaledRows(
+    rows = _Rows(
         design=design / length,
         value=value,
         prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
         mean=np.zeros(len(length)) if prior is None else prior.mean * length,
         stated=np.sum([_matrix(part) for part in sources.values()], axis=0),
-        shapes=tuple(_Shape.of(shape) for shape in (excess or {}).values()),
+        shapes=tuple(excess.values()),
     )
-    kinds = tuple(excess or {})
     variances, state = _excess_variances(rows)
-    products = [shape.product(state.projector) for shape in rows.shapes]
-    freedom = [_degrees(shape, product) for shape, product in zip(rows.shapes, products, strict=True)]
+    freedom = [_degrees(_product(state.projector, shape)) for shape in rows.shapes]
     gains = state.gains / length[:, None]
-    budget = {name: _carried(gains, part) for name, part in sources.items()}
-    for kind, variance, nu in zip(kinds, variances, freedom, strict=True):
+    parts = {name: _matrix(part) for name, part in sources.items()}
+    for (kind, shape), variance, nu in zip(excess.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
-        part = variance * student_factor(nu) * _carried(gains, (excess or {})[kind])
-        budget[source] = budget.get(source, 0.0) + part
+        parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * _matrix(shape)
+    budget = {name: carried(gains, part) for name, part in parts.items()}
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
         budget["prior"] = covariance @ prior.precision @ covariance
-    errors = [_error_at_zero(rows, state, variances, j) for j in range(len(kinds))]
     return GlsFit(
         theta=state.theta / length,
         covariance=np.sum([*budget.values()], axis=0),
         budget=budget,
-        excess=dict(zip(kinds, variances.tolist(), strict=True)),
-        freedom=dict(zip(kinds, freedom, strict=True)),
-        excess_error=dict(zip(kinds, errors, strict=True)),
+        excess=dict(zip(excess, variances.tolist(), strict=True)),
+        freedom=dict(zip(excess, freedom, strict=True)),
         residuals=state.residuals,
         gains=gains,
+        sources=parts,
     )
 
 
@@ -183,38 +182,17 @@ def _root(precision: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.sqrt(variance.clip(0.0))).T)
 
 
-def _carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the parameters that a covariance of the rows makes."""
-    return np.asarray((gains * covariance if covariance.ndim == 1 else gains @ covariance) @ gains.T)
+def carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (P, P) of the parameters that a covariance (E, E) of the rows, or its diagonal (E,), makes."""
+    return _product(gains, covariance) @ gains.T
+
+
+def _product(matrix: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return a matrix or vector (.., E) times a shape (E, E), or times its diagonal (E,)."""
+    return np.asarray(matrix * shape if shape.ndim == 1 else matrix @ shape)
 
 
 # ---- solution for one covariance
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Shape:
-    """Shape of an excess variance: the rows that it touches, and its block there."""
-
-    rows: IntArray  # (K,)
-    block: FloatArray  # (K, K)
-
-    @classmethod
-    def of(cls, shape: FloatArray) -> "_Shape":
-        full = _matrix(shape)
-        rows = np.flatnonzero(full.any(axis=1))
-        return cls(rows=rows, block=full[np.ix_(rows, rows)])
-
-    def product(self, matrix: FloatArray) -> FloatArray:
-        """Return the columns (E, K) of a matrix (E, E) times the shape that are not zero."""
-        return np.asarray(matrix[:, self.rows] @ self.block)
-
-    def square(self, vector: FloatArray) -> float:
-        """Return v' E_j v."""
-        return float(vector[self.rows] @ self.block @ vector[self.rows])
-
-    def trace(self, matrix: FloatArray) -> float:
-        """Return the trace of a symmetric matrix (E, E) times the shape."""
-        return float((matrix[np.ix_(self.rows, self.rows)] * self.block).sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,13 +208,13 @@ class _State:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _ScaledRows:
+class _Rows:
     design: FloatArray  # (E, P), columns of length one
     value: FloatArray  # (E,)
     prior: FloatArray  # (., P), R with R' R = K
     mean: FloatArray  # (P,), m
     stated: FloatArray  # (E, E), sum of S_i
-    shapes: tuple[_Shape, ...]  # E_j
+    shapes: tuple[FloatArray, ...]  # E_j
 
     def solve(self, variances: FloatArray) -> _State:
         """Return the solution for excess variances (J,): V = L L', and L^-1 X over R = Q T.
@@ -244,25 +222,23 @@ class _ScaledRows:
         Then C = T^-1 T'^-1, and P = V^-1 - B B' with B = L'^-1 Q. The condition of X is not squared.
         """
         from scipy.linalg import solve_triangular
-        from scipy.linalg.lapack import dpotri
 
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
-            covariance[np.ix_(shape.rows, shape.rows)] += variance * shape.block
+            covariance += variance * _matrix(shape)
         # noise may be less than the rounding of a source in common: the sum is then singular
         covariance[np.diag_indices_from(covariance)] *= 1.0 + ROUNDING
         factor = np.linalg.cholesky(covariance)
-        orthonormal, triangle = np.linalg.qr(np.vstack((solve_triangular(factor, self.design, lower=True), self.prior)))
+        white = solve_triangular(factor, np.eye(len(factor)), lower=True)
+        orthonormal, triangle = np.linalg.qr(np.vstack((white @ self.design, self.prior)))
         pivots = np.abs(np.diag(triangle))
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
-        known = np.concatenate((solve_triangular(factor, self.value, lower=True), self.prior @ self.mean))
+        known = np.concatenate((white @ self.value, self.prior @ self.mean))
         back, along = np.linalg.inv(triangle), orthonormal.T @ known
         theta, away = back @ along, known - orthonormal @ along
-        residuals = self.value - self.design @ theta
-        weighted_design = solve_triangular(factor, orthonormal[: len(self.value)], lower=True, trans="T")
-        half = dpotri(factor, lower=1)[0]
-        inverse = np.asarray(np.tril(half) + np.tril(half, -1).T)
+        residuals, inverse = self.value - self.design @ theta, white.T @ white
+        weighted_design = white.T @ orthonormal[: len(white)]
         return _State(
             theta=theta,
             covariance=back @ back.T,
@@ -284,22 +260,18 @@ class _ScaledRows:
 # and no farther than the likelihood rises: two shapes that are nearly alike would exchange their variances without end.
 
 
-def _excess_variances(rows: _ScaledRows) -> tuple[FloatArray, _State]:
+def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them."""
-    shapes: tuple[_Shape, ...] = rows.shapes
-    variances: FloatArray = np.zeros(len(shapes))
+    variances: FloatArray = np.zeros(len(rows.shapes))
     state = rows.solve(variances)
     # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
-    shown = np.array([shape.trace(state.projector) > SHOWN * shape.trace(state.inverse) for shape in shapes], bool)
+    kept = [(_trace(state.projector, shape), _trace(state.inverse, shape)) for shape in rows.shapes]
+    shown = np.array([projected > SHOWN * whole for projected, whole in kept], bool)
     for _ in range(MAX_ITERATIONS if shown.any() else 0):
-        products = [shape.product(state.projector) for shape in shapes]
-        score = np.array([shape.square(state.weighted) - shape.trace(state.projector) for shape in shapes])
-        information = np.array(
-            [
-                [float((a[t.rows] * b[s.rows].T).sum()) for t, b in zip(shapes, products, strict=True)]
-                for s, a in zip(shapes, products, strict=True)
-            ]
-        )
+        products = [_product(state.projector, shape) for shape in rows.shapes]
+        square = [float(state.weighted @ _product(state.weighted, shape)) for shape in rows.shapes]
+        score = np.array(square) - [np.trace(product) for product in products]
+        information = np.array([[float((a * b.T).sum()) for b in products] for a in products])
         step = _bounded_step(variances, score, information, shown)
         if score @ step <= 2.0 * TOLERANCE**2:
             break
@@ -311,6 +283,11 @@ def _excess_variances(rows: _ScaledRows) -> tuple[FloatArray, _State]:
             break  # the likelihood rises by less than its rounding
         variances, state = ahead, reached
     return variances, state
+
+
+def _trace(matrix: FloatArray, shape: FloatArray) -> float:
+    """Return the trace of a symmetric matrix (E, E) times a shape."""
+    return float(np.diag(matrix) @ shape if shape.ndim == 1 else (matrix * shape).sum())
 
 
 def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray, free: BoolArray) -> FloatArray:
@@ -327,18 +304,9 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     return step
 
 
-def _degrees(shape: _Shape, product: FloatArray) -> float:
+def _degrees(product: FloatArray) -> float:
     """Return the degrees of freedom tr(P E_j)^2 / tr(P E_j P E_j) for the product P E_j."""
-    own = product[shape.rows]
-    return float(np.trace(own) ** 2 / max(float((own * own.T).sum()), 1e-300))
-
-
-def _error_at_zero(rows: _ScaledRows, state: _State, variances: FloatArray, kind: int) -> float:
-    """Return the standard error of an excess variance whose true value is zero."""
-    if variances[kind] > 0.0:
-        state = rows.solve(np.where(np.arange(len(variances)) == kind, 0.0, variances))
-    own = rows.shapes[kind].product(state.projector)[rows.shapes[kind].rows]
-    return float(np.sqrt(2.0 / max(float((own * own.T).sum()), 1e-300)))
+    return float(np.trace(product) ** 2 / max(float((product * product.T).sum()), 1e-300))
 
 
 # ---- excess variance: what the residuals show beyond the stated noise

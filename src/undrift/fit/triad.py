@@ -6,7 +6,7 @@ C = L S' (S S')^-1       the note's matrix without an offset (eqs. 3 and 6), for
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,8 +14,10 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import NotObservable
 from undrift.findings import Level, finding
-from undrift.fit.gls import GlsFit
+from undrift.fit.gls import GlsFit, carried
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
+
+OFFSET_SIGMAS = 4.0  # standard uncertainties from which an offset was left in the readings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,18 +139,11 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
 # ---- the note's matrix
 
 
-def fit_paper(
-    inputs: FloatArray,
-    readings: FloatArray,
-    sigma: FloatArray | None,
-    in_common: FloatArray | None = None,
-    **names: Any,
-) -> TriadFit:
-    """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
+def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: Any) -> TriadFit:
+    """Return the note's calibration matrix, which has no offset column, of inputs and readings (N, 3).
 
-    C = L S' (S S')^-1 (note, eqs. 3 and 6). To first order in the noise of S its covariance is (C V C') (x) (S S')^-1, V the
-    variance of one reading: from ``sigma`` (N, 3), or from the residuals. ``in_common`` (3, N, N) is the covariance of what
-    moves the readings of one sensor together.
+    C = L S' (S S')^-1 (note, eqs. 3 and 6). Errors e of the rows, (N, 3) in the unit of the inputs, move it by -e' S' (S S')^-1.
+    ``fit`` is the fit of M, c and G to the same rows: it states their covariances, and the offset c that the matrix leaves out.
     """
     rank, condition = scaled_condition(readings)
     if rank < 3:
@@ -157,49 +152,32 @@ def fit_paper(
             "Record the missing axes.",
             rank=rank,
         )
-    gram = np.linalg.inv(readings.T @ readings)
-    matrix = inputs.T @ readings @ gram  # eq. 3, eq. 6
-    residuals = readings @ matrix.T - inputs
-    if sigma is None:  # the variance of Student's t for few degrees of freedom (JCGM 101, 6.4.9)
-        spare = residuals.size - 9
-        noise = np.eye(3) * (float((residuals**2).sum()) / (spare - 2) if spare > 2 else np.nan)
-    else:
-        noise = matrix @ np.diag((np.broadcast_to(sigma, readings.shape) ** 2).mean(axis=0)) @ matrix.T
-    covariance = np.zeros((12, 12))
-    covariance[:9, :9] = np.kron(noise, gram)
-    if in_common is not None:
-        solver = readings @ gram  # dC = -C dS (S') (S S')^-1, row by row
-        for column, errors in zip(matrix.T, in_common, strict=True):
-            covariance[:9, :9] += np.kron(np.outer(column, column), solver.T @ errors @ solver)
-    return triad_fit(
-        residuals,
-        matrix=matrix,
-        offset=np.zeros(3),
-        covariance=covariance,
-        rank=3 * rank,
-        condition=condition,
-        valid_range=(float(inputs.min()), float(inputs.max())),
-        **names,
+    solver = readings @ np.linalg.inv(readings.T @ readings)
+    matrix = inputs.T @ solver  # eq. 3, eq. 6
+    gains = np.zeros((12, inputs.size))
+    gains[:9] = np.einsum("ik,nj->ijnk", np.eye(3), solver).reshape(9, -1)
+    parts = {name: carried(gains, part[: inputs.size, : inputs.size]) for name, part in fit.sources.items()}
+    theta = np.concatenate((matrix.ravel(), np.zeros(3)))
+    parameters = TriadParameters(theta, np.sum([*parts.values()], axis=0), parts)
+    made = fit_of(
+        parameters, inputs, readings @ matrix.T - inputs, _offset_verdict(fit, inputs, names["unit_out"]), **names
     )
+    return replace(made, model=replace(made.model, rank=9, condition=condition))
 
 
-def offset_verdict(fit: TriadFit, inputs: FloatArray, readings: FloatArray, sigma: FloatArray | None) -> Verdict:
+def _offset_verdict(fit: GlsFit, inputs: FloatArray, unit: str) -> Verdict:
     """Return what an offset left in the readings costs a matrix that was fitted without an offset column.
 
-    With an offset b' in units of the measurand, C = (I + k b' b'^T)^-1 K^-1, k = N / sigma and sigma the sum of squared inputs on
-    one axis: the gain along b' shrinks by k b'^2 / (1 + k b'^2).
+    With an offset c in units of the measurand, C = (I + k c c')^-1 K^-1, k = N / sigma and sigma the sum of squared inputs on one
+    axis: the gain along c shrinks by k c^2 / (1 + k c^2).
     """
-    design = np.column_stack((inputs, np.ones(len(inputs))))
-    theta = np.linalg.lstsq(design, readings, rcond=None)[0]
-    noise = np.sqrt(((readings - design @ theta) ** 2).mean(axis=0)) if sigma is None else np.max(sigma, axis=0)
-    if not (np.abs(theta[3]) > 4.0 * noise * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])).any():
+    offset, sigma = fit.theta[9:12], np.sqrt(np.diag(fit.covariance)[9:12])
+    if not (np.abs(offset) > OFFSET_SIGMAS * sigma).any():
         return Verdict()
-    offset = np.linalg.solve(theta[:3].T, theta[3])
     share = len(inputs) / float((inputs**2).sum(axis=0).mean()) * float(offset @ offset)
     loss = share / (1.0 + share)
     level: Level = "fail" if loss > 0.01 else "warn" if loss > 1e-4 else "info"
-    unit, percent = fit.model.unit_out, 100.0 * loss
-    return Verdict.of(finding("paper_mode.offset_left", level, offset=offset, unit=unit, loss_percent=percent))
+    return Verdict.of(finding("paper_mode.offset_left", level, offset=offset, unit=unit, loss_percent=100.0 * loss))
 
 
 # ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undrift.calibration.noise import NoiseFit
+    from undrift.calibration.noise import AxisNoise, NoiseFit
     from undrift.calibration.pieces import Piece
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
@@ -485,8 +485,9 @@ def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation")
     figure, panels = new_figure(len(triads), height=2.9)
     for panel, name in zip(panels, triads, strict=True):
         for k, axis in enumerate(getattr(found, name)):
-            _draw_deviation(panel, found, name, k)
-            panel.plot(found.taus_s, np.sqrt(sum(axis.terms(found.taus_s).values())), **axis_style(k), linewidth=0.9)
+            _draw_deviation(panel, axis, name, k)
+            taus_s = axis.curve.taus_s
+            panel.plot(taus_s, np.sqrt(sum(axis.terms(taus_s).values())), **axis_style(k), linewidth=0.9)
         panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(found, f'{name}_unit')})")
         legend_above(panel)
     entitle(figure, f"{title}, lines: fitted model, band: {100.0 * found.confidence:g} %")
@@ -494,12 +495,13 @@ def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation")
     return figure
 
 
-def _draw_deviation(panel: "Axes", found: "NoiseFit", name: str, k: int) -> None:
+def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None:
     """Draw the deviations of one axis and the band of their intervals."""
-    axis, course = getattr(found, name)[k], getattr(found, f"{name}_adev")[:, k]
-    style: Any = {"color": AXIS_COLOURS[k], "linewidth": 0.0}
-    panel.fill_between(found.taus_s, *getattr(found, f"{name}_limits")[:, :, k], alpha=0.18, **style)
-    panel.plot(found.taus_s, course, marker=AXIS_MARKERS[k], markersize=3.5, label=f"{name} {axis.axis}", **style)
+    curve, style = axis.curve, {"color": AXIS_COLOURS[k], "linewidth": 0.0}
+    panel.fill_between(curve.taus_s, curve.lower, curve.upper, alpha=0.18, **style)
+    panel.plot(
+        curve.taus_s, curve.deviation, marker=AXIS_MARKERS[k], markersize=3.5, label=f"{name} {axis.axis}", **style
+    )
 
 
 def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
@@ -507,16 +509,17 @@ def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "
     figure, panels = new_figure(3, height=2.1)
     dashes = dict(zip(terms, (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
     for k, (panel, axis) in enumerate(zip(panels, getattr(found, triad), strict=True)):
-        _draw_deviation(panel, found, triad, k)
-        parts, low = axis.terms(found.taus_s), float(np.nanmin(getattr(found, f"{triad}_limits")[0, :, k]))
+        _draw_deviation(panel, axis, triad, k)
+        taus_s = axis.curve.taus_s
+        parts, low = axis.terms(taus_s), float(np.nanmin(axis.curve.lower))
         total = np.sqrt(sum(parts.values()))
-        panel.plot(found.taus_s, total, color=OPTICS, linewidth=0.9, label="model")
+        panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="model")
         for name, (dash, marker, at_s) in dashes.items():
             if (line := np.sqrt(parts[name])).any():
-                at = float(found.taus_s[total.argmin()]) if at_s is None else at_s
-                far = (line > 0.5 * low) | (found.taus_s >= 0.5 * at if name == "rate_random_walk" else False)
+                at = float(taus_s[total.argmin()]) if at_s is None else at_s
+                far = (line > 0.5 * low) | (taus_s >= 0.5 * at if name == "rate_random_walk" else False)
                 shown = np.where(far, line, np.nan)
-                panel.plot(found.taus_s, shown, color=LIMIT, linestyle=dash, label=terms[name])
+                panel.plot(taus_s, shown, color=LIMIT, linestyle=dash, label=terms[name])
                 panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
         panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
         legend_above(panel)
