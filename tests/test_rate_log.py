@@ -25,14 +25,14 @@ def test_offset_drift_and_rates_of_another_clock_are_found(tmp_path, how, limit_
     clocks = align_clocks(log, record)
     offset, drift = how.get("offset_s", 1234.5), how.get("drift", 2e-4)
     for at in (0.0, clocks.middle_s, log.time[-1]):
-        off = clocks.recorded(at) - (at * (1.0 + drift) + offset)
+        off = clocks.later(at) - (at * (1.0 + drift) + offset)
         show(
             f"clocks apart at {at:.0f} s",
             f"{off * 1e3:+.2f} ms +- {clocks.uncertainty_s(at) * 1e3:.2f}",
             f"{limit_s * 1e3:g} ms",
         )
         assert abs(off) < min(limit_s, 4.0 * clocks.uncertainty_s(at))
-    assert abs(clocks.drift - drift) < 4.0 * clocks.drift_uncertainty
+    assert abs(clocks.skew - drift) < 4.0 * clocks.skew_uncertainty
     turns, missed = cut_dwells(log, [(record, clocks)])
     assert len(turns) == len(dwells)
     assert missed == 0
@@ -52,7 +52,7 @@ def test_stated_uncertainties_hold_over_draws(tmp_path):
         log = read_rate_log(path)
         clocks = align_clocks(log, record)
         truth = clocks.middle_s * (1.0 + 2e-4) + 1234.5
-        off.append((clocks.recorded(clocks.middle_s) - truth) / clocks.offset_uncertainty_s)
+        off.append((clocks.later(clocks.middle_s) - truth) / clocks.lag_uncertainty_s)
         turns, _ = cut_dwells(log, [(record, clocks)])
         errors = [np.degrees(t.turn.turn_rate) - rate for t, (*_, rate) in zip(turns, dwells, strict=True)]
         scaled = np.array(errors) / np.degrees([t.uncertainty for t in turns])
@@ -81,56 +81,30 @@ def test_a_log_of_another_run_or_of_another_clock_is_refused_in_one_line(tmp_pat
         time=record.time,
         gyro=np.repeat(30.0 * rng.normal(size=(len(record) // 500 + 1, 3)), 500, axis=0)[: len(record)],
     )
-    with pytest.raises(
-        AlignmentError, match=r"wanted the log of the table that turned this device, got a correlation of 0\.\d\d"
-    ):
+    with pytest.raises(AlignmentError, match="no common motion"):
         align_clocks(log, other)
     jumped = np.where(np.arange(len(record)) > len(record) // 2, record.time + 3.0, record.time)
-    with pytest.raises(
-        AlignmentError, match=r"wanted one offset and drift along the log, got a lag [+-]\d\.\d\d s off the line"
-    ):
-        align_clocks(log, Record(time=jumped, gyro=record.gyro, gyro_unit="dps"), 1234.0)
-    with pytest.raises(InputError, match="wanted a recording with a gyroscope to align by, got none"):
+    with pytest.raises(AlignmentError, match="a clock jumped"):
+        align_clocks(log, Record(time=jumped, gyro=record.gyro, gyro_unit="dps"))
+    with pytest.raises(InputError, match="has no gyroscope"):
         align_clocks(log, Record(time=record.time, accel=record.accel))
     reversed_z = Record(
         time=record.time, gyro=record.gyro * [1, 1, -1], accel=record.accel, gyro_unit="dps", accel_unit="m/s2"
     )
-    with pytest.raises(InputError, match="all take the table's positive sense alike, got x and z opposite"):
+    with pytest.raises(InputError, match="x and z have opposite"):
         cut_dwells(log, [(reversed_z, align_clocks(log, reversed_z))])
-
-
-def test_two_shifts_that_are_alike_are_not_guessed_between(tmp_path):
-    """A table that repeats one turn: the recording may begin at any of them."""
-    corner = np.concatenate([[7.0 * k, 7.0 * k + 0.5, 7.0 * k + 5.0, 7.0 * k + 5.5] for k in range(12)])
-    rate = np.tile([0.0, 40.0, 40.0, 0.0], 12)
-    at = np.arange(0.0, 84.0, 0.05)
-    path = tmp_path / "rates.csv"
-    path.write_text(
-        "time_s,turn_rate_dps\n"
-        + "".join(f"{t:.2f},{v:.3f}\n" for t, v in zip(at, np.interp(at, corner, rate), strict=True))
-    )
-    time = np.arange(14.0, 49.0, 0.01)
-    noise = 0.05 * np.random.default_rng(1).normal(size=(len(time), 3))
-    record = Record(time=time - 14.0, gyro=np.outer(np.interp(time, corner, rate), [0, 0, 1]) + noise, gyro_unit="dps")
-    log = read_rate_log(path)
-    with pytest.raises(
-        AlignmentError, match=r"wanted one shift between the clocks, got .* alike; state it to a second"
-    ):
-        align_clocks(log, record)
-    clocks = align_clocks(log, record, -13.5)
-    assert abs(clocks.recorded(30.0) - 16.0) < 0.01
 
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("time_s,speed\n0,1\n", r"wanted one column out of time_s, .* got time_s, speed; rename the columns"),
-        ("time_s,angle_deg,turn_rate_dps\n0,1,2\n", r"wanted one column out of .*; rename the columns"),
+        ("time_s,speed\n0,1\n", "one column"),
+        ("time_s,angle_deg,turn_rate_dps\n0,1,2\n", "one column"),
         (
             "time_s,angle_deg\n" + "0,1\n" * 40,
-            r"wanted 30 rows or more whose time goes forward, got one that does not after 0 s",
+            "time goes forward",
         ),
-        ("time_s,angle_deg\n0,1\n1,2\n", r"wanted 30 rows or more whose time goes forward, got fewer"),
+        ("time_s,angle_deg\n0,1\n1,2\n", "30 rows"),
     ],
 )
 def test_a_log_that_cannot_be_read_says_why(tmp_path, text, complaint):
@@ -150,10 +124,8 @@ def test_the_log_of_a_real_stepper_table_gives_the_rates_that_its_commands_do(tm
     clocks = align_clocks(log, record)
     found, _ = cut_dwells(log, [(record, clocks)])
     by_rate = {round(np.degrees(each.turn.turn_rate)): each for each in found}
-    show(
-        f"{run}: clocks apart, s", f"{clocks.offset_s:.3f} +- {clocks.offset_uncertainty_s:.3f}", "0.0..0.7 (SOURCE.md)"
-    )
-    assert 0.0 < abs(clocks.offset_s) < 0.7
+    show(f"{run}: clocks apart, s", f"{clocks.lag_s:.3f} +- {clocks.lag_uncertainty_s:.3f}", "0.0..0.7 (SOURCE.md)")
+    assert 0.0 < abs(clocks.lag_s) < 0.7
     assert len(turns) >= 7
     for turn in turns:
         match = by_rate[round(np.degrees(turn.turn_rate))]

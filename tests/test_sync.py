@@ -26,8 +26,7 @@ def test_a_lag_of_a_fraction_of_a_sample_is_found_without_noise(pair):
     assert lag.seconds == pytest.approx(
         0.00714, abs=5e-6
     )  # 1/1000 of a sample; straight lines between samples leave more
-    assert lag.correlation_after > 0.99999
-    assert lag.correlation_after > lag.correlation_before
+    assert lag.correlation > 0.99999
     assert np.allclose(lag.matrix, np.linalg.inv(FORWARD), atol=2e-4)
     assert np.allclose(lag.constant, -np.linalg.inv(FORWARD) @ (0.01, -0.02, 0.005), atol=2e-4)
 
@@ -59,7 +58,6 @@ def test_clocks_seconds_apart_are_brought_together_across_gaps(pair):
     moved = hidden(hidden(later(reference, -3.2), 10.0, 12.5), 20.0, 20.3)
     lag = find_lag(record, moved)
     assert lag.seconds == pytest.approx(3.2 + 0.00714, abs=1e-4)
-    assert lag.correlation_before < 0.7
 
 
 def test_gaps_in_the_readings_are_masked(pair):
@@ -73,20 +71,20 @@ def test_gaps_in_the_readings_are_masked(pair):
 def test_recordings_of_other_motions_are_refused(pair):
     record, _ = pair
     _, other = make_recording(np.random.default_rng(77), turn_s=40.0)
-    with pytest.raises(AlignmentError, match="no common motion; check that the two files belong together"):
+    with pytest.raises(AlignmentError, match="no common motion"):
         find_lag(record, other)
 
 
 def test_a_body_that_does_not_turn_has_no_lag(pair):
     record, reference = pair
     still = Reference(time=reference.time, q_nb=np.tile((1.0, 0.0, 0.0, 0.0), (len(reference), 1)))
-    with pytest.raises(AlignmentError, match="wanted both sides to turn"):
+    with pytest.raises(AlignmentError, match="does not turn"):
         find_lag(record, still)
 
 
 def test_clocks_that_never_overlap_are_refused(pair):
     record, reference = pair
-    with pytest.raises(AlignmentError, match="share 30% of the shorter one within 5 s"):
+    with pytest.raises(AlignmentError, match="share less than"):
         find_lag(record, later(reference, 500.0))
 
 
@@ -164,7 +162,6 @@ def test_motion_follows_the_mark_of_the_reference(pair):
     record, reference = pair
     motion = find_motion(record, reference, lag_s=0.5)
     assert (motion.start_s, motion.stop_s) == pytest.approx((8.5, 48.5), abs=0.011)
-    assert motion.basis == "mark of the reference"
 
 
 def test_motion_without_a_mark_lies_between_the_still_phases():
@@ -172,7 +169,6 @@ def test_motion_without_a_mark_lies_between_the_still_phases():
     motion = find_motion(record, reference)
     assert motion.start_s == pytest.approx(8.0, abs=0.8)  # half a window of the search is lost on purpose
     assert motion.stop_s == pytest.approx(28.0, abs=0.8)
-    assert motion.basis == "still phases of the record"
 
 
 def test_motion_that_lasts_to_the_end_stops_there():
@@ -187,10 +183,8 @@ def test_without_three_seconds_of_rest_the_motion_is_all_that_both_have_seen(pai
     assert (motion.start_s, motion.stop_s, motion.rested) == (pytest.approx(8.0), pytest.approx(48.0, abs=0.02), False)
     never, reference = make_recording(np.random.default_rng(8), Device(noise=0.002), turn_s=20.0, mark=False)
     motion = find_motion(never.between(10.0, 26.0), reference)
-    assert (motion.start_s, motion.stop_s, motion.basis) == (pytest.approx(10.0), pytest.approx(25.995), "no rest")
-    with pytest.raises(
-        AlignmentError, match=r"wanted 1 s or more in which record and reference share the motion, got 0\.0 s"
-    ):
+    assert (motion.start_s, motion.stop_s, motion.rested) == (pytest.approx(10.0), pytest.approx(25.995), False)
+    with pytest.raises(AlignmentError, match=r"share 0\.0 s"):
         find_motion(never.between(10.0, 26.0), later(reference, 30.0))
 
 
@@ -229,7 +223,7 @@ def test_a_reference_that_repeats_its_last_pose_while_the_record_turns_has_a_gap
 
 def test_a_record_that_never_moves_has_no_motion():
     record, reference = make_recording(np.random.default_rng(8), Device(noise=0.002), turn_s=20.0, mark=False)
-    with pytest.raises(AlignmentError, match="wanted a motion after the first rest, got none"):
+    with pytest.raises(AlignmentError, match="still throughout"):
         find_motion(record.between(0.0, 7.5), reference)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
 from undrift.arrays import FloatArray
-from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, ReferenceSettings, fit_reference
+from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.fit.triad import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
@@ -24,7 +24,7 @@ from undrift.sim.device.presets import GradeName, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.poses import OpticsSettings, see
-from undrift.sim.motion.tasks import draw_task
+from undrift.sim.motion.tasks import draw_task, with_six_rests
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 RATE_HZ = 100.0
@@ -115,11 +115,14 @@ def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:
     return replace(device, gyro=gyro, accel=accel)
 
 
-def _seen(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[Record, Reference]:
+def _seen(
+    device: DeviceModel, rng: np.random.Generator, case: Case, *, six_rests: bool = False
+) -> tuple[Record, Reference]:
     """Return a recording and what the cameras saw."""
     from scipy.signal import lfilter
 
     task = draw_task("free", rng=rng)
+    task = with_six_rests(task) if six_rests else task
     motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
     temp_c = even_rise(CREEP_C * case.errs, len(motion))
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c).record
@@ -135,18 +138,14 @@ def _seen(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[Re
 
 
 def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[TriadFit, TriadFit]:
-    pairs = [_seen(device, rng, case) for _ in range(3)]
-    records, references = [p[0] for p in pairs], [p[1] for p in pairs]
-    fit = fit_reference(records, references, settings=ReferenceSettings())
+    """Return the gyroscopes by three recordings of motion, and the accelerometers by one with rests on six sides."""
+    gyro = fit_reference(*zip(*(_seen(device, rng, case) for _ in range(3)), strict=True))
+    pair = _seen(device, rng, case, six_rests=True)
+    fit = fit_reference(*([part] for part in pair))
     known = fit_reference_accel(
-        records,
-        references,
-        fit.triad.model,
-        mountings=fit.mountings,
-        gravity_m_s2=STANDARD_GRAVITY,
-        lags_s=fit.lags_s,
+        *([part] for part in pair), mountings=fit.mountings, gravity_m_s2=STANDARD_GRAVITY, lags_s=fit.lags_s
     )
-    return fit.triad, known
+    return gyro.triad, known
 
 
 def _groups(fit: TriadFit, true: TriadModel) -> dict[str, tuple[FloatArray, FloatArray]]:

@@ -2,17 +2,18 @@
 
 Axes a: x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a: its rows are forward, left and up, in b.
 
-``up``       the vertical in b while the wearer stands still: the mean over the longest such stretch
-``forward``  by walking from one posture to the next: the horizontal acceleration, integrated from rest, is the velocity, and its
-             mean points forward. Or by a named movement: the vertical in b leaves ``up`` towards the back of a segment that leans
-             forward.
+``up``       the vertical in b during the longest upright posture
+``forward``  by walks from one posture to the next: the horizontal acceleration, integrated from rest to rest, is the velocity, and
+             its mean points forward. Or by a named movement: the vertical in b leaves ``up`` towards the back of a segment that
+             leans forward.
 
-Forward comes in pieces (walks, repetitions). Their scatter gives the uncertainty of their mean; an error that all pieces share,
-because people are no machines, is added (``STANCE``, ``CUES``).
+The scatter of the pieces (walks, repetitions) gives the uncertainty of their mean. An error that all pieces share, because people
+are no machines, is added (``STANCE``, ``WALKS``, ``REPETITIONS``).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -20,9 +21,9 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
-from undrift.findings import Finding, Verdict, finding
+from undrift.findings import Verdict, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
-from undrift.model import AXES, BodyMounting
+from undrift.model import BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Still
 from undrift.segments import unpadded
@@ -34,29 +35,27 @@ Movement = Literal["walk", "bow", "squat", "raise"]
 Span = tuple[float, float]
 
 
-# Whether the segment's upper end goes forward (1) or back (-1): a bow of the trunk, a squat, a straight limb raised forward
+# way of the upper end of the segment, forward (1) or back (-1): a bow of the trunk, a squat, a raised straight limb
 LEANS: dict[Movement, dict[Worn, float]] = {
     "bow": {"lower-back": 1.0},
     "squat": {"lower-back": 1.0, "thigh": -1.0, "shank": 1.0},
     "raise": {"thigh": -1.0, "shank": -1.0, "foot": -1.0, "wrist": -1.0},
 }
-# Standard uncertainty of an upright posture about the segment's x and y, as a person takes it again, rad: standing, as quiet stance
-# sways (an older person's, rms); sitting [assumed]
+# standard uncertainty of an upright posture about x and y, rad: sway of older people in quiet stance; sitting assumed
 STANCE = {"standing": (0.6 * DEG, 0.9 * DEG), "sitting": (3.0 * DEG, 3.0 * DEG)}
-# Usual scatter of the pieces, and error that all of them share, rad: as simulated people have them, rounded up (those of
-# tests/testkit/walking.py); and the fewest pieces
+# usual scatter of the pieces and error that all of them share, rad, of simulated people, rounded up; and the fewest pieces
 WALKS, REPETITIONS = (1.5 * DEG, 0.7 * DEG, 1), (3.0 * DEG, 2.0 * DEG, 2)
 WARN = 5.0 * DEG  # of a whole mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
-POSTURE_S, END_S = 3.0, (1.2, 2.4)  # a posture; the stride next to a posture, s
-BOUT_S = 15.0  # s, the longest walk that is integrated whole
-_BAND_HZ, _SLOW_HZ = (0.7, 5.0), 0.5  # of steps, their size
-_QUIET, _STEPS = 0.3, 0.6  # m/s2, rms of the vertical acceleration over two seconds, in postures and in steps
-_SWAYS, _TURNS = 4.0 * DEG, 20.0 * DEG  # rad/s: the vertical turns faster in no posture; no straight walk
-_LEANT, _NEAR = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
-_CLEAR = 4.0  # a direction in its uncertainties
+POSTURE_S, EDGE_S = 3.0, 0.3  # shortest posture; its ends, in which the body still moves or already moves, s
+WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated; its first and last part, which may turn, s
+BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # of steps, and of their size
+QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in postures and in steps, m/s2
+SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in a posture, and about it in a straight walk, rad/s
+LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
+CLEAR = 4.0  # a direction in its uncertainties
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # of a recording: steps come twice a second
-_DRAWN = 4  # pieces that the usual scatter counts for
+USUAL_PIECES = 4  # that the usual scatter counts for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,24 +86,22 @@ def _track(record: Record) -> _Track:
     check_whole(record := unpadded(record.in_si()))
     if not LEAST_HZ <= record.sample_rate_hz <= MOST_HZ:
         raise Implausible(
-            f"mount: wanted {LEAST_HZ:g} to {MOST_HZ:g} samples a second, got {record.sample_rate_hz:.3g}: milliseconds or "
-            "microseconds may be taken for s; state the unit of time or the sample rate"
+            f"mount: {record.sample_rate_hz:.3g} samples a second are not between {LEAST_HZ:g} and {MOST_HZ:g}. State the unit of "
+            "time or the sample rate: milliseconds or microseconds may be taken for s."
         )
     check_triads(record)
     if record.accel is None or np.isnan(record.accel).any():
-        raise InputError(
-            "mount: wanted accelerometer readings without gaps, got none or gaps; map them, or take another stretch"
-        )
+        raise InputError("mount: accelerometer readings without gaps are needed. Map them, or take another stretch.")
     rate, gyro, force = record.sample_rate_hz, np.asarray(record.gyro), np.asarray(record.accel)
     q_nb, _ = filtered(record, gyro, OFFSET, magnetometer=False)
     up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
-    band, slow = butter(2, _BAND_HZ, "bandpass", fs=rate, output="sos"), butter(2, _SLOW_HZ, fs=rate, output="sos")
+    band, slow = butter(2, BAND_HZ, "bandpass", fs=rate, output="sos"), butter(2, SLOW_HZ, fs=rate, output="sos")
     rise = sosfiltfilt(band, (force * up).sum(axis=1))
     size = np.sqrt(np.maximum(sosfiltfilt(slow, rise**2), 0.0))
     half = max(1, round(0.25 * rate))
     turned = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
     spin = sosfiltfilt(slow, (gyro * up).sum(axis=1))
-    quiet, walk = (turned < _SWAYS) & (size < _QUIET), (size > _STEPS) & (np.abs(spin) < _TURNS)
+    quiet, walk = (turned < SWAY) & (size < QUIET), (size > STEPS) & (np.abs(spin) < TURN)
     return _Track(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
 
 
@@ -114,32 +111,28 @@ def find_mounting(
     """Find how a device is worn from recordings of one wearing; ``named`` is the posture in the first, s, by default searched."""
     if movement != "walk" and place not in LEANS[movement]:
         others = " or ".join(("walk", *(name for name in LEANS if place in LEANS[name])))
-        raise InputError(f"mount: wanted a movement of the {place}, {others}, got {movement}; name one of them")
+        raise InputError(f"mount: {movement} does not move the {place}. Choose {others}.")
     tracks = [_track(record) for record in records]
     stance = _up(tracks, posture, named)
     if stance is None:
         return MountFit(mounting=None, basis=(), verdict=Verdict.of(finding("mount.no_up", "fail", least_s=POSTURE_S)))
     up, variances, basis = stance
     pieces, (spread, shared, fewest) = _pieces(tracks, up, place, movement)
-    found = _direction(pieces, up, spread) if len(pieces) >= fewest else None
-    if found is None:
+    direction = _direction(pieces, up, spread) if len(pieces) >= fewest else None
+    if direction is None:
         missing = finding("mount.no_forward", "fail", count=len(pieces), place=place, movement=movement)
         return MountFit(mounting=None, basis=(basis,), verdict=Verdict.of(missing))
-    forward, scatter = found
-    way = f"forward by {len(pieces)} {'walks from or to a posture' if movement == 'walk' else 'repetitions'}"
+    forward, scatter = direction
+    way = f"forward by {len(pieces)} {'walks between postures' if movement == 'walk' else 'repetitions'}"
     worn = BodyMounting(
         place=place,
         matrix=np.stack((forward, np.cross(up, forward), up)),
         covariance=np.diag((*variances, scatter**2 + shared**2)),
         basis=f"{basis}; {way}",
     )
-    ahead, upward = (
-        f"{'+-'[int(way[k] < 0.0)]}{AXES[k]}" for way in (forward, up) for k in [int(np.abs(way).argmax())]
-    )
-    findings: tuple[Finding, ...] = (finding("mount.look", "info", forward=ahead, up=upward),)
-    if worn.uncertainty > WARN:
-        findings += (finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG),)
-    return MountFit(mounting=worn, basis=(basis, way), verdict=Verdict.of(*findings))
+    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
+    verdict = Verdict.of(*((uncertain,) if worn.uncertainty > WARN else ()))
+    return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
 
 
 def _up(tracks: Sequence[_Track], posture: Posture, named: Span | None) -> tuple[FloatArray, Span, str] | None:
@@ -155,7 +148,7 @@ def _up(tracks: Sequence[_Track], posture: Posture, named: Span | None) -> tuple
             still = Still(start=int(first), stop=max(int(last), int(first) + 1))
             tilt, (start, stop) = initial_tilt(track.record, still), time[[still.start, still.stop - 1]].tolist()
             up = tilt.specific_force / np.linalg.norm(tilt.specific_force)
-            if mean is None or named or posture == "sitting" or up @ mean > np.cos(_NEAR):
+            if mean is None or named or posture == "sitting" or up @ mean > np.cos(UPRIGHT):
                 upright.append((stop - start, start, up, tilt.inclination_uncertainty**2 / 2.0))
     if not upright:
         return None
@@ -172,7 +165,7 @@ def _pieces(
         ways = [way for track in tracks for way in _bouts(track)]
     else:
         least = 0.3 * tracks[0].record.sample_rate_hz
-        leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(_LEANT)) if b - a > least]
+        leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
         ways = [-LEANS[movement][place] * track.up[a:b].mean(axis=0) for track, a, b in leans]
     level = np.eye(3) - np.outer(up, up)
     return np.reshape(ways, (-1, 3)) @ level, WALKS if movement == "walk" else REPETITIONS
@@ -189,38 +182,31 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
     length = max(float(np.linalg.norm(middle)), 1e-12)
     forward, off = middle / length, (pieces - middle) / length * (count * weight)[:, None]
     along, across = (
-        float(np.sqrt((((off @ way) ** 2).sum() + _DRAWN * spread**2) / (count - 1 + _DRAWN) / count))
+        float(np.sqrt((((off @ way) ** 2).sum() + USUAL_PIECES * spread**2) / (count - 1 + USUAL_PIECES) / count))
         for way in (forward, np.cross(up, forward))
     )
-    return (forward, across) if 1.0 / max(along, across) > _CLEAR else None
+    return (forward, across) if 1.0 / max(along, across) > CLEAR else None
 
 
-def _bouts(one: _Track) -> list[FloatArray]:
-    """Return the mean velocity of each walk between two postures, or of the stride beside one, (3,) in b, m/s."""
-    time, rate, speeds = one.record.time, one.record.sample_rate_hz, []
-    rests = [(int(a), int(b)) for a, b in runs(one.quiet) if b - a > rate]
+def _bouts(track: _Track) -> list[FloatArray]:
+    """Return the mean velocity of each walk between two postures, (3,) in b, m/s."""
+    rate, edge, start = (round(track.record.sample_rate_hz * span_s) for span_s in (1.0, EDGE_S, START_S))
+    rests = [(int(a) + edge, int(b) - edge) for a, b in runs(track.quiet) if b - a > rate]
     if not rests:
         return []
-    (early, late), edge = (round(rate * span) for span in END_S), round(0.3 * rate)
-    # Gravity at both ends of the rests shows how the body swayed there: what else gyroscopes read there is their offset
-    ups = {at: one.force[at - edge : at + edge].mean(axis=0) for a, b in rests for at in (a + edge, b - edge)}
+    # gravity at both ends of the rests shows how the body swayed there: what else gyroscopes read there is their offset
+    ups = {k: track.force[k - edge : k + edge].mean(axis=0) for rest in rests for k in rest}
     size = float(np.mean([np.linalg.norm(up) for up in ups.values()]))
-    sway = np.sum([np.cross(ups[b - edge], ups[a + edge]) for a, b in rests], axis=0) / size**2
-    inner = np.concatenate([one.gyro[a + edge : b - edge] for a, b in rests])
-    gyro = one.gyro - inner.mean(axis=0) + sway * rate / len(inner)
-    starts, stops = [b - edge for _, b in rests], [a + edge for a, _ in rests]
-    whole = [(at, to) for at, to in zip(starts, stops[1:], strict=False) if to - at < BOUT_S * rate]
-    spans = [*whole, *((at, at + late) for at in starts if at not in dict(whole))]
-    spans += [(at, at - late) for at in stops if at not in dict(whole).values()]
-    for at, to in spans:
-        way, closed = 1 if to > at else -1, (at, to) in whole
-        rows = np.arange(at, to, way)
-        middle = rows[early : -early if closed else None]
-        if rows.min() < 0 or rows.max() + 1 >= len(time) or len(middle) < early or one.walk[middle].mean() < 0.9:
+    sway = np.sum([np.cross(ups[b], ups[a]) for a, b in rests], axis=0) / size**2
+    inner = np.concatenate([track.gyro[a:b] for a, b in rests])
+    gyro = track.gyro - inner.mean(axis=0) + sway * track.record.sample_rate_hz / len(inner)
+    velocities = []
+    for (_, first), (last, _) in pairwise(rests):
+        if not 3 * start <= last - first < WALK_S * rate or track.walk[first + start : last - start].mean() < 0.9:
             continue
-        q = integrate_strapdown(way * gyro[rows + (way < 0)], way * time[rows], shortest_rotation_up(ups[at]))
-        speed = np.cumsum(rotate(q, one.force[rows]) - [0.0, 0.0, size], axis=0) * way / rate
-        speed -= np.linspace(0.0, 1.0, len(rows))[:, None] * speed[-1] * closed  # it ends at rest
-        seen_b = rotate(quaternion_conjugate(q), speed * [1.0, 1.0, 0.0])
-        speeds.append(seen_b.mean(axis=0) if closed else seen_b[early:].mean(axis=0))
-    return speeds
+        rows, time = slice(first, last), track.record.time
+        q = integrate_strapdown(gyro[rows], time[rows], shortest_rotation_up(ups[first]))
+        velocity = np.cumsum(rotate(q, track.force[rows]) - [0.0, 0.0, size], axis=0) / rate
+        velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # it ends at rest
+        velocities.append(rotate(quaternion_conjugate(q), velocity * [1.0, 1.0, 0.0]).mean(axis=0))
+    return velocities

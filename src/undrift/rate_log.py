@@ -1,17 +1,16 @@
 """Rates of a table that undrift does not drive, from the log of its own controller.
 
-The log holds time and rate, or time and angle, on a clock of its own: another origin, another speed. A moment t of the log was, on
-the clock of the recording, at::
+The log contains time and rate, or time and angle, on a clock of its own. A moment t of the log is, on the clock of the recording::
 
-    t + offset + drift (t - tm)          tm: the middle of the moments that were aligned
+    t + lag + skew (t - tm)          tm: the middle of the moments that were aligned
 
-The lengths of both rates are correlated at every shift of the whole, then ``sync.lag_of`` finds the lag in parts of the log, and
-a straight line through the lags gives offset and drift with their uncertainty. Steady stretches of the log become dwells. The rate
-is taken from the log, over the readings within the dwell minus the settling and three times that uncertainty.
+Rates and readings are correlated at every shift, and the lags of parts of the log give a straight line (``sync.lag_line``). Steady
+stretches of the log become dwells. Their rate is taken from the log, over the readings within the dwell minus the settling and
+three times the uncertainty of the lag.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,33 +21,24 @@ from undrift.io.columns import TextLayout
 from undrift.io.text import open_text, parse_text
 from undrift.model import AXES
 from undrift.record import Record, Turn
-from undrift.sync import (
-    LONGEST_STEP,
-    Lag,
-    LagSettings,
-    PoseRates,
-    lag_correlation,
-    lag_line,
-    lag_of,
-    middle_of_motion,
-)
+from undrift.sync import LONGEST_STEP, LagLine, LagSettings, PoseRates, coarse_lag, lag_line
 from undrift.units import RADIAN_PER_DEGREE
 
 TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # column -> factor to s
 RATES = {"turn_rate_dps": RADIAN_PER_DEGREE, "turn_rate_rad_s": 1.0, "turn_rate_rpm": np.pi / 30.0}  # to rad/s
 ANGLES = {"angle_deg": RADIAN_PER_DEGREE, "angle_rad": 1.0, "angle_turns": 2.0 * np.pi}  # to rad
+MIN_ROWS = 30
 ROUNDING = 1e-9  # of a number in text
 SETTLE_S = 0.5  # left out at both ends of a dwell: the table swings out, the device's filter settles
 LEAST_S = 1.0  # shortest dwell that is left
 RAMP_S = 3.0  # before and after a dwell: the rate changes in it
 STEADY = 0.02  # largest departure of a steady rate from its median, relative
 LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
-LARGEST_UNCERTAINTY = 0.01  # of an achieved rate, relative; a dwell of more is left out
-LARGEST_DRIFT = 0.01  # between the clocks; more is a wrong unit of time
+LARGEST_UNCERTAINTY = 0.01  # of a rate, relative; a dwell of more is left out
 PARTS, PART_S = 12, 30.0  # of the log at most, each at least so long; each has a lag
-ALIKE, APART_S = 0.9, 2.0  # of the best correlation, and s from the best shift: another shift that may be the right one
-FLOOR_S, JUMP_S = 1e-3, 0.3  # of a lag: what the shape of a ramp hides; off the line, a clock jumped
-UNKNOWN_DRIFT = 1e-4  # of two quartz clocks that one part cannot compare
+REACH_S = 5.0  # of the lag of a part from that of the whole
+FLOOR_S, JUMP_S = 1e-3, 0.3  # of a lag: what the shape of a ramp hides; off the line: a clock jumped
+UNKNOWN_SKEW = 1e-4  # of two quartz clocks that one part cannot compare
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,26 +53,6 @@ class RateLog:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clocks:
-    """Clock of a recording minus clock of a log."""
-
-    offset_s: float  # at ``middle_s``
-    drift: float  # seconds per second by which the recording's clock runs faster
-    middle_s: float  # on the log's clock
-    offset_uncertainty_s: float  # standard
-    drift_uncertainty: float  # standard; that of two quartz clocks if one part only has a lag
-    correlation: float  # least of the parts
-
-    def recorded(self, time: float) -> float:
-        """Return the recording's time of a moment of the log."""
-        return time + self.offset_s + self.drift * (time - self.middle_s)
-
-    def uncertainty_s(self, time: float) -> float:
-        """Return the standard uncertainty of that time."""
-        return float(np.hypot(self.offset_uncertainty_s, (time - self.middle_s) * self.drift_uncertainty))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LoggedTurn:
     """A dwell of the log on the recording."""
 
@@ -94,173 +64,90 @@ def read_rate_log(path: str | Path) -> RateLog:
     """Read a log: a header, a column of TIMES, and one of RATES or ANGLES; comma, semicolon or tab between them."""
     first, *others = open_text(path).head.splitlines()
     delimiter = max(",;\t", key=first.decode("utf-8", "replace").count)
-    text = open_text(
-        path, TextLayout(delimiter=delimiter, decimal="," if delimiter == ";" and b"," in others[0] else ".")
-    )
-    names, values = [name.strip() for name in text.names], RATES | ANGLES
-    named = [[name for name in names if name in table] for table in (TIMES, values)]
-    if any(len(found) != 1 for found in named):
+    decimal = "," if delimiter == ";" and b"," in others[0] else "."
+    text = open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
+    values = RATES | ANGLES
+    times, rates = ([name for name in text.names if name.strip() in table] for table in (TIMES, values))
+    if len(times) != 1 or len(rates) != 1:
         raise FileFormatError(
-            f"{path}: wanted one column out of {', '.join(TIMES)} and one out of {', '.join(values)}, got "
-            f"{', '.join(names)[:80]}; rename the columns"
+            f"{path}: a log has one column out of {', '.join(TIMES)} and one out of {', '.join(values)}, got "
+            f"{', '.join(text.names)[:80]}. Rename the columns."
         )
-    (when,), (what,) = named
-    columns = (text.names[names.index(when)], text.names[names.index(what)])
-    table = parse_text(text, columns)
-    time, value = table.numbers(columns[0]) * TIMES[when], table.numbers(columns[1]) * values[what]
-    whole = np.isfinite(time) & np.isfinite(value)
-    time, value = time[whole], value[whole]
-    if len(time) < 30 or not (np.diff(time) > 0.0).all():
-        wrong = "fewer" if len(time) < 30 else f"one that does not after {time[np.argmin(np.diff(time) > 0.0)]:g} s"
-        raise FileFormatError(f"{path}: wanted 30 rows or more whose time goes forward, got {wrong}; mend the log")
+    table, kind = parse_text(text, (times[0], rates[0])), rates[0].strip()
+    time, value = table.numbers(times[0]) * TIMES[times[0].strip()], table.numbers(rates[0]) * values[kind]
+    valid = np.isfinite(time) & np.isfinite(value)
+    time, value = time[valid], value[valid]
+    if len(time) < MIN_ROWS or not (np.diff(time) > 0.0).all():
+        raise FileFormatError(
+            f"{path}: a log has {MIN_ROWS} rows or more whose time goes forward, got {len(time)} rows. Repair the log."
+        )
     steps = np.diff(np.unique(value))
     steps = steps[steps > ROUNDING * np.abs(value).max()]
-    if what in RATES:
+    if kind in RATES:
         value = np.concatenate(([0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time))))
     elif value.min() > -1e-9 - np.pi and value.max() < 2.0 * np.pi + 1e-9:
         value = np.unwrap(value)
     resolution = float(steps.min()) if len(steps) else 0.0
-    return RateLog(name=str(path), time=time, angle=value, resolution=resolution, has_angle=what in ANGLES)
+    return RateLog(name=str(path), time=time, angle=value, resolution=resolution, has_angle=kind in ANGLES)
 
 
 # ---- clocks
 
 
-def align_clocks(log: RateLog, record: Record, offset_s: float | None = None) -> Clocks:
-    """Find offset and drift between the clock of a log and that of a recording; the offset may be known to a second."""
+def align_clocks(log: RateLog, record: Record) -> LagLine:
+    """Find how late the recording is against the log, as a line over the time of the log."""
     if record.gyro is None:
-        raise InputError(f"{log.name}: wanted a recording with a gyroscope to align by, got none; map its columns")
+        raise InputError(f"{log.name}: the recording has no gyroscope to align the log by. Map its columns.")
     step = np.diff(log.time)
     valid = step <= LONGEST_STEP * np.median(step)
     rate = np.where(valid, np.diff(log.angle) / step, 0.0)[:, None]
-    rates = PoseRates(start=log.time[:-1], stop=log.time[1:], rate=rate, valid=valid)
-    rough = _rough_offset(log, record, rates) if offset_s is None else offset_s
-    when, lags = _lags(log, record, rates, rough)
-    late = np.array([lag.seconds for lag in lags])
-    line = lag_line(when, late, np.hypot([lag.standard_uncertainty for lag in lags], FLOOR_S))
-    if np.abs(line.off_s).max() > JUMP_S:
-        worst = int(np.argmax(np.abs(line.off_s)))
-        raise AlignmentError(
-            f"clocks: wanted one offset and drift along the log, got a lag {line.off_s[worst]:+.2f} s off the line at "
-            f"{when[worst]:.0f} s; a clock jumped, or readings are missing: cut the files there"
-        )
-    unknown = np.isinf(line.skew_uncertainty)
-    if abs(line.skew) > max(LARGEST_DRIFT, 0.0 if unknown else 4.0 * line.skew_uncertainty):
-        raise AlignmentError(
-            f"{log.name}: wanted clocks that agree to {LARGEST_DRIFT:.0%}, got {line.skew:+.1%}; check the unit of time"
-        )
-    return Clocks(
-        offset_s=rough + line.lag_s,
-        drift=line.skew,
-        middle_s=line.middle_s,
-        offset_uncertainty_s=line.lag_uncertainty_s,
-        drift_uncertainty=UNKNOWN_DRIFT if unknown else line.skew_uncertainty,
-        correlation=min(lag.correlation_after for lag in lags),
-    )
-
-
-def _scores(
-    time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_s: float
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the best correlation, a score of each shift, and the shifts, s: among equals the widest overlap is best."""
-    nothing: FloatArray = np.zeros(1)
-    best, score, lags = 0.0, nothing, nothing
-    for centre in (True, False):
-        shifts, correlation, overlap = lag_correlation(time, gyro, rates, longest_s, centre=centre)
-        here = np.nan_to_num(correlation) * np.sqrt(overlap / max(overlap.max(), 1.0))
-        if here.max() > score.max():
-            best, score, lags = float(np.nan_to_num(correlation)[np.argmax(here)]), here, shifts
-    return best, score, lags
-
-
-def _rough_offset(log: RateLog, record: Record, rates: PoseRates) -> float:
-    """Return recording minus log, s, to a cell, or refuse if two shifts are as good."""
     shift = float(record.time[0] - log.time[0])  # first samples together, then every shift
-    longest = float(max(np.ptp(record.time), np.ptp(log.time)))
-    best, score, lags = _scores(record.time, np.asarray(record.gyro), rates.part(slice(None), shift), longest)
-    if best < LagSettings().least_correlation:
+    rates = PoseRates(start=log.time[:-1] + shift, stop=log.time[1:] + shift, rate=rate, valid=valid)
+    near = coarse_lag(record.time, record.gyro, rates, float(max(np.ptp(record.time), np.ptp(log.time))))
+    rates = rates.part((rates.start + near > record.time[0]) & (rates.stop + near < record.time[-1]))
+    count = int(np.clip(np.ptp(rates.start) / PART_S, 1, PARTS))
+    parts = [rates.part(rows) for rows in np.array_split(np.arange(len(rates.start)), count) if rates.rate[rows].any()]
+    settings = LagSettings(longest_lag_s=abs(near) + REACH_S, average_s=0.1)
+    line = lag_line(record, parts, settings, near=near, floor_s=FLOOR_S)
+    if (off_s := np.abs(line.off_s).max()) > JUMP_S:
         raise AlignmentError(
-            f"{log.name}: wanted the log of the table that turned this device, got a correlation of {best:.2f} at best; "
-            "check that the two belong together"
+            f"{log.name}: a lag is {off_s:.2f} s off a line: a clock jumped, or readings are missing. Cut both files there."
         )
-    first = lags[np.argmax(score)]
-    rivals = (score > ALIKE * score.max()) & (np.abs(lags - first) > APART_S)
-    if rivals.any():
-        other = lags[np.argmax(np.where(rivals, score, 0.0))]
-        raise AlignmentError(
-            f"{log.name}: wanted one shift between the clocks, got {shift + first:.1f} and {shift + other:.1f} s "
-            "alike; state it to a second: `rates_offset_s`"
-        )
-    return shift + float(first)
-
-
-def _lags(log: RateLog, record: Record, rates: PoseRates, rough: float) -> tuple[FloatArray, list[Lag]]:
-    """Return the times of the log at which a lag was found, and the lags, recording minus log minus the rough offset."""
-    span = float(np.ptp(log.time))
-    count = max(1, min(PARTS, int(span / PART_S)))
-    reach = LagSettings(longest_lag_s=APART_S + 0.5 * LARGEST_DRIFT * span, average_s=0.1)
-    when, lags, why = list[float](), list[Lag](), "no motion"
-    for rows in np.array_split(np.arange(len(rates.start)), count):
-        part = rates.part(rows, rough)
-        near = (record.time >= part.start[0] - reach.longest_lag_s) & (
-            record.time <= part.stop[-1] + reach.longest_lag_s
-        )
-        if near.sum() < 30 or not part.rate.any():
-            continue
-        time, gyro = record.time[near], np.asarray(record.gyro)[near]
-        try:
-            _, score, shifts = _scores(time, gyro, part, reach.longest_lag_s)
-            lag = lag_of(time, gyro, part, reach, near=float(shifts[np.argmax(score)]))
-        except AlignmentError as error:
-            why = str(error)
-            continue
-        if lag.standard_uncertainty < APART_S:
-            when.append(middle_of_motion(part) - rough)
-            lags.append(lag)
-    if not lags:
-        raise AlignmentError(
-            f"{log.name}: wanted turns that show how late it is, got none ({why[:120]}); log whole ramps"
-        )
-    return np.array(when), lags
+    unknown = UNKNOWN_SKEW if np.isinf(line.skew_uncertainty) else line.skew_uncertainty
+    return replace(line, middle_s=line.middle_s - shift, lag_s=line.lag_s + shift, skew_uncertainty=unknown)
 
 
 # ---- dwells
 
 
-def cut_dwells(log: RateLog, records: Sequence[tuple[Record, Clocks]]) -> tuple[tuple[LoggedTurn, ...], int]:
+def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple[tuple[LoggedTurn, ...], int]:
     """Return the steady dwells of a log on the recordings, and how many were left out as too uncertain or not recorded."""
     turns, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
     for start, stop in steady_stretches(log):
         turn_rate, uncertainty = _achieved(log, start, stop)
-        if uncertainty > LARGEST_UNCERTAINTY * abs(turn_rate):
-            missed += 1
-            continue
+        known = uncertainty <= LARGEST_UNCERTAINTY * abs(turn_rate)
         before = len(turns)
-        for number, (record, clocks) in enumerate(records):
-            inside = _recorded(record, clocks, start, stop)
-            if inside is None:
+        for number, (record, line) in enumerate(records if known else ()):
+            rows = _recorded(record, line, start, stop)
+            if rows is None:
                 continue
-            axis, sign = _axis_of(log, record, clocks, start, stop)
-            turn = Turn(
-                start=inside.start, stop=inside.stop, axis=AXES[axis], turn_rate=sign * turn_rate, recording=number
-            )
+            axis, sign = _axis_of(log, record, line, start, stop)
+            turn = Turn(start=rows.start, stop=rows.stop, axis=AXES[axis], turn_rate=sign * turn_rate, recording=number)
             turns.append(LoggedTurn(turn=turn, uncertainty=uncertainty))
-            if record.accel is not None:
-                up = np.nanmean(record.accel[inside], axis=0)
-                if abs(up[axis]) > 0.9 * np.linalg.norm(up):
-                    senses.setdefault(sign * float(np.sign(up[axis])), AXES[axis])
+            up = np.zeros(3) if record.accel is None else np.nanmean(record.accel[rows], axis=0)
+            if abs(up[axis]) > 0.9 * np.linalg.norm(up):
+                senses.setdefault(sign * float(np.sign(up[axis])), AXES[axis])
         missed += len(turns) == before
     if len(senses) > 1:
-        first, second = senses.values()
         raise InputError(
-            f"{log.name}: wanted gyroscopes that all take the table's positive sense alike, got {first} and {second} opposite; "
-            "check the signs of the columns, or of the log between mountings"
+            f"{log.name}: the gyroscopes {' and '.join(senses.values())} have opposite signs for the positive sense of the table. "
+            "Check the signs of the columns, or of the log between mountings."
         )
     return tuple(turns), missed
 
 
 def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
-    """Return start and stop, on the log's clock, of the stretches at one rate, rest left out."""
+    """Return start and stop, on the clock of the log, of the stretches at one rate, rest left out."""
     step = np.diff(log.time)
     typical = float(np.median(step))
     width = max(1, round(0.2 / typical))
@@ -272,8 +159,8 @@ def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
     stretches = list[tuple[float, float]]()
     for start, stop in runs(whole[width:] & whole[:-width] & steady):
         level = rate[start : stop + width]
-        off = np.abs(level - np.median(level)) > STEADY * np.abs(np.median(level)) + noise
-        longest = max(runs(~off), key=lambda run: run[1] - run[0], default=(0, 0))  # slow ends of a ramp are cut off
+        near = np.abs(level - np.median(level)) <= STEADY * np.abs(np.median(level)) + noise
+        longest = max(runs(near), key=lambda run: run[1] - run[0], default=(0, 0))  # slow ends of a ramp are cut off
         first, last = log.time[start + longest[0]], log.time[start + longest[1] - 1 + width]
         if last - first >= 2.0 * SETTLE_S + LEAST_S:
             stretches.append((float(first), float(last)))
@@ -293,10 +180,11 @@ def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
     return slope, float(np.hypot(scatter, coarse / np.sqrt(6.0 if log.has_angle else 12.0)))
 
 
-def _recorded(record: Record, clocks: Clocks, start: float, stop: float) -> slice | None:
+def _recorded(record: Record, line: LagLine, start: float, stop: float) -> slice | None:
     """Return the samples of a dwell without its settling; None if the recording does not contain it."""
-    first = clocks.recorded(start) + SETTLE_S + 3.0 * clocks.uncertainty_s(start)
-    last = clocks.recorded(stop) - SETTLE_S - 3.0 * clocks.uncertainty_s(stop)
+    first, last = (
+        line.later(t) + side * (SETTLE_S + 3.0 * line.uncertainty_s(t)) for t, side in ((start, 1), (stop, -1))
+    )
     if min(last, float(record.time[-1])) - max(first, float(record.time[0])) < LEAST_S:
         return None
     rows = slice(*(int(k) for k in np.searchsorted(record.time, (first, last))))
@@ -304,13 +192,13 @@ def _recorded(record: Record, clocks: Clocks, start: float, stop: float) -> slic
     return rows if inside.sum() >= 10 and inside.mean() >= 0.8 else None
 
 
-def _axis_of(log: RateLog, record: Record, clocks: Clocks, start: float, stop: float) -> tuple[int, float]:
+def _axis_of(log: RateLog, record: Record, line: LagLine, start: float, stop: float) -> tuple[int, float]:
     """Return axis and sign of the gyroscope that follows the log over a dwell and the ramps at its ends."""
     room = SETTLE_S + RAMP_S
-    rows = slice(*np.searchsorted(record.time, (clocks.recorded(start) - room, clocks.recorded(stop) + room)))
-    whole = np.isfinite(np.asarray(record.gyro)[rows]).all(axis=1)
-    time, gyro = record.time[rows][whole], np.asarray(record.gyro)[rows][whole]
-    logged = clocks.middle_s + (time - clocks.recorded(clocks.middle_s)) / (1.0 + clocks.drift)
+    rows = slice(*np.searchsorted(record.time, (line.later(start) - room, line.later(stop) + room)))
+    valid = np.isfinite(np.asarray(record.gyro)[rows]).all(axis=1)
+    time, gyro = record.time[rows][valid], np.asarray(record.gyro)[rows][valid]
+    logged = line.middle_s + (time - line.later(line.middle_s)) / (1.0 + line.skew)
     rate = np.gradient(np.interp(logged, log.time, log.angle), logged)
     follows = (rate - rate.mean()) @ (gyro - gyro.mean(axis=0))
     axis = int(np.argmax(np.abs(follows)))

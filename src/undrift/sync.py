@@ -6,14 +6,16 @@ rate of the reference and u the readings, both averaged over the same stretches:
 
     w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
 
-First the length of u is correlated with the length of w at every lag of a wide search: no mounting is needed for that. Then
-Gauss-Newton on A, c and lag together: the change of u with time is one more column of the design. A reading is the rate at
-its time stamp. Where each sample holds over the interval before it, as in strapdown, the lag is half a sample shorter.
+First their covariance is computed at every lag of a wide search. Then Gauss-Newton on A, c and lag together: the change of u with
+time is one more column of the design. A reading is the rate at its time stamp. Where each sample holds over the interval before it,
+as in strapdown, the lag is half a sample shorter.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs, window_sums
 from undrift.errors import AlignmentError, InputError
@@ -85,88 +87,69 @@ class RunningIntegral:
         return k, whole + value * dt + bend * (dt * dt)
 
 
-# ---- coarse lag: where the lengths of the two rates correlate best, over a wide search and with gaps masked
+# ---- coarse lag: where readings and rates correlate most, over a wide search
 #
-# Both lengths are averaged into cells of one width on a common clock. The correlation at every shift counts only cells that both
-# sides have: with masks m, n (0 or 1) and values x, y already multiplied by them, all sums over cells are correlations of x, y,
-# x^2, y^2, m and n, and a Fourier transform gives them for all shifts at once.
+# Both are averaged into cells of one width on a common clock. At every shift the score is the multiple correlation of rates w and
+# readings u over the cells that both have, tr(C' V^-1 C) / tr(W), with their covariances C, V of u and W of w: it is the same for
+# every mounting. All sums over cells, with masks for gaps, are correlations; a Fourier transform gives them for all shifts at once.
 
+Spectrum = NDArray[np.complex128]
 CELL_S = 0.02  # s
-LEAST_OVERLAP = 0.3  # of the shorter side
+LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # of the shorter side; cells
+STILL = 1e-9  # of the largest variance: a side that does not turn
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
-    """Return the lag, s, at which the lengths of the two rates correlate best."""
-    lags, correlation, overlap = lag_correlation(time, gyro, rates, longest_lag_s)
-    if not overlap.any():
-        raise AlignmentError(
-            f"lag: wanted record and reference to share {LEAST_OVERLAP:.0%} of the shorter one within {longest_lag_s:g} s "
-            f"of search, got less; they begin at {time[0]:.6g} and {rates.start[0]:.6g} s: check their clocks, or widen "
-            "`longest_lag_s`"
-        )
-    if not np.isfinite(correlation).any():
-        raise AlignmentError(
-            "lag: wanted both sides to turn, got one that does not; there is no common motion to align by"
-        )
-    return float(lags[np.nanargmax(correlation)])
-
-
-def lag_correlation(
-    time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float, *, centre: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return lags, s, the correlation of the two lengths at each, and the cells that both have; NaN and 0 where too few."""
-    centred = gyro - _offset(gyro) if centre else gyro  # a device that seldom rests shows no offset
-    u, w = np.linalg.norm(centred, axis=1), np.linalg.norm(rates.rate, axis=1)
+    """Return the lag, s, at which readings and rates correlate most; the wider overlap decides between equal ones."""
     middle = 0.5 * (rates.start + rates.stop)
+    width = CELL_S * max(1, *(round(float(np.median(np.diff(t))) / CELL_S) for t in (time, middle)))
     start = min(time[0], middle[0])
-    count = int(np.ceil((max(time[-1], middle[-1]) - start) / CELL_S)) + 1
-    cell = max(1, round(float(np.median(np.diff(time))) / CELL_S), round(float(np.median(np.diff(middle))) / CELL_S))
-    x, m = _cells(time, u, np.isfinite(u), start, count // cell + 1, cell * CELL_S)
-    y, n = _cells(middle, w, rates.valid, start, count // cell + 1, cell * CELL_S)
-    reach = min(int(longest_lag_s / (cell * CELL_S)) + 1, len(x) - 1)
-    correlation, overlap = _masked_correlation(x, m, y, n, reach)
-    enough = overlap >= LEAST_OVERLAP * min(m.sum(), n.sum())
-    lags = (np.arange(len(correlation)) - reach) * cell * CELL_S
-    return lags, np.where(enough, correlation, np.nan), np.where(enough, overlap, 0.0)
+    count = int((max(time[-1], middle[-1]) - start) / width) + 1
+    reach = min(int(longest_lag_s / width) + 1, count - 1)
+    size = 1 << (2 * count - 1).bit_length()
+    (u, uu, m), (w, ww, n) = (
+        _spectra(np.floor((t[valid] - start) / width).astype(np.int64), values[valid], count, size)
+        for t, values, valid in ((time, gyro, np.isfinite(gyro).all(axis=1)), (middle, rates.rate, rates.valid))
+    )
+
+    def summed(first: Spectrum, second: Spectrum) -> FloatArray:
+        """Return sums over cells, (shifts, ...): cell k + s of the record meets cell k of the reference."""
+        whole = np.fft.irfft(first * np.conj(second), size, axis=-1)
+        return np.moveaxis(np.concatenate((whole[..., size - reach :], whole[..., : reach + 1]), axis=-1), -1, 0)
+
+    overlap = np.round(summed(m, n))
+    if not (enough := overlap >= max(LEAST_OVERLAP * min(m[0].real, n[0].real), LEAST_CELLS)).any():
+        raise AlignmentError(
+            f"lag: record and reference share less than {LEAST_OVERLAP:.0%} of the shorter one. They begin at {time[0]:.6g} and "
+            f"{rates.start[0]:.6g} s: check their clocks, or widen `longest_lag_s`, {longest_lag_s:g} s."
+        )
+    cells = np.maximum(overlap, 1.0)[:, None]
+    mean_u, mean_w = summed(u, n) / cells, summed(m, w) / cells  # (shifts, C)
+    v, square_w, c = (
+        sums / cells[:, :, None] - first[:, :, None] * second[:, None]
+        for sums, first, second in (
+            (summed(uu, n), mean_u, mean_u),
+            (summed(m, ww), mean_w, mean_w),
+            (summed(u[:, None], w), mean_u, mean_w),
+        )
+    )
+    turn_u, turn_w = (np.trace(each, axis1=1, axis2=2) for each in (v, square_w))
+    turns = enough & (turn_u > STILL * turn_u.max()) & (turn_w > STILL * turn_w.max())
+    if not turns.any():
+        raise AlignmentError("lag: one of record and reference does not turn. There is no common motion to align by.")
+    ridge = STILL * turn_u.max() * np.eye(v.shape[1])
+    explained = (c * np.linalg.solve(v + ridge, c)).sum(axis=(1, 2)) / np.where(turns, turn_w, np.inf)
+    return float((int(np.argmax(explained * overlap)) - reach) * width)
 
 
-def _offset(gyro: FloatArray) -> FloatArray:
-    seen = gyro[np.isfinite(gyro).all(axis=1)]
-    change = np.abs(np.diff(seen, axis=0)).sum(axis=1)
-    quiet = seen[1:][change <= np.quantile(change, 0.1)]
-    spread = np.linalg.norm(quiet - np.median(quiet, axis=0), axis=1)
-    return np.asarray(np.median(quiet[spread <= np.median(spread)], axis=0))
-
-
-def _cells(
-    t: FloatArray, values: FloatArray, valid: BoolArray, start: float, count: int, width: float
-) -> tuple[FloatArray, FloatArray]:
-    k = ((t[valid] - start) / width).astype(np.int64)
-    weight = np.bincount(k, minlength=count).astype(float)
-    mean = np.bincount(k, weights=values[valid], minlength=count) / np.maximum(weight, 1.0)
-    seen = (weight > 0.0).astype(float)
-    return (mean - float((mean * seen).sum() / max(seen.sum(), 1.0))) * seen, seen
-
-
-def _masked_correlation(
-    x: FloatArray, m: FloatArray, y: FloatArray, n: FloatArray, reach: int
-) -> tuple[FloatArray, FloatArray]:
-    # At shift s the record's cell k + s meets the reference's cell k.
-    size = 1 << (2 * len(x) - 1).bit_length()
-    first = np.fft.rfft(np.stack((x, x * x, m)), size)
-    second = np.conj(np.fft.rfft(np.stack((y, y * y, n)), size))
-
-    def summed(i: int, j: int) -> FloatArray:
-        full = np.fft.irfft(first[i] * second[j], size)
-        return np.concatenate((full[size - reach :], full[: reach + 1]))
-
-    count = np.maximum(np.round(summed(2, 2)), 0.0)
-    safe = np.maximum(count, 1.0)
-    mean_x, mean_y = summed(0, 2) / safe, summed(2, 0) / safe
-    var_x, var_y = summed(1, 2) / safe - mean_x**2, summed(2, 1) / safe - mean_y**2
-    good = (count > 10.0) & (var_x > 1e-12 * var_x.max()) & (var_y > 1e-12 * var_y.max())
-    product = np.sqrt(np.where(good, var_x * var_y, 1.0))
-    return np.where(good, (summed(0, 0) / safe - mean_x * mean_y) / product, np.nan), count
+def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple[Spectrum, Spectrum, Spectrum]:
+    """Return the spectra of cell means about their mean, (C, F), of their products, (C, C, F), and of the mask, (F,)."""
+    weight = np.bincount(cell, minlength=count).astype(float)
+    mask = (weight > 0.0).astype(float)
+    means = np.stack([np.bincount(cell, weights=v, minlength=count) for v in values.T]) / np.maximum(weight, 1.0)
+    means -= (means.sum(axis=1, keepdims=True) / max(mask.sum(), 1.0)) * mask
+    u, uu, m = (np.fft.rfft(part, size, axis=-1) for part in (means, means[:, None] * means, mask))
+    return u, uu, m
 
 
 # ---- poses as the instrument took them: undo a linear up-sampling of the reference
@@ -176,17 +159,16 @@ def _masked_correlation(
 # motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would take as scale factor.
 #
 # On a straight line the rate between neighbours repeats to the last digit; it jumps at the frames. The middles of the repeats lie
-# on a comb of the frame rate; its frequency and phase come from the largest Fourier sum, and each frame is the end of the straight
-# line before it and the start of the line after it.
+# on a comb of the frame rate; its frequency and phase come from the largest Fourier sum, and each frame is the end of a line.
 
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
 COMB_SHARPNESS = 0.95  # of what a perfect comb gives
-_SAME = 1e-4  # of the median change of rate: two rates are one
-_NEAR_FRAME = 2e-5  # s; a sample this close to a frame may stand on either side
+SAME_RATE = 1e-4  # of the median change of rate: two rates are one
+NEAR_FRAME_S = 2e-5  # a sample this close to a frame may lie on either side of it
 
 
 def native_poses(reference: Reference) -> Reference:
-    """Return the frames that the instrument took, where the reference was drawn on straight lines between them."""
+    """Return the frames that the instrument took, if the reference was drawn on straight lines between them."""
     rates = pose_rates(reference)
     repeats, share = _repeats(rates)
     if share < LEAST_REPEATS:
@@ -195,18 +177,22 @@ def native_poses(reference: Reference) -> Reference:
     frequency, phase, sharpness = _comb(rates.stop[:-1][repeats], (1.0 - share) / (2.0 * interval))
     if sharpness < COMB_SHARPNESS * np.sinc(share):
         return reference
-    first = np.ceil(frequency * reference.time[0] - phase)
-    last = np.floor(frequency * reference.time[-1] - phase)
+    first, last = np.ceil(frequency * reference.time[0] - phase), np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
-    # Where the line before a frame has a gap, the line after it.
+    # the line through the last two samples before a frame, drawn to it; NaN if they are not both in the interval before it
     after = np.searchsorted(reference.time, frames)
-    before = _drawn_to(reference, rates, frames, after - 2, (frames - 1.0 / frequency, frames))
-    drawn = np.where(
-        np.isfinite(before), before, _drawn_to(reference, rates, frames, after, (frames, frames + 1.0 / frequency))
-    )
+    k = np.clip(after - 2, 0, len(rates.rate) - 1)
+    inside = rates.valid[k] & (rates.start[k] >= frames - 1.0 / frequency - NEAR_FRAME_S)
+    inside &= rates.stop[k] <= frames + NEAR_FRAME_S
+    ahead = (frames - rates.start[k])[:, None]
+    q_nb = quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead))
+    position = reference.position
+    if position is not None:
+        velocity = (position[k + 1] - position[k]) / (rates.stop[k] - rates.start[k])[:, None]
+        position = np.where(inside[:, None], position[k] + velocity * ahead, np.nan)
     moving = None if reference.moving is None else reference.moving[np.clip(after, 0, len(reference) - 1)]
-    position = None if reference.position is None else drawn[:, 4:]
-    return Reference(time=frames, q_nb=drawn[:, :4], position=position, moving=moving, name=reference.name)
+    q_nb = np.where(inside[:, None], q_nb, np.nan)
+    return Reference(time=frames, q_nb=q_nb, position=position, moving=moving, name=reference.name)
 
 
 def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
@@ -215,7 +201,7 @@ def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
     moved = both & (np.abs(rates.rate[1:]).max(axis=1) > 0.0)
     if not moved.any():
         return moved, 0.0
-    same = moved & (change <= _SAME * np.median(change[moved]))
+    same = moved & (change <= SAME_RATE * np.median(change[moved]))
     return same, float(same.sum() / moved.sum())
 
 
@@ -239,27 +225,13 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
     return frequency, float(phase % 1.0), float(abs(total))
 
 
-def _drawn_to(
-    reference: Reference, rates: PoseRates, frames: FloatArray, pair: IntArray, span: tuple[FloatArray, FloatArray]
-) -> FloatArray:
-    # The line through samples pair, pair + 1, drawn to the frame, q_nb beside position; NaN unless both lie within the span.
-    k = np.clip(pair, 0, len(rates.rate) - 1)
-    inside = (pair == k) & rates.valid[k]
-    inside &= (rates.start[k] >= span[0] - _NEAR_FRAME) & (rates.stop[k] <= span[1] + _NEAR_FRAME)
-    ahead = (frames - rates.start[k])[:, None]
-    drawn = quaternion_product(reference.q_nb[k], quaternion_of(rates.rate[k] * ahead))
-    if reference.position is not None:
-        velocity = (reference.position[k + 1] - reference.position[k]) / (rates.stop[k] - rates.start[k])[:, None]
-        drawn = np.column_stack((drawn, reference.position[k] + velocity * ahead))
-    return np.where(inside[:, None], drawn, np.nan)
-
-
 # ---- lag to a fraction of a sample
 
 _STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
 AVERAGE_S = 0.05  # s, of rates that are compared
 _BLOCK_S = 0.5  # residuals this far apart count as independent
-_LEAST_AVERAGES = 30  # that both sides have
+LEAST_AVERAGES = 30  # that both sides have
+LEAST_CORRELATION = 0.7  # between the rates at the lag; below it the two did not see the same motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -269,8 +241,6 @@ class LagSettings:
     longest_lag_s: float = 5.0  # Half-width of the search, s
     # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
     average_s: float = AVERAGE_S
-    # Between the rates after alignment; less means that the two did not see the same motion
-    least_correlation: float = 0.7
 
 
 # Least singular value that counts, of the largest: with one axis the other readings are noise
@@ -283,8 +253,7 @@ class Lag:
 
     seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
     standard_uncertainty: float  # Of ``seconds``, s, from half-second blocks of residuals
-    correlation_before: float  # multiple correlation of reference rate and readings without a shift; 0 without overlap
-    correlation_after: float  # the same with the shift
+    correlation: float  # multiple correlation of reference rate and readings at this lag
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
 
@@ -302,7 +271,7 @@ def lag_of(
     """Find how late readings are against mean rates about three axes or one; ``near`` is where the search begins, if known."""
     lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
     known, wanted = RunningIntegral(time, gyro), _averaged(rates, settings.average_s)
-    before, fit = _aligned(known, wanted, 0.0)[0], None
+    fit: Lag | None = None
     limit = settings.average_s  # the linear model reaches about one averaging length
     for _ in range(_STEPS):
         fit, step = _aligned(known, wanted, lag)
@@ -312,15 +281,14 @@ def lag_of(
         lag += step
         if abs(step) < 1e-7:
             break
-    correlation = 0.0 if fit is None else fit.correlation_after
-    if fit is None or correlation < settings.least_correlation or abs(lag) > settings.longest_lag_s + 1.0:
+    correlation = 0.0 if fit is None else fit.correlation
+    if fit is None or correlation < LEAST_CORRELATION or abs(lag) > settings.longest_lag_s + 1.0:
         raise AlignmentError(
-            f"lag: wanted a correlation of {settings.least_correlation:g} or more between the record's rates and the "
-            f"reference's, got {correlation:.2f} within {settings.longest_lag_s:g} s: no common motion; check that the two "
-            "files belong together, or widen `longest_lag_s`",
+            f"lag: record and reference have no common motion: the correlation of their rates is {correlation:.2f} at best, within "
+            f"{settings.longest_lag_s:g} s. Check that the two files belong together, or widen `longest_lag_s`.",
             correlation=correlation,
         )
-    return replace(fit, seconds=lag, correlation_before=0.0 if before is None else before.correlation_after)
+    return replace(fit, seconds=lag)
 
 
 def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
@@ -337,7 +305,7 @@ def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[
     """Fit A and c at a lag; return them with the step of the lag that reduces the residual most; None without common motion."""
     start, stop = wanted.start + lag, wanted.stop + lag
     mean, inside = integral.mean(start, stop)
-    if inside.sum() < _LEAST_AVERAGES:
+    if inside.sum() < LEAST_AVERAGES:
         return None, 0.0
     width = 0.25 * float(np.median(stop - start))
     (late, late_inside), (early, early_inside) = (integral.mean(start + by, stop + by) for by in (width, -width))
@@ -361,14 +329,18 @@ def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[
     return Lag(
         seconds=lag,
         standard_uncertainty=uncertainty,
-        correlation_before=0.0,
-        correlation_after=float(np.sqrt(max(0.0, 1.0 - float((residual**2).sum()) / power))),
+        correlation=float(np.sqrt(max(0.0, 1.0 - float((residual**2).sum()) / power))),
         matrix=a.T,
         constant=centre_w - a.T @ centre_u,
     ), step
 
 
 # ---- two clocks that do not run alike: a straight line through the lags of parts of a recording
+
+PARTS, LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
+LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks that run alike differ by up to 0.1 ms, in BROAD
+OUT_OF_STEP_S = 0.03  # off a line through the lags: samples were lost, or another trial's were put in. Assumed.
+TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest, whatever the device's offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -379,61 +351,72 @@ class LagLine:
     lag_s: float
     skew: float  # seconds per second by which the clock of the record runs faster
     lag_uncertainty_s: float  # standard, at ``middle_s``
-    skew_uncertainty: float  # standard; infinite if one part only has a lag
+    skew_uncertainty: float  # standard; infinite if only one part has a lag
     off_s: FloatArray  # (P,), lags minus the line
+    correlation: float  # least of the parts
+
+    def later(self, time: float) -> float:
+        """Return the time on the clock of the record at a time of the reference."""
+        return time + self.lag_s + self.skew * (time - self.middle_s)
+
+    def uncertainty_s(self, time: float) -> float:
+        """Return the standard uncertainty of that time."""
+        return float(np.hypot(self.lag_uncertainty_s, (time - self.middle_s) * self.skew_uncertainty))
 
 
-def lag_line(when: FloatArray, lags: FloatArray, uncertainty: FloatArray) -> LagLine:
-    """Fit a line to lags (P,), s, at times (P,); its uncertainty is enlarged by their scatter."""
-    weight = uncertainty**-2.0
-    middle, lag = float(weight @ when / weight.sum()), float(weight @ lags / weight.sum())
-    away = when - middle
+def lag_line(
+    record: Record, parts: Sequence[PoseRates], settings: LagSettings, *, near: float, floor_s: float = 1e-6
+) -> LagLine:
+    """Fit a line to the lags of parts of a recording; its uncertainty is enlarged by their scatter.
+
+    A lag that is known to less than an average is left out, and none counts as better than ``floor_s``. Raises AlignmentError if a
+    part has no common motion.
+    """
+    lags, when = list[Lag](), list[float]()
+    for part in parts:
+        lag = lag_of(record.time, np.asarray(record.gyro), part, settings, near=near)
+        if lag.standard_uncertainty < settings.average_s:
+            lags.append(lag)
+            when.append(float(np.average(part.start, weights=(part.rate**2).sum(axis=1))))
+    if not lags:
+        raise AlignmentError(
+            "lag: no part of record and reference has a common motion. Check that they belong together."
+        )
+    late, weight = np.array([lag.seconds for lag in lags]), np.array([lag.standard_uncertainty for lag in lags])
+    weight = np.hypot(weight, floor_s) ** -2.0
+    middle, lag_s = float(weight @ when / weight.sum()), float(weight @ late / weight.sum())
+    away = np.array(when) - middle
     square = float(weight @ away**2)
-    skew = float(weight @ (away * (lags - lag)) / square) if square > 0.0 else 0.0
-    off = lags - lag - skew * away
+    skew = float(weight @ (away * (late - lag_s)) / square) if len(lags) > 1 else 0.0
+    off = late - lag_s - skew * away
     spread = max(1.0, float(weight @ off**2) / (len(lags) - 2)) if len(lags) > 2 else 1.0
     return LagLine(
-        middle_s=middle, lag_s=lag, skew=skew, off_s=off,
+        middle_s=middle, lag_s=lag_s, skew=skew, off_s=off,
         lag_uncertainty_s=float(np.sqrt(spread / weight.sum())),
-        skew_uncertainty=float(np.sqrt(spread / square)) if square > 0.0 else float("inf"),
+        skew_uncertainty=float(np.sqrt(spread / square)) if len(lags) > 1 else float("inf"),
+        correlation=min(lag.correlation for lag in lags),
     )  # fmt: skip
-
-
-def middle_of_motion(rates: PoseRates) -> float:
-    """Return the mean time, s, weighted by the square of the rate: the time at which a lag is determined."""
-    return float(np.average(rates.start, weights=(rates.rate**2).sum(axis=1)))
-
-
-_PARTS, _LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
-# s, over the recording, and its standard uncertainties: BROAD's clocks, which run alike, differ by up to 0.1 ms and two of them
-_LEAST_SKEW, _CLEAR = 1e-3, 4.0
-_OUT_OF_STEP = 0.05  # s, off a line through the lags: samples were lost, or another trial's were put in [assumed]
-_TURNS = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest, whatever the device's offset
 
 
 def in_step(
     record: Record, poses: Reference, settings: LagSettings = LagSettings()
 ) -> tuple[Record, Lag, list[Finding]]:
-    """Return the record on a clock that runs like the reference's, its lag, and findings about the two clocks."""
-    lag, findings, rates = find_lag(record, poses, settings), list[Finding](), pose_rates(poses)
+    """Return the record on a clock that runs like that of the reference, its lag, and a finding if samples were lost."""
+    lag, rates = find_lag(record, poses, settings), pose_rates(poses)
     common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
     span_s = float(np.ptp(rates.start[common])) if common.any() else 0.0
-    if not span_s > _PARTS * _LEAST_PART_S:
-        return record, lag, findings
-    parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), _PARTS)]
+    if not span_s > PARTS * LEAST_PART_S:
+        return record, lag, []
+    parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
     try:
-        lags = [lag_of(record.time, np.asarray(record.gyro), part, settings, near=lag.seconds) for part in parts]
-    except AlignmentError:  # a part lies still, or is not seen
-        return record, lag, findings
-    spread = np.maximum([part.standard_uncertainty for part in lags], 1e-6)
-    when, late = np.array([middle_of_motion(part) for part in parts]), np.array([part.seconds for part in lags])
-    line = lag_line(when, late, spread)
-    if abs(line.skew) * span_s > _LEAST_SKEW and abs(line.skew) > _CLEAR * line.skew_uncertainty:
-        record = replace(record, time=record.time - line.skew * (record.time - lag.seconds - when.mean()))
-        lag, late = find_lag(record, poses, settings), line.off_s
-    if np.ptp(late) > _OUT_OF_STEP:
-        findings.append(finding("sync.out_of_step", "warn", most_ms=1e3 * float(np.ptp(late))))
-    return record, lag, findings
+        line = lag_line(record, parts, settings, near=lag.seconds)
+    except AlignmentError:  # a part lies still, or has no poses
+        return record, lag, []
+    if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
+        record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))
+        lag = find_lag(record, poses, settings)
+    lost_s = float(np.ptp(line.off_s))
+    return record, lag, [finding("sync.out_of_step", "warn", most_ms=1e3 * lost_s)] if lost_s > OUT_OF_STEP_S else []
 
 
 def padding(whole: Record, record: Record) -> tuple[Finding, ...]:
@@ -449,48 +432,50 @@ def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
         inside = (time >= poses.time[start]) & (time <= poses.time[stop])
         rate = np.asarray(record.gyro)[inside] @ lag.matrix.T + lag.constant
         edge = start == 0 or stop == len(poses) - 1
-        if edge and len(rate) and np.nanmedian(np.linalg.norm(rate, axis=1)) > _TURNS:
+        if edge and len(rate) and np.nanmedian(np.linalg.norm(rate, axis=1)) > TURNING:
             q_nb[start + (start > 0) : stop + (start > 0)] = np.nan
     return poses if np.isfinite(q_nb[poses.valid]).all() else replace(poses, q_nb=q_nb)
 
 
-# ---- motion between the first and the last rest: the author's mark of the reference, else the record's still phases
+# ---- motion between the first and the last rest: the author's mark of the reference, otherwise the still phases of the record
 
 LEAST_REST_S, LEAST_MOTION_S = 3.0, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionSpan:
-    """The stretch between the first and the last rest of a recording, or all that both have seen where it begins in motion."""
+    """The stretch between the first and the last rest, or the whole common stretch if a recording begins in motion."""
 
-    start_s: float  # On the record's clock, s: the first moment of motion
-    stop_s: float  # The first moment after it
-    basis: str  # "mark of the reference", "still phases of the record" or "no rest"
-    rested: bool = True  # The motion begins after a rest
+    start_s: float  # first moment of motion, s, clock of the record
+    stop_s: float  # first moment after it
+    rested: bool  # True if the motion begins after a rest
 
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
-    """Find the stretch of motion between the first and the last rest; without a rest before it, all that both have seen of it."""
-    seen = reference.time[reference.valid] + lag_s
+    """Find the stretch of motion between the first and the last rest; without a rest before it, only where both have readings."""
+    seen, begins = reference.time[reference.valid] + lag_s, max(float(record.time[0]), float(reference.time[0]) + lag_s)
     first, last = max(float(record.time[0]), float(seen[0])), min(float(record.time[-1]), float(seen[-1]))
-    if reference.moving is not None and (reference.moving > 0.0).any():
-        marked = reference.time[np.flatnonzero(reference.moving > 0.0)] + lag_s
-        step = float(np.median(np.diff(reference.time)))
-        motion = MotionSpan(start_s=float(marked[0]), stop_s=float(marked[-1]) + step, basis="mark of the reference")
-    else:
-        motion = _between_stills(record) or MotionSpan(start_s=first, stop_s=last, basis="no rest", rested=False)
-    if motion.start_s - max(float(record.time[0]), float(reference.time[0]) + lag_s) >= LEAST_REST_S:
-        return motion
-    motion = replace(motion, start_s=max(first, motion.start_s), stop_s=min(last, motion.stop_s), rested=False)
-    if motion.stop_s - motion.start_s < LEAST_MOTION_S:
-        raise AlignmentError(
-            f"motion: wanted {LEAST_MOTION_S:g} s or more in which record and reference share the motion, got "
-            f"{max(motion.stop_s - motion.start_s, 0.0):.1f} s; check that the two files belong together"
+    marked = reference.time[:0] if reference.moving is None else reference.time[reference.moving > 0.0] + lag_s
+    if len(marked):
+        span: tuple[float, float] | None = (
+            float(marked[0]),
+            float(marked[-1]) + float(np.median(np.diff(reference.time))),
         )
-    return motion
+    else:
+        span = _between_stills(record)
+    if span is not None and span[0] - begins >= LEAST_REST_S:
+        return MotionSpan(start_s=span[0], stop_s=span[1], rested=True)
+    start, stop = (first, last) if span is None else (max(first, span[0]), min(last, span[1]))
+    if stop - start < LEAST_MOTION_S:
+        raise AlignmentError(
+            f"motion: record and reference share {max(stop - start, 0.0):.1f} s of motion, less than {LEAST_MOTION_S:g} s. Check "
+            "that the two files belong together."
+        )
+    return MotionSpan(start_s=start, stop_s=stop, rested=False)
 
 
-def _between_stills(record: Record) -> MotionSpan | None:
+def _between_stills(record: Record) -> tuple[float, float] | None:
+    """Return the stretch from the first rest of 3 s to the last one, or to the end; None without such a rest."""
     search = find_still(record, StillSettings())
     search = search if search.stills else find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
@@ -499,8 +484,8 @@ def _between_stills(record: Record) -> MotionSpan | None:
     first, last = long[0], search.stills[-1]
     to_the_end = last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first
     start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if to_the_end else last.start])
-    if stop - start < LEAST_MOTION_S:
-        if record.time[first.start] - record.time[0] > LEAST_MOTION_S:
-            return None  # it rests at the end alone
-        raise AlignmentError("motion: wanted a motion after the first rest, got none; the device lay still throughout")
-    return MotionSpan(start_s=start, stop_s=stop, basis="still phases of the record")
+    if stop - start >= LEAST_MOTION_S:
+        return start, stop
+    if record.time[first.start] - record.time[0] > LEAST_MOTION_S:
+        return None  # it rests only at the end
+    raise AlignmentError("motion: the device lies still throughout, so no motion follows the first rest.")

@@ -130,7 +130,7 @@ MIRRORED = (r"mirror|left-handed",)
 OTHER_TRIAL = (
     r"another (?:trial|recording|motion)|other (?:trial|recording)",
     r"do(?:es)? not (?:belong|match|show the same)|not the same motion|do not correlate",
-    r"no common motion; check that the two files",
+    r"no common motion",
 )
 OTHER_BODY = (
     r"another (?:body|segment)|different (?:body|segment)|not (?:rigid|fixed|the same body)",

@@ -11,7 +11,8 @@ from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, white_device
 from testkit.data import show
 from testkit.twins import rotation_matrices
-from undrift.calibration.reference import ReferenceSettings, fit_reference
+from undrift.calibration.reference import fit_reference
+from undrift.calibration.reference_windows import STRIDE_S
 from undrift.model import TriadModel
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -20,7 +21,7 @@ from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import draw_task
 from undrift.units import STANDARD_GRAVITY
 
-SAMPLE_RATE_HZ, STRIDE_S = 50.0, 0.5
+SAMPLE_RATE_HZ = 50.0
 OPTICS = OpticsSettings(sample_rate_hz=SAMPLE_RATE_HZ, angle_sd=3e-4, gaps=0)
 TASK = draw_task("free", rng=np.random.default_rng(0))
 MOTION = TASK.at(np.arange(round(TASK.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
@@ -28,8 +29,7 @@ MOTION = TASK.at(np.arange(round(TASK.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RAT
 
 def fitted(device: DeviceModel, rng: np.random.Generator, optics: OpticsSettings) -> TriadModel:
     record = simulate_device(device, MOTION, rng=rng).record
-    settings = ReferenceSettings(stride_s=STRIDE_S)
-    return fit_reference((record,), (see(TASK, rng=rng, settings=optics),), settings=settings).triad.model
+    return fit_reference((record,), (see(TASK, rng=rng, settings=optics),)).triad.model
 
 
 def physical_information(motion: Motion, pose_sd: float, random_walk: float) -> Array:

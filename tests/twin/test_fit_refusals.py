@@ -42,7 +42,7 @@ def test_a_rest_of_gaps_alone_is_no_rest(pair):
     record, reference = pair
     gyro = np.array(record.gyro)
     gyro[record.time < 8.0] = np.nan
-    with pytest.raises(InputError, match="wanted two seconds of rest readings before the motion, got fewer"):
+    with pytest.raises(InputError, match="rest before the motion"):
         match(replace(record, gyro=gyro), reference)
 
 
@@ -81,7 +81,7 @@ def test_one_pose_leaves_matrix_and_offset_together(pair):
     record = replace(record, accel=np.tile((0.0, 0.0, STANDARD_GRAVITY), (len(record), 1)))
     stuck = replace(match(record, placed(reference)), reference=still)
     flat = replace(stuck, spline=replace(stuck.spline, pieces=match_pieces(still)))
-    with pytest.raises(NotObservable, match="wanted motion about all three axes, got a design of rank"):
+    with pytest.raises(NotObservable, match="the motion determines"):
         fit_accel(flat)
 
 

@@ -428,7 +428,7 @@ def calibrate_to_references(
 ) -> Calibration:
     """Calibrate one device from recordings with an orientation reference.
 
-    Accelerometers need rests in several poses, or a reference that gives the position too.
+    Accelerometers need rests on all six sides of the device.
 
     Parameters
     ----------
@@ -661,7 +661,6 @@ def _accel_of(
         accel_fit = fit_reference_accel(
             [restored(record, adc) for record in records],
             references,
-            fit.triad.model,
             mountings=fit.mountings,
             gravity_m_s2=gravity_m_s2,
             lags_s=fit.lags_s,

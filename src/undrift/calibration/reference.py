@@ -1,17 +1,19 @@
-"""Gyroscope against an orientation reference: mocap, a robot arm, anything that gives poses of the same body.
+"""Gyroscope against an orientation reference: optics, a robot arm, or anything else that gives poses of the same body.
 
-w = M (u + c sign(u) - o) - m(t) d, with w the body rate of the reference. Rates are never differentiated from poses: readings
-are integrated over windows and compared with how far the reference turned, so pose noise enters twice a window whatever the rate.
-Windows grow from 2 s, where the linearisation is safe for a raw device, by doubling to 16 s: pose errors do not grow with the
-window, the rotation that an error of M or o causes does. Recordings of one device are pooled. Long windows suit real optics, whose
-errors drift with the pose. Offsets at rest and in motion differ (rounding, vibration, g-sensitivity: 0.01 to 0.05 deg/s), so a
-recording's offset is its own mean at rest, and a change d that all recordings share, fitted with M, acts while the device turns,
-m = 1: a new recording needs its own rest alone. Where it never rests, its offset is that of all recordings and a change of its own
-with a prior.
-Where the codes show how they were rounded, c is fitted about half a step, or none, within a third of a step. Each recording has a
-small rotation R of its own between device and body, w = R M (u - o), whose mean over the recordings is none: markers are
-put on anew, and clusters are defined anew. Where one mounting is stated it is the same for all. Motion that does not show the
-matrix leaves it a prior about the rotation that the rates show, and the verdict names the elements that keep it.
+    w = M (u + c sign(u) - o) - m(t) d            w rate of the mean body, u readings, m = 1 while the device turns
+
+Rates are never differentiated from poses. Readings are integrated over windows between two poses and compared with the rotation of
+the reference (``reference_windows``). Windows grow from 2 s, where the linear equations are safe for a raw device, by doubling to
+16 s: errors of poses do not grow with the window, and the rotation by an error of M or o does.
+
+Recordings of one device are fitted together. The offset at rest is the mean reading at rest of each recording. Offsets in motion
+differ from it by 0.01 to 0.05 deg/s (rounding, vibration, g-sensitivity): one change d for all recordings acts while the device
+turns. A recording without a rest has the mean offset of the others and a change of its own. Each recording has a small rotation
+T of its own between the mean body and its body, since markers are put on again; ``mounting`` "one" leaves it out.
+
+Every element of M has a prior about the rotation that maps the readings to the body, if the readings have a physical unit. Elements
+that the motion does not determine keep it, and the verdict names them. If the codes show how they were rounded, c is fitted about
+half a step, or about zero.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import undrift.sync as sync
-from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.codes import restored_gyro
+from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import (
+    STRIDE_S,
     Recording,
     Solution,
     Windows,
@@ -34,7 +36,7 @@ from undrift.calibration.reference_windows import (
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
 from undrift.fit.triad import TriadFit, offset_of
-from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
+from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
 from undrift.segments import StillSettings, find_still, find_turning, unpadded
@@ -42,45 +44,42 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- settings and results
 
+FIRST_WINDOW_S = 2.0  # error of raw readings over it stays below about 0.5 rad
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceSettings:
     """How a device is fitted to a reference."""
 
-    window_s: float = 2.0  # First window, s: the error of the raw readings over it must stay below about 0.5 rad
-    # Last window, s. Longer weighs pose noise less and slow changes of the offset more
-    longest_window_s: float = 16.0
-    stride_s: float = 0.5  # From the start of one window to the next, s
-    # d acts while the device turns, beside priors for it and for codes; False: from the first to the last rest
-    turning: bool = True
-    # "each": device and reference body are turned against each other anew in each recording. "one": by the matrix alone
-    mounting: Mounting = "each"
+    longest_window_s: float = (
+        16.0  # longer windows reduce the effect of pose noise and increase that of a wandering offset
+    )
+    turning: bool = True  # d acts while the device turns; False: from the first to the last rest
+    mounting: Mounting = (
+        "each"  # "each": device and reference body are turned against each other again in each recording
+    )
 
     def __post_init__(self) -> None:
         check_choices(self, "reference")
-        if not 0.0 < self.stride_s <= self.window_s <= self.longest_window_s:
+        if not self.longest_window_s >= FIRST_WINDOW_S:
             raise InputError(
-                "reference: wanted 0 < stride_s <= window_s <= longest_window_s, got "
-                f"{self.stride_s:g}, {self.window_s:g}, {self.longest_window_s:g} s"
+                f"reference: `longest_window_s` must be {FIRST_WINDOW_S:g} s or more, got {self.longest_window_s:g} s."
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceFit:
-    """A gyroscope fitted to references, pooled over recordings of one device."""
+    """A gyroscope fitted to the references of R recordings."""
 
-    # Model, residuals of the longest windows (rad, shape (n, 3)), verdict. The model's offset is the recordings' mean at rest
-    # where it has a ``moving_offset``, else in motion
+    # model, residuals of the longest windows (rad, shape (n, 3)), verdict. The offset of the model is the mean at rest if the model
+    # has a ``moving_offset``, otherwise the offset in motion
     triad: TriadFit
-    # (3,), reading while the device turns less reading at rest, at zero rate, raw unit
-    motion_offset: FloatArray
-    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit; NaN where it never rests
+    motion_offset: FloatArray  # (3,), reading in motion minus reading at rest, at zero rate, raw unit
+    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit; NaN if it never rests
     lags_s: FloatArray  # (R,), lag of each recording, s
-    lag_uncertainties_s: FloatArray  # (R,), its standard uncertainty, s
-    turn_rates_rms: FloatArray  # (R,), root-mean-square body rate of each recording in motion, rad/s
-    window_s: float  # Length of the longest windows that the recordings were long enough for, s
-    window_rms: float  # Robust standard deviation of the residual rotation of the longest windows, rad
-    mountings: FloatArray  # (R, 3), rotation vector of each recording from the mean mounting to its own body, rad
+    lag_uncertainties_s: FloatArray  # (R,), standard uncertainty of the lag, s
+    window_s: float  # longest windows that the recordings were long enough for, s
+    mountings: FloatArray  # (R, 3), rotation vector from the mean body to the body of each recording, rad
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
         """Return the model for a recording that reads ``rest_offset`` (3,), codes corrected, at rest."""
@@ -92,22 +91,16 @@ class ReferenceFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldOut:
-    """A recording evaluated by a fit to the others."""
+    """The fit to all other recordings, for a recording that was held out."""
 
-    recording: int  # Its number
-    fit: ReferenceFit  # Fit to all others
-    # That fit with the held-out recording's own rest offset: nothing in it knows the held-out reference
-    model: TriadModel
-    # Root-mean-square rotation that remains over windows of ``window_s`` in the held-out recording, rad
-    before: float  # with the rest offset alone
-    after: float  # with the model
-    extrapolation: Finding | None  # Where the held-out rates exceed what the others saw
+    fit: ReferenceFit
+    model: TriadModel  # with the rest offset of the held-out recording
 
 
 # ---- recordings
 
-_SHORT_BLOCK_S = 0.2  # whose means count as independent in a rest too short for blocks of a second
 MARGIN_S = 0.5  # of rest that belongs to the motion on either side
+REST_BLOCK_S = 0.5  # means of this length count as independent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,103 +108,94 @@ class Aligned:
     """A record and its reference on one clock."""
 
     record: Record
-    gyro: FloatArray  # (N, 3), its readings, corrected for the ADC's rounding where it is known and not fitted
-    reference: Reference  # Poses at the frames that the cameras took
-    lag: sync.Lag  # Of the gyroscope readings against the poses
-    span: sync.MotionSpan  # From the first to the last rest, on the record's clock
-    findings: tuple[Finding, ...]  # What was done to bring both on one clock, or cannot be
-
-    @property
-    def at_rest(self) -> BoolArray:
-        """True where there are readings of the rest before the motion, shape (N,)."""
-        before = self.record.time < self.span.start_s - MARGIN_S
-        return np.asarray(self.span.rested & before & np.isfinite(self.gyro).all(axis=1))
-
-    def corrected(self, adc: AdcModel | None) -> "Aligned":
-        """Return it with readings corrected for the half steps that the rounding took."""
-        return replace(self, gyro=restored_gyro(self.gyro, adc))
+    gyro: FloatArray  # (N, 3), readings
+    reference: Reference  # poses at the frames that the cameras took
+    lag: sync.Lag  # of the readings of the gyroscope against the poses
+    span: sync.MotionSpan  # from the first to the last rest, on the clock of the record
+    findings: tuple[Finding, ...]  # about the two clocks, the ends of both files, and saturated readings
 
 
 def align(record: Record, reference: Reference, lag_settings: sync.LagSettings = sync.LagSettings()) -> Aligned:
-    """Find lag and motion of one recording."""
-    whole, record = record, unpadded(record)
-    named = sync.padding(whole, record)
+    """Find lag and motion of one recording, without padded rows and saturated readings."""
+    whole, record, poses = record, unpadded(record), sync.native_poses(reference)
+    padded = sync.padding(whole, record)
     record, saturated = without_saturated(record)
-    record, lag, findings = sync.in_step(record, sync.native_poses(reference), lag_settings)
-    poses = sync.seen_poses(record, sync.native_poses(reference), lag)
-    span = sync.find_motion(record, poses, lag_s=lag.seconds)
-    gyro = np.asarray(record.gyro)
+    record, lag, findings = sync.in_step(record, poses, lag_settings)
+    poses = sync.seen_poses(record, poses, lag)
     return Aligned(
-        record=record, gyro=gyro, reference=poses, lag=lag, span=span, findings=(*named, *saturated, *findings)
+        record=record,
+        gyro=np.asarray(record.gyro),
+        reference=poses,
+        lag=lag,
+        span=sync.find_motion(record, poses, lag_s=lag.seconds),
+        findings=(*padded, *saturated, *findings),
     )
 
 
-def recording_of(aligned: Aligned, settings: ReferenceSettings) -> Recording:
-    """Return the rest of a recording, and its poses at the ends of windows."""
-    record, gyro, time, motion = aligned.record, aligned.gyro, aligned.record.time, aligned.span
-    poses, lag = aligned.reference, aligned.lag
-    gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
-    step = np.diff(time)
-    late = np.concatenate(([False], step > sync.LONGEST_STEP * np.median(step)))
-    rest, rest_uncertainty, rest_sign = rest_reading(aligned)
-    turning: FloatArray = np.ones(len(time))
-    if settings.turning and np.isfinite(rest).all():
-        turning = find_turning((np.where(gap[:, None], np.nan, gyro) - rest) @ lag.matrix.T, time)[0]
-    # Strapdown holds each reading over the step before its stamp: half a sample.
-    at = poses.time + (lag.seconds - 0.5 * float(np.median(step)))
-    inside = (at >= max(motion.start_s - MARGIN_S, time[0])) & (at <= min(motion.stop_s + MARGIN_S, time[-1]))
-    chosen = np.flatnonzero(inside)[:: max(1, round(settings.stride_s * poses.sample_rate_hz))]
+def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
+    """Return a recording with its mean at rest and the poses at the ends of windows."""
+    gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
+    gap, step = np.isnan(gyro).any(axis=1), float(np.median(np.diff(time)))
+    late = np.diff(time, prepend=time[0]) > sync.LONGEST_STEP * step
+    rest, uncertainty, sign = rest_reading(aligned)
+    acts: FloatArray = np.ones(len(time))
+    if turning and np.isfinite(rest).all():
+        acts = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
+    # a strapdown holds each reading over the step before its stamp: half a sample
+    at = poses.time + (lag.seconds - 0.5 * step)
+    inside = (at >= max(span.start_s - MARGIN_S, time[0])) & (at <= min(span.stop_s + MARGIN_S, time[-1]))
+    ends = np.flatnonzero(inside)[:: max(1, round(STRIDE_S * poses.sample_rate_hz))]
     return Recording(
         time=time,
         gyro=np.where(gap[:, None], 0.0, gyro),
         gaps=np.cumsum(gap | late),
         lag=lag,
-        moving=(time >= motion.start_s) & (time < motion.stop_s),
-        turning=turning,
-        rest_offset=rest,
-        rest_sign=rest_sign,
-        rest_uncertainty=rest_uncertainty,
-        unit=record.gyro_unit,
-        at=np.ascontiguousarray(at[chosen]),
-        q_nb=np.ascontiguousarray(poses.q_nb[chosen]),
+        moving=(time >= span.start_s) & (time < span.stop_s) & ~gap,
+        turning=acts,
+        rest=rest,
+        rest_sign=sign,
+        rest_uncertainty=uncertainty,
+        at=np.ascontiguousarray(at[ends]),
+        q_nb=np.ascontiguousarray(poses.q_nb[ends]),
         findings=aligned.findings,
     )
 
 
 def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean reading at rest (3,), NaN where a recording never rests, its standard uncertainty and the mean sign."""
-    time, at_rest, block_s = aligned.record.time, aligned.at_rest, 1.0
-    if not aligned.span.rested:  # a short rest shows the offset, if not the tilt
-        at_rest, block_s = np.zeros(len(time), bool), _SHORT_BLOCK_S
-        for still in find_still(aligned.record, StillSettings()).stills[:1]:
-            at_rest[still.start : still.stop] = np.isfinite(aligned.gyro[still.start : still.stop]).all(axis=1)
-        if not at_rest.any():
+    """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign; NaN and zeros if it never rests."""
+    record, span = aligned.record, aligned.span
+    rows = span.rested & (record.time < span.start_s - MARGIN_S)
+    if not span.rested:  # a rest that is too short for the inclination still shows the offset
+        for still in find_still(record, StillSettings()).stills[:1]:
+            rows = (record.time >= record.time[still.start]) & (record.time < record.time[still.stop - 1])
+        if not rows.any():
             return np.full(3, np.nan), np.zeros(3), np.zeros(3)
-    readings, second = aligned.gyro[at_rest], np.floor((time[at_rest] - time[0]) / block_s).astype(np.int64)
-    if len(readings) < 2 or second[-1] == second[0]:
+    readings = aligned.gyro[rows & np.isfinite(aligned.gyro).all(axis=1)]
+    count = int(len(readings) / (REST_BLOCK_S * record.sample_rate_hz))
+    if count < 2:
         raise InputError(
-            "reference: wanted two seconds of rest readings before the motion, got fewer; record a rest first"
+            "reference: the rest before the motion has less than a second of readings. Record 3 s of rest."
         )
-    blocks = np.flatnonzero(np.concatenate(([True], np.diff(second) > 0)))
-    means = np.add.reduceat(readings, blocks) / np.diff(np.append(blocks, len(readings)))[:, None]
-    return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means)), np.sign(readings).mean(axis=0)
+    means = np.array([block.mean(axis=0) for block in np.array_split(readings, count)])
+    return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(count), np.sign(readings).mean(axis=0)
 
 
 # ---- fit
 
-# Rates about the second and the third axis of turning, rms, as a share of those about the first: less does not show the mounting,
-# or the matrix
-_SECOND_AXIS, _THIRD_AXIS = 0.03, 0.1
-_REFINEMENTS = 2  # passes at the longest window
-# Where the motion does not show the matrix: each element of it about the rotation that the rates show, relative (data sheets of
-# consumer parts: scale factor 1 to 3 %, cross-axis sensitivity 1 to 2 %), and a mounting of its own, rad. A device is raw [assumed]
+# share of the rates about the second and third axis of the motion in those about the first, rms: below it they are not determined
+SECOND_AXIS, THIRD_AXIS = 0.03, 0.1
+# elements of M about the rotation from readings to body, relative (data sheets of consumer parts: scale factor 1 to 3 %, cross-axis
+# sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
 MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
-_SHOWN = 1.0 / 3.0  # of the prior: a fit that states more is made again with it
-TURN_ON = 0.1 * RADIAN_PER_DEGREE  # rad/s, turn-on repeatability of the offset, of recordings without a rest [assumed]
-# rad/s: d of a device, for what rounding, vibration and g-sensitivity do (0.01 to 0.05 deg/s). c, as a share of a code step, about
-# half a step where codes were cut off toward zero and none else: 24 trials of four devices show -0.3 to 0.8 of a step
+TURN_ON = 0.1 * RADIAN_PER_DEGREE  # rad/s, repeatability of the offset between recordings without a rest. Assumed.
+# d, rad/s, and c as a share of a code step about half a step (codes cut off toward zero) or none: 24 trials of four devices show
+# 0.01 to 0.05 deg/s and -0.3 to 0.8 of a step
 MOVING_PRIOR, CODE_PRIOR = 0.05 * RADIAN_PER_DEGREE, 1.0 / 3.0
-_MOUNTING = 0.05  # matrices of single recordings may differ by this share before their mounting is taken to differ
+MATRIX_DIFFERENCE = 0.05  # between the matrices of single recordings of one device, relative
+START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
+USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
+REFINEMENTS = 2  # more solutions for the longest window
+WANTED_MATRIX, WANTED_REST_DPS = 2e-3, 0.03  # relative uncertainty of M; spread of the rest offsets
 
 
 def fit_reference(
@@ -222,20 +206,14 @@ def fit_reference(
     adc: AdcModel | None = None,
     lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
-    """Fit matrix, offset while it turns and what codes lose of a gyroscope to references."""
+    """Fit matrix, offset in motion, and loss of the codes of a gyroscope to references; ``adc`` is the rounding of its codes."""
     return fit_aligned(align_all(records, references, lag_settings), settings, adc)
 
 
 def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
-    """Fit the gyroscopes of one device to recordings whose lag and motion are known."""
-    prepared = [recording_of(one, settings) for one in aligned]
-    try:
-        return _fit(prepared, settings, aligned[0].record.gyro_unit, adc)
-    except NotObservable as error:
-        saturated = [item.text for one in prepared for item in one.findings if item.code == "reference.saturated"]
-        if not saturated:
-            raise
-        raise NotObservable("; ".join((str(error), *saturated)), **error.numbers) from error
+    """Fit the gyroscope of one device to recordings whose lag and motion are known."""
+    recordings = [recording_of(each, turning=settings.turning) for each in aligned]
+    return _fit(recordings, settings, aligned[0].record.gyro_unit, adc)
 
 
 def leave_one_out(
@@ -247,17 +225,18 @@ def leave_one_out(
     lag_settings: sync.LagSettings = sync.LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit each recording's model to all others of the device, and evaluate it there; progress takes what is done, and 0 to 1."""
+    """Fit the model of each recording to all others of the device; ``progress`` takes what is done, and a share of 0 to 1."""
     if len(records) < 2:
-        raise InputError(
-            f"leave one out: wanted two recordings of a device or more, got {len(records)}; add recordings"
-        )
-    unit, trials = records[0].gyro_unit, list[HeldOut]()
-    prepared = [recording_of(one, settings) for one in align_all(records, references, lag_settings)]
-    for i in range(len(records)):
-        progress(f"fit without recording {i + 1} of {len(records)}", i / len(records))
-        fit = _fit([*prepared[:i], *prepared[i + 1 :]], settings, unit, adc)
-        trials.append(_held_out(i, prepared[i], fit, settings))
+        raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
+    aligned = align_all(records, references, lag_settings)
+    recordings = [recording_of(each, turning=settings.turning) for each in aligned]
+    trials = list[HeldOut]()
+    for k, recording in enumerate(recordings):
+        progress(f"fit without recording {k + 1} of {len(records)}", k / len(records))
+        fit = _fit([*recordings[:k], *recordings[k + 1 :]], settings, records[0].gyro_unit, adc)
+        codes = fit.triad.model.code_offset
+        rest = recording.rest if codes is None else recording.rest + recording.rest_sign * codes
+        trials.append(HeldOut(fit=fit, model=fit.model_at_rest_offset(rest)))
     return tuple(trials)
 
 
@@ -267,371 +246,251 @@ def align_all(
     """Find lag and motion of the recordings of one device."""
     if not records or len(records) != len(references):
         raise InputError(
-            f"reference: wanted one reference for each record, got {len(records)} records and {len(references)} references"
+            f"reference: each record needs one reference, got {len(records)} records and {len(references)} references."
         )
-    units = sorted({r.gyro_unit for r in records})
+    units = sorted({record.gyro_unit for record in records})
     if len(units) > 1:
-        raise InputError(
-            f"reference: wanted one unit for all recordings of a device, got {', '.join(units)}; convert them"
-        )
+        raise InputError(f"reference: the recordings of a device need one unit, got {', '.join(units)}. Convert them.")
     return [align(*pair, lag_settings) for pair in zip(records, references, strict=True)]
 
 
-def _fit(
-    prepared: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None = None
-) -> ReferenceFit:
-    """Fit a device; where the motion does not show the matrix, with a prior for it."""
-    if not is_physical(unit):
-        return _fitted(_Estimate(prepared, settings, adc), unit)
-    factor, fit = si_factor(unit, "rate"), None
-    try:
-        fit = _fitted(_Estimate(prepared, settings, adc), unit)
-        if fit.triad.model.standard_uncertainty[:9].max() < _SHOWN * MATRIX_PRIOR * factor:
-            return fit
-    except (NotObservable, AlignmentError, Implausible) as error:
-        turned, weakest = _rotations(prepared)
-        if turned is None or weakest > _THIRD_AXIS or "windows" in error.numbers:
-            raise
-    turned, _ = _rotations(prepared)
-    if turned is not None:
-        return _with_prior(_fitted(_Estimate(prepared, settings, adc, turned * factor), unit), turned[0])
-    if fit is None or fit.triad.model.standard_uncertainty[:9].max() > MATRIX_PRIOR * factor:
-        raise NotObservable(
-            "reference: wanted turning about two axes or more, got one; turn the device about another axis"
-        )
-    return fit
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Parameters:
+    """The P parameters of R recordings: M row by row, d, c, U changes of the offset, and V rotations of the mountings.
+
+    A change of the offset belongs to one recording without a rest; rotations are combinations that add up to zero.
+    """
+
+    value: FloatArray  # (P,)
+    expected: FloatArray  # (P,), mean of the prior
+    spread: FloatArray  # (P,), standard deviation of the prior: infinite without a prior, 0 if the parameter is fixed
+    changes: FloatArray  # (R, U), share of each change in each recording
+    rotations: FloatArray  # (R, V), share of each rotation in each recording
+    offsets: FloatArray  # (R, 3), o, raw unit
+    mountings: FloatArray  # (R, 4), rotation from the mean body to the body of each recording
+    nominal: FloatArray  # (3, 3), rad/s per raw unit: rotation from the readings to the mean body, times the factor of the unit
+
+    @property
+    def free(self) -> IntArray:
+        """Numbers of the parameters that are fitted."""
+        return np.flatnonzero(self.spread)
+
+    def equations(self, recordings: Sequence[Recording], reach: int) -> tuple[list[Windows], FloatArray]:
+        """Return the windows of all recordings, and the columns (n, 3, F) of the free parameters."""
+        matrix, moving, codes = self.value[:9].reshape(3, 3), self.value[9:12], self.value[12:15]
+        moved = moving + self.changes @ self.value[15 : 15 + 3 * self.changes.shape[1]].reshape(-1, 3)
+        windows, columns = list[Windows](), list[FloatArray]()
+        for k, recording in enumerate(recordings):
+            each = window_equations(recording, matrix, moved[k], codes, self.offsets[k], self.mountings[k], reach)
+            change, rotation = each.design[..., 9:12], each.design[..., 15:]
+            parts = [share * change for share in self.changes[k]] + [share * rotation for share in self.rotations[k]]
+            windows.append(each)
+            columns.append(np.concatenate([each.design[..., :15], *parts], axis=2)[..., self.free])
+        return windows, np.concatenate(columns)
+
+    def moved(self, step: FloatArray) -> "_Parameters":
+        """Return the parameters after a step (F,) of the free ones."""
+        whole = np.zeros(len(self.value))
+        whole[self.free] = step
+        turns = self.rotations @ whole[15 + 3 * self.changes.shape[1] :].reshape(-1, 3)
+        mountings = quaternion_product(self.mountings, quaternion_of(turns))
+        return replace(self, value=self.value + whole, mountings=mountings)
 
 
-def _rotations(prepared: Sequence[Recording]) -> tuple[FloatArray | None, float]:
-    """Return rotations (Kabsch) from readings to bodies, (R, 3, 3), None where one turns about one axis; the third's share."""
-    turned, weakest = np.empty((len(prepared), 3, 3)), 1.0
-    for k, p in enumerate(prepared):
-        turn = rotation_vector(quaternion_product(quaternion_conjugate(p.q_nb[:-1]), p.q_nb[1:]))
-        u, inside = sync.RunningIntegral(p.time, p.gyro).mean(p.at[:-1], p.at[1:])
-        inside &= np.isfinite(turn).all(axis=1)
-        if not inside.any():
-            return None, 0.0
-        u, w = u[inside], turn[inside] / np.diff(p.at)[inside, None]
-        left, singular, right = np.linalg.svd((w - w.mean(axis=0)).T @ (u - u.mean(axis=0)))
-        if not singular[1] > _SECOND_AXIS**2 * singular[0]:
-            return None, 0.0
-        turned[k] = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
-        weakest = min(weakest, float(np.sqrt(singular[2] / singular[0])))
-    return turned, weakest
-
-
-class _Estimate:
-    """M, d and c; turns of all recordings but the last; a change of the offset of each one without a rest, about the others'."""
-
-    def __init__(
-        self,
-        prepared: Sequence[Recording],
-        settings: ReferenceSettings,
-        adc: AdcModel | None,
-        nominal: FloatArray | None = None,
-    ) -> None:
-        """``nominal`` (R, 3, 3) are the matrices that a prior expects, rad/s per unit; None leaves the matrix free."""
-        self.prepared, self.settings, self.nominal = prepared, settings, nominal
-        rests = [p.rest_offset for p in prepared if p.rested]
-        usual = np.mean(rests, axis=0) if rests else np.zeros(3)
-        self.offsets = [p.rest_offset if p.rested and rests else usual for p in prepared]
-        self.unrested = [i for i, p in enumerate(prepared) if len(prepared) > 1 and not p.rested]
-        if nominal is None:
-            self.mounted = _first_mountings(prepared, settings)
-            self.guess = _first_guess(prepared, self.mounted, self.offsets, settings)
-        else:
-            size = float(np.linalg.norm(nominal[0], 2))
-            each = nominal @ nominal[0].T / size**2
-            self.mounted = each if settings.mounting == "each" else np.tile(np.eye(3), (len(prepared), 1, 1))
-            self.guess = np.append(nominal[0].reshape(-1), np.zeros(6))
-        self.turning = len(prepared) if settings.mounting == "each" else 1
-        self.size, self.turns = len(self.guess), np.zeros(3 * (self.turning - 1))
-        self.changes = np.zeros((len(self.unrested), 3))  # rad/s
-        self.free = np.arange(self.size + len(self.turns) + self.changes.size)
-        self.apart = bool(rests) and settings.turning  # d is a change from rest to motion
-        step = None if adc is None else adc.gyro_lsb
-        self.codes = np.zeros(3) if step is None or adc is None else 0.5 * step * (adc.gyro_rounding == "toward_zero")
-        self.guess[12:15], self.code_sd = self.codes, np.zeros(3) if step is None else CODE_PRIOR * step
-        fixed = [12, 13, 14] if step is None or not settings.turning else []
-        self.free = np.setdiff1d(self.free, fixed)
-
-    def equations(self, reach: int) -> list[Windows]:
-        """Return the equations of all recordings at the present values."""
-        made = list[Windows]()
-        for i, (p, mounted, offset) in enumerate(zip(self.prepared, self.mounted, self.offsets, strict=True)):
-            here, change = self.guess.copy(), self.unrested.index(i) if i in self.unrested else None
-            if change is not None:
-                here[9:12] += self.changes[change]
-            windows = _of_device(p, here, mounted, offset, reach, (i, self.turning))
-            columns = np.zeros((*windows.turn.shape, self.changes.size))
-            if change is not None:
-                columns[..., 3 * change : 3 * change + 3] = windows.design[..., 9:12]
-            made.append(replace(windows, design=np.concatenate((windows.design, columns), axis=2)))
-        return made
-
-    def prior(self) -> tuple[FloatArray, FloatArray] | None:
-        """Return how far each parameter is below what is expected, and the standard deviation of that; None without any."""
-        if self.nominal is None and not (self.unrested or self.apart or 12 in self.free):
-            return None
-        most, last = self.size + len(self.turns), self.size
-        away, spread = np.zeros(most + self.changes.size), np.full(most + self.changes.size, np.inf)
-        away[most:], spread[most:] = -self.changes.reshape(-1), TURN_ON
-        if 12 in self.free:
-            away[12:15], spread[12:15] = self.codes - self.guess[12:15], self.code_sd
-        if self.apart:
-            away[9:12], spread[9:12] = -self.guess[9:12], MOVING_PRIOR
-        if self.nominal is not None:
-            away[:9] = self.nominal[0].reshape(-1) - self.guess[:9]
-            spread[:9] = MATRIX_PRIOR * float(np.linalg.norm(self.nominal[0], 2))
-            away[last:most], spread[last:most] = -self.turns, MOUNTING_PRIOR
-        return away, spread
-
-    def step(self, found: Solution) -> None:
-        """Move by one solution."""
-        moved = np.zeros(self.size + len(self.turns) + self.changes.size)
-        moved[self.free] = found.step
-        self.guess += moved[: self.size]
-        turns = moved[self.size : self.size + len(self.turns)]
-        self.turns += turns
-        self.changes += moved[self.size + len(turns) :].reshape(-1, 3)
-        turns = turns.reshape(-1, 3)
-        for i, turn in enumerate((*turns, -turns.sum(axis=0)) if len(turns) else ()):
-            self.mounted[i] = rotate(quaternion_of(turn), self.mounted[i].T).T
-
-
-def _fitted(estimate: _Estimate, unit: str) -> ReferenceFit:
-    """Fit by windows that grow."""
-    prepared, settings, free = estimate.prepared, estimate.settings, estimate.free
-    solution, used = None, settings.window_s
-    for length in _lengths(settings):
-        reach = max(1, round(length / settings.stride_s))
-        windows = estimate.equations(reach)
-        prior = estimate.prior()
-        unknowns = len(free) if prior is None else np.isinf(prior[1][free]).sum()
-        if solution is not None and independent_windows(windows, reach) <= unknowns / 3.0:
-            break  # too short for longer windows: stay with the last ones
-        solution, used = solve(prepared, windows, free=free, reach=reach, prior=prior), length
-        estimate.step(solution)
-    determinant = np.linalg.det(estimate.guess[:9].reshape(3, 3))
-    if solution is None or determinant <= 0.0:
+def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None) -> ReferenceFit:
+    """Fit a device by windows that grow."""
+    parameters = _start(recordings, settings, unit, adc)
+    solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
+    for length_s in _lengths(settings.longest_window_s):
+        reach = round(length_s / STRIDE_S)
+        windows, design = parameters.equations(recordings, reach)
+        count, unknown = independent_windows(windows, reach), design.shape[2]
+        if 3 * count <= unknown and solution is not None:
+            break  # the recordings are too short for longer windows
+        if 3 * count <= unknown:
+            saturated = [item.text for r in recordings for item in r.findings if item.code == "reference.saturated"]
+            raise NotObservable(
+                f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
+                f"got {count}. {' '.join((*saturated, 'Record longer motion.'))}",
+                windows=count,
+            )
+        free = parameters.free
+        away, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
+        solution, window_s = solve(windows, design, away, spread, reach=reach, scale=scale), length_s
+        parameters, scale = parameters.moved(solution.step), solution.scale
+    if solution is None or np.linalg.det(parameters.value[:9].reshape(3, 3)) <= 0.0:
         raise Implausible(
-            f"reference: wanted a right-handed matrix, got a determinant of {determinant:.3g}; "
-            "one axis of the readings or of the reference is reversed"
+            "reference: the fit did not converge to a right-handed matrix. Check the axes of the readings."
         )
-    return _result(estimate, unit, solution, used)
+    return _result(recordings, parameters, solution, window_s, unit)
 
 
-def _with_prior(fit: ReferenceFit, turned: FloatArray) -> ReferenceFit:
-    """Name the elements that keep their prior, in the device's axes: those of R^T M."""
-    model = fit.triad.model
-    back = np.kron(turned.T, np.eye(3)) / si_factor(model.unit_in, "rate")
-    spread = np.sqrt(np.diag(back @ model.covariance[:9, :9] @ back.T))
-    unseen = [k for k, one in enumerate(spread) if one > 0.5 * MATRIX_PRIOR]
-    if not unseen:
-        return fit
-    axes = sorted({"xyz"[k % 3] for k in unseen})
-    named = finding(
-        "reference.prior", "warn", elements=[MATRIX_NAMES[k] for k in unseen], axes=axes, percent=100.0 * MATRIX_PRIOR
-    )
-    return replace(fit, triad=replace(fit.triad, verdict=fit.triad.verdict.also(Verdict.of(named))))
+def _lengths(longest_s: float) -> list[float]:
+    """Return the lengths of windows, s, one after the other."""
+    lengths = [FIRST_WINDOW_S]
+    while lengths[-1] < longest_s:
+        lengths.append(min(2.0 * lengths[-1], longest_s))
+    return lengths + [lengths[-1]] * REFINEMENTS
 
 
-def _of_device(
-    recording: Recording, guess: FloatArray, mounted: FloatArray, offset: FloatArray, reach: int, place: tuple[int, int]
-) -> Windows:
-    """Return a recording's equations in the device's parameters and, after them, in the turns of all recordings but the last.
-
-    ``place`` is the number of the recording, and how many there are that turn; the last turns back what the others do.
-    """
-    (number, count), size = place, len(guess)
-    to_body = np.stack([_turned(unit, mounted) for unit in np.eye(size)], axis=1)
-    windows = window_equations(recording, to_body @ guess, offset, reach)
-    if count < 2:
-        return replace(windows, design=windows.design @ to_body)
-    cross = [np.cross(axis, np.eye(3)).T for axis in np.eye(3)]
-    turns = np.stack([_turned(to_body @ guess, each) for each in cross], axis=1)  # (P, 3): by a rotation of the body
-    turns[12:15] = 0.0
-    columns = np.zeros((size, size + 3 * (count - 1)))
-    columns[:, :size] = to_body
-    if number < count - 1:
-        columns[:, size + 3 * number : size + 3 * number + 3] = turns
-    else:
-        columns[:, size:] = np.tile(-turns, count - 1)
-    return replace(windows, design=windows.design @ columns)
-
-
-def _turned(parameters: FloatArray, rotation: FloatArray) -> FloatArray:
-    """Return M, d and c, one after the other, turned by a matrix (3, 3); c belongs to the sensors."""
-    matrix, moving, codes = np.split(parameters, (9, 12))
-    return np.concatenate(((rotation @ matrix.reshape(3, 3)).reshape(-1), rotation @ moving, codes))
-
-
-def _lengths(settings: ReferenceSettings) -> list[float]:
-    lengths = [settings.window_s]
-    while lengths[-1] < settings.longest_window_s:
-        lengths.append(min(2.0 * lengths[-1], settings.longest_window_s))
-    return lengths + [lengths[-1]] * _REFINEMENTS
-
-
-def _first_mountings(prepared: Sequence[Recording], settings: ReferenceSettings) -> FloatArray:
-    """Return the rotation from the first recording's body to each one's, (R, 3, 3), where single fits show one; else none."""
-    none = np.tile(np.eye(3), (len(prepared), 1, 1))
-    matrices = np.array([p.lag.matrix for p in prepared])
-    if settings.mounting == "one" or _shared_matrix(prepared, matrices)[1] <= _MOUNTING:
-        return none
-    left, _, right = np.linalg.svd(matrices @ np.linalg.pinv(matrices[0]))
-    turned = left @ right
-    return turned if (np.linalg.det(turned) > 0.0).all() else none
-
-
-def _shared_matrix(prepared: Sequence[Recording], matrices: FloatArray) -> tuple[FloatArray, float]:
-    """Return the matrix (3, 3) of all recordings from those of each (R, 3, 3), and the largest relative difference from it.
-
-    A recording weighs by its turns W, the covariance of its rates: M = sum(M_r W_r) (sum W_r)^-1. Its difference is that of the
-    corrected rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|, so that elements which it does not determine count for nothing.
-    """
-    turns = np.array([np.cov(p.gyro[p.moving].T) for p in prepared])
-    shared = np.asarray((matrices @ turns).sum(axis=0) @ np.linalg.pinv(turns.sum(axis=0)))
-    away, whole = (
-        np.trace(m @ turns @ np.swapaxes(m, -1, -2), axis1=-2, axis2=-1) for m in (matrices - shared, shared)
-    )
-    return shared, float(np.sqrt((away / whole).max()))
-
-
-def _first_guess(
-    prepared: Sequence[Recording], mounted: FloatArray, offsets: Sequence[FloatArray], settings: ReferenceSettings
-) -> FloatArray:
-    # The lag search has fitted rate = A u + c for every recording; no errors-in-variables care is needed for a start.
-    back = np.swapaxes(mounted, 1, 2)
-    matrices = back @ np.array([p.lag.matrix for p in prepared])
-    matrix, worst = _shared_matrix(prepared, matrices)
-    if worst > _MOUNTING:
-        raise AlignmentError(
-            f"reference: wanted one {'mounting' if settings.mounting == 'one' else 'device'} for all recordings, got matrices that "
-            f"differ by {worst:.0%}{'' if settings.mounting == 'one' else ' apart from a rotation'}; fit recordings with other "
-            "marker clusters (`mounting` one) or other sensors apart",
-            difference=worst,
-        )
-    constants = [-r @ p.lag.constant - matrix @ o for p, r, o in zip(prepared, back, offsets, strict=True)]
-    return np.concatenate((matrix.reshape(-1), np.mean(constants, axis=0), np.zeros(3)))
-
-
-def _result(estimate: _Estimate, unit: str, solution: Solution, window_s: float) -> ReferenceFit:
+def _start(
+    recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None
+) -> _Parameters:
+    """Return the parameters at the start, from the regression of the rates on the readings that found the lags."""
+    from scipy.linalg import null_space
     from scipy.spatial.transform import Rotation
 
-    prepared, guess = estimate.prepared, estimate.guess
-    free = estimate.free[estimate.free < estimate.size]
-    matrix, moving, codes = guess[:9].reshape(3, 3), guess[9:12], guess[12:]
-    rest = np.array([p.rest_offset for p in prepared])
-    rested = np.isfinite(rest).all(axis=1)
-    signs = np.array([p.rest_sign for p in prepared])[rested].mean(axis=0) if rested.any() else np.zeros(3)
-    base = rest[rested].mean(axis=0) + signs * codes if rested.any() else np.zeros(3)
-    apart, coded = estimate.apart, bool(estimate.code_sd.any())
-    # From (M, d, c) to (M, o, d, c), the last two where the model has them
-    motion_offset, to_offset = offset_of(matrix, moving, len(guess))
-    to_offset[9:12, : 12 * apart] = 0.0
-    to_offset[9:12, 12:15] = np.diag(signs)
-    unit_rows = np.eye(len(guess))
-    jacobian = np.vstack((to_offset[:12], unit_rows[9 : 9 + 3 * apart], unit_rows[12 : 12 + 3 * coded]))
-    covariance = np.zeros((len(guess), len(guess)))
-    covariance[np.ix_(free, free)] = solution.covariance()[: len(free), : len(free)]
-    covariance = jacobian @ covariance @ jacobian.T
-    if rested.any():  # what the mean at rest is off by, d takes back
-        spread = np.sqrt((np.array([p.rest_uncertainty for p in prepared]) ** 2).sum(axis=0)) / rested.sum()
-        shift = np.zeros((len(covariance), 3))
-        shift[9:12] = np.eye(3)
-        shift[12 : 12 + 3 * apart] = -matrix[: 3 * apart]
-        covariance += (shift * spread**2) @ shift.T
-    seen = [(p.gyro[p.moving] - base - motion_offset) @ matrix.T for p in prepared]
+    matrices = np.array([r.lag.matrix for r in recordings])
+    power = np.array([np.cov(r.gyro[r.moving].T) for r in recordings])  # (R, 3, 3), covariance of the readings
+    common, along = matrices @ power, np.linalg.eigvalsh(power.sum(axis=0))  # covariance of rates and readings
+    if not along[1] > SECOND_AXIS**2 * along[2]:
+        raise NotObservable("reference: the device was turned about one axis only. Turn it about a second axis too.")
+    axes = np.linalg.svd(common, compute_uv=False)
+    if ((np.linalg.det(common) < 0.0) & (axes[:, 2] > THIRD_AXIS**2 * axes[:, 0])).any():
+        raise Implausible("reference: one axis of the readings or of the reference is reversed. Change its sign.")
+    # the mounting of a recording about one axis only is taken from all recordings
+    own = (settings.mounting == "each") & (axes[:, 1] > SECOND_AXIS**2 * axes[:, 0])
+    bodies = Rotation.from_matrix(_nearest_rotation(np.where(own[:, None, None], common, common.sum(axis=0))))
+    mountings = bodies * bodies.mean().inv()
+    physical = is_physical(unit)
+    factor = si_factor(unit, "rate") if physical else float(axes.sum() / np.trace(power, axis1=1, axis2=2).sum())
+    nominal, back = factor * bodies.mean().as_matrix(), mountings.inv().as_matrix()
+    matrix = _first_matrix(back @ matrices, power, nominal)
+
+    rested = np.array([r.rested for r in recordings])
+    rest = np.array([r.rest for r in recordings])
+    usual = rest[rested].mean(axis=0) if rested.any() else np.zeros(3)
+    offsets = np.where(rested[:, None], rest, usual)
+    moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(back, recordings, offsets, strict=True)]
+    step = None if adc is None else adc.gyro_lsb
+    lost = np.zeros(3) if step is None or adc is None else 0.5 * step * (adc.gyro_rounding == "toward_zero")
+    count, apart = len(recordings), settings.turning and bool(rested.any())
+    changes = np.eye(count)[:, ~rested] if count > 1 else np.zeros((1, 0))
+    rotations = null_space(np.ones((1, count))) if settings.mounting == "each" else np.zeros((count, 0))
+    others = np.zeros(3 * (changes.shape[1] + rotations.shape[1]))
+    return _Parameters(
+        value=np.concatenate((matrix.reshape(-1), np.mean(moving, axis=0), lost, others)),
+        expected=np.concatenate((nominal.reshape(-1), np.zeros(3), lost, others)),
+        spread=np.concatenate(
+            (
+                np.full(9, MATRIX_PRIOR * factor if physical else np.inf),
+                np.full(3, MOVING_PRIOR if apart else np.inf),
+                np.zeros(3) if step is None else CODE_PRIOR * step,
+                np.full(3 * changes.shape[1], TURN_ON),
+                np.full(3 * rotations.shape[1], MOUNTING_PRIOR),
+            )
+        ),
+        changes=changes,
+        rotations=rotations,
+        offsets=offsets,
+        mountings=mountings.as_quat(scalar_first=True),
+        nominal=nominal,
+    )
+
+
+def _nearest_rotation(matrices: FloatArray) -> FloatArray:
+    """Return the rotations (R, 3, 3) nearest to matrices, or to their projections on a plane (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(matrices)
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+    return np.asarray(left @ right)
+
+
+def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) -> FloatArray:
+    """Return the matrix of all recordings from those of each, (R, 3, 3), weighted by the covariance of their readings.
+
+    M = (sum M_r W_r + e N) (sum W_r + e)^-1: the nominal matrix N stands for what no recording determines. The difference of a
+    recording is that of its rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|.
+    """
+    whole = power.sum(axis=0)
+    ridge = START_RIDGE * float(np.linalg.eigvalsh(whole)[2])
+    shared = ((matrices @ power).sum(axis=0) + ridge * nominal) @ np.linalg.inv(whole + ridge * np.eye(3))
+    away, rate = (np.einsum("rij,rjk,rik->r", m, power, m) for m in (matrices - shared, 0.0 * matrices + shared))
+    difference = float(np.sqrt((away / rate).max()))
+    if difference > MATRIX_DIFFERENCE:
+        raise AlignmentError(
+            f"reference: the matrices of the recordings differ by {difference:.0%}. Fit another sensor separately, and with "
+            "`mounting` one another placement of the markers.",
+            difference=difference,
+        )
+    return np.asarray(shared)
+
+
+def _result(
+    recordings: Sequence[Recording], parameters: _Parameters, solution: Solution, window_s: float, unit: str
+) -> ReferenceFit:
+    """Return the fit with the covariance of M, o, d and c."""
+    from scipy.spatial.transform import Rotation
+
+    matrix, moving, codes = parameters.value[:9].reshape(3, 3), parameters.value[9:12], parameters.value[12:15]
+    rested = [r for r in recordings if r.rested]
+    base = sign = spread = np.zeros(3)
+    if rested:
+        sign = np.mean([r.rest_sign for r in rested], axis=0)
+        base = np.mean([r.rest for r in rested], axis=0) + sign * codes
+        spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
+    apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
+    # from M, d, c, and the error of the mean at rest, which d takes back, to M, o, d, c
+    free, covariance, jacobian = (
+        parameters.free[parameters.free < 15],
+        np.diag(np.append(np.zeros(15), spread**2)),
+        np.eye(18),
+    )
+    covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
+    motion_offset, to_offset = offset_of(matrix, moving, 12)
+    jacobian[9:, 9:] = 0.0
+    jacobian[9:12, 12:15], jacobian[15:, 12:15] = np.diag(sign), np.eye(3)
+    if apart:
+        jacobian[9:12, 15:], jacobian[12:15, 9:12], jacobian[12:15, 15:] = np.eye(3), np.eye(3), -matrix
+    else:
+        jacobian[9:12, :12] = to_offset[9:]
+    jacobian = jacobian[np.flatnonzero(np.repeat((True, apart, coded), (12, 3, 3)))]
+    rates = [(r.gyro[r.moving] - base - motion_offset) @ matrix.T for r in recordings]
     model = TriadModel(
         method="reference/motion",
         unit_in=unit,
         unit_out="rad/s",
         matrix=matrix,
         offset=base if apart else base + motion_offset,
-        parameters=(
-            *(*MATRIX_NAMES, *OFFSET_NAMES),
-            *(*(MOVING_NAMES if apart else ()), *(CODE_NAMES if coded else ())),
-        ),
-        covariance=covariance,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(MOVING_NAMES if apart else ()), *(CODE_NAMES if coded else ())),
+        covariance=jacobian @ covariance @ jacobian.T,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
         count=solution.residuals.size,
         rank=len(free),
         condition=solution.condition,
-        valid_range=(min(float(w.min()) for w in seen), max(float(w.max()) for w in seen)),
+        valid_range=(min(float(rate.min()) for rate in rates), max(float(rate.max()) for rate in rates)),
         moving_offset=moving if apart else None,
         code_offset=codes if coded else None,
     )
-    verdict = Verdict.of(*_judged(model, rest[rested]), *(one for p in prepared for one in p.findings))
+    of_recordings = [item for r in recordings for item in r.findings]
     return ReferenceFit(
-        triad=TriadFit(model=model, residuals=solution.residuals, verdict=verdict),
+        triad=TriadFit(
+            model=model,
+            residuals=solution.residuals,
+            verdict=Verdict.of(*_findings(model, parameters.nominal, recordings), *of_recordings),
+        ),
         motion_offset=motion_offset,
-        rest_offsets=rest,
-        lags_s=np.array([p.lag.seconds for p in prepared]),
-        lag_uncertainties_s=np.array([p.lag.standard_uncertainty for p in prepared]),
-        turn_rates_rms=np.array([np.sqrt((w**2).sum(axis=1).mean()) for w in seen]),
+        rest_offsets=np.array([r.rest for r in recordings]),
+        lags_s=np.array([r.lag.seconds for r in recordings]),
+        lag_uncertainties_s=np.array([r.lag.standard_uncertainty for r in recordings]),
         window_s=window_s,
-        window_rms=solution.scale,
-        mountings=Rotation.from_matrix(estimate.mounted).as_rotvec(),
+        mountings=Rotation.from_quat(parameters.mountings, scalar_first=True).as_rotvec(),
     )
 
 
-def _judged(model: TriadModel, rest: FloatArray) -> Iterator[Finding]:
-    sigma, scale = model.standard_uncertainty, float(np.linalg.norm(model.matrix, 2))
-    uncertain = float(sigma[:9].max()) / scale
-    if uncertain > 2e-3:
-        yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * uncertain)
-    if len(rest) > 1:
-        spread_dps = np.degrees(rest.std(axis=0, ddof=1).max() * scale)
-        if spread_dps > 0.03:
-            yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)
-
-
-def _left(
-    recording: Recording, model: TriadModel, turn: FloatArray, window_s: float, settings: ReferenceSettings
-) -> float:
-    """Return the rms rotation that a model leaves over the windows of a recording, rad; ``turn`` leads from the model's body."""
-    moving, codes = (np.zeros(3) if part is None else part for part in (model.moving_offset, model.code_offset))
-    parameters = _turned(np.concatenate((model.matrix.reshape(-1), moving, codes)), turn)
-    offset = model.offset - recording.rest_sign * codes
-    windows = window_equations(recording, parameters, offset, max(1, round(window_s / settings.stride_s)))
-    return float(np.sqrt((windows.turn**2).sum(axis=1).mean()))
-
-
-def _held_out(
-    number: int,
-    recording: Recording,
-    fit: ReferenceFit,
-    settings: ReferenceSettings,
-) -> HeldOut:
-    codes = fit.triad.model.code_offset
-    model = fit.model_at_rest_offset(recording.rest_offset if codes is None else recording.zero(codes))
-    rest = np.nan_to_num(recording.rest_offset)
-    plain = replace(model, matrix=_rigid(model.matrix), offset=rest, moving_offset=None, code_offset=None)
-    before, after = (_left(recording, one, np.eye(3), settings.window_s, settings) for one in (plain, model))
-    rate = np.abs((recording.gyro[recording.moving] - model.offset) @ model.matrix.T)
-    limit = max(abs(model.valid_range[0]), abs(model.valid_range[1]))
-    beyond = float((rate > limit).any(axis=1).mean())
-    rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
-    most = float(fit.turn_rates_rms.max())
-    extrapolation = None
-    if beyond > 0.0 or rms > 1.5 * most:
-        names = ("most_dps", "rms_dps", "seen_dps", "seen_rms_dps")
-        rates = zip(names, np.degrees((rate.max(), rms, limit, most)), strict=True)
-        extrapolation = finding("validate.extrapolated", "warn", **dict(rates))
-    return HeldOut(
-        recording=number,
-        fit=fit,
-        model=model,
-        before=before,
-        after=after,
-        extrapolation=extrapolation,
-    )
-
-
-def _rigid(matrix: FloatArray) -> FloatArray:
-    # The nearest rotation times the nominal scale: a raw device in that mounting before any calibration.
-    left, singular, right = np.linalg.svd(matrix)
-    scale = float(np.exp(np.log(singular).mean()))
-    nominal = 1.0 if 0.5 < scale < 2.0 else scale
-    return np.asarray(nominal * left @ right)
+def _findings(model: TriadModel, nominal: FloatArray, recordings: Sequence[Recording]) -> Iterator[Finding]:
+    """Yield the elements that keep their prior, in the axes of the device, and what is uncertain."""
+    size = float(np.linalg.norm(nominal, 2))
+    to_device = np.kron(nominal.T, np.eye(3)) / size**2
+    spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T))
+    kept = [k for k in range(9) if is_physical(model.unit_in) and spread[k] > 0.5 * MATRIX_PRIOR]
+    if kept:
+        axes, elements = sorted({"xyz"[k % 3] for k in kept}), [MATRIX_NAMES[k] for k in kept]
+        yield finding("reference.prior", "warn", elements=elements, axes=axes, percent=100.0 * MATRIX_PRIOR)
+    elif spread.max() > WANTED_MATRIX:
+        yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * float(spread.max()))
+    rest = [r.rest for r in recordings if r.rested]
+    if (
+        len(rest) > 1
+        and (spread_dps := np.std(rest, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) > WANTED_REST_DPS
+    ):
+        yield finding("reference.rest_offset", "warn", spread_dps=float(spread_dps))

@@ -119,7 +119,6 @@ def calibrate(
     opening: Opening = Opening(),
     turn_deg: float | None = None,
     rates: Path | None = None,
-    rates_offset_s: float | None = None,
     output: OptionalOutput = None,
     calibrate_from: Annotated[Literal["pieces", "motion"], Parameter(name=("--from", "--calibrate-from"))] = "pieces",
     kind: str | None = None,
@@ -141,8 +140,6 @@ def calibrate(
     rates : Path or None
         Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s, turn_rate_rpm) or
         angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings; its steady dwells become the turns.
-    rates_offset_s : float or None
-        Time of the recording minus time of the log, to a second, for a table that repeats itself.
     output : Path or None
         calibration.json to write.
     calibrate_from : str
@@ -165,8 +162,6 @@ def calibrate(
     from undrift.calibration.settings import CalibrateSettings
 
     check_output(output, endings=(".json",), reads=(*files, opening.column_map, rates))
-    if rates_offset_s is not None and (rates is None or len(files) > 1):
-        raise InputError("`rates_offset_s`: wanted one recording and `rates` beside it, got others; leave it out")
     if calibrate_from == "motion":
         idle = {
             "accel": accel,
@@ -184,7 +179,7 @@ def calibrate(
     progress("fitting", 0.5)
     log: dict[str, Any] | None = None
     if rates is not None:
-        session, log = _turns_of_log(session, rates, rates_offset_s, settings)
+        session, log = _turns_of_log(session, rates, settings)
     if calibrate_from == "motion":
         made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)
         seen = None
@@ -204,9 +199,7 @@ def _of_part(session: "Session", kind: str | None) -> "Session":
     return session if kind is None else replace(session, sensitivity=at(PRIOR_OF)(kind))
 
 
-def _turns_of_log(
-    session: "Session", path: Path, offset_s: float | None, settings: "CalibrateSettings"
-) -> tuple["Session", dict[str, Any]]:
+def _turns_of_log(session: "Session", path: Path, settings: "CalibrateSettings") -> tuple["Session", dict[str, Any]]:
     """Return bare recordings with their rests and the dwells of a table's log, and how the clocks were aligned."""
     from undrift.calibration.calibrate import find_pieces
     from undrift.rate_log import LEAST_S, align_clocks, cut_dwells, read_rate_log
@@ -214,20 +207,28 @@ def _turns_of_log(
     if session.turns or session.stills:
         raise InputError(f"`rates`: wanted bare recordings, got a session that states pieces; leave {path} out")
     log = read_rate_log(path)
-    clocks = [align_clocks(log, record, offset_s) for record in session.records]
-    turns, missed = cut_dwells(log, list(zip(session.records, clocks, strict=True)))
+    lines = [align_clocks(log, record) for record in session.records]
+    turns, missed = cut_dwells(log, list(zip(session.records, lines, strict=True)))
     if not turns:
         raise InputError(
             f"{path}: wanted steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out); "
             "check the log"
         )
-    keys = ("offset_s", "offset_uncertainty_s", "drift", "drift_uncertainty", "correlation")
     largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
     figures = {
         "dwells": len(turns),
         "left_out": missed,
         "largest_uncertainty_dps": largest_dps,
-        "clocks": [{key: getattr(each, key) for key in keys} for each in clocks],
+        "clocks": [
+            {
+                "offset_s": line.lag_s,
+                "offset_uncertainty_s": line.lag_uncertainty_s,
+                "drift": line.skew,
+                "drift_uncertainty": line.skew_uncertainty,
+                "correlation": line.correlation,
+            }
+            for line in lines
+        ],
     }
     return replace(find_pieces(session, settings)[0], turns=tuple(each.turn for each in turns)), figures
 

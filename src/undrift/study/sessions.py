@@ -31,7 +31,7 @@ from undrift.sim.bench_errors import BenchErrors, draw_bench
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
-from undrift.sim.motion.tasks import Task, draw_task
+from undrift.sim.motion.tasks import Task, draw_task, with_six_rests
 from undrift.sim.sessions import simulate_session
 from undrift.sim.table_sessions import (
     FACE,
@@ -276,11 +276,17 @@ def calibrate_by_means(
 PACES = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 
-def free_motion(device: DeviceModel, streams: Streams, name: str, temp_c: float = ROOM_TEMP_C) -> tuple[Task, Record]:
-    """Return a minute of turns about all axes and its readings, at the first of ``PACES`` that stays within the range."""
+def free_motion(
+    device: DeviceModel, streams: Streams, name: str, temp_c: float = ROOM_TEMP_C, *, six_rests: bool = False
+) -> tuple[Task, Record]:
+    """Return a minute of turns about all axes and its readings, at the first of ``PACES`` that stays within the range.
+
+    Then the device rests on each of its six sides if ``six_rests`` is set.
+    """
     for pace in PACES:
         rng = streams(name)
         performed = draw_task("free", rng=rng, pace=pace)
+        performed = with_six_rests(performed) if six_rests else performed
         time = np.arange(round(performed.duration_s * MOTION_RATE_HZ)) / MOTION_RATE_HZ
         motion = performed.at(time, STANDARD_GRAVITY)
         simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=SETTLED_S)

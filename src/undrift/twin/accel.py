@@ -19,8 +19,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
+from undrift.calibration.codes import restored_gyro
 from undrift.calibration.reference import MARGIN_S, Aligned, align, rest_reading
-from undrift.calibration.reference_accel import pose_columns
 from undrift.calibration.reference_windows import full_rank
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import fit_huber
@@ -70,7 +70,8 @@ def match(record: Record, reference: Reference, name: str = "", *, adc: AdcModel
     record = record.in_si()
     if record.gyro is None:
         raise InputError("twin: the record has no gyroscope. Map its columns.")
-    aligned = align(record, reference).corrected(adc)
+    aligned = align(record, reference)
+    aligned = replace(aligned, gyro=restored_gyro(aligned.gyro, adc))
     return Match(
         **{field.name: getattr(aligned, field.name) for field in fields(aligned)},
         name=name or reference.name,
@@ -163,7 +164,8 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
         r_nb = rotation(motion.q_nb[rows]).as_matrix()
         slope = np.gradient(readings[rows], axis=0) * rate @ matrix.T
         columns = (
-            pose_columns(r_nb, readings[rows]),
+            (r_nb[:, :, :, None] * readings[rows][:, None, None]).reshape(-1, 3, 9),
+            -r_nb,
             -(r_nb @ lever[rows]),
             np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
             np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],

@@ -356,10 +356,9 @@ def validate_leave_one_out(
         recordings=len(pairs) - 1,
     )
     apart, trials = _told_apart(fits), list[Trial]()
-    for (record, reference), made, h, name in zip(pairs, calibrations, fits, called, strict=True):
-        trial = validate_trial(record, reference, calibration=made, settings=of_each, name=name, source=source)
-        more = (item for item in (h.extrapolation, apart) if item)
-        trials.append(replace(trial, findings=(*trial.findings, *more)))
+    for pair, made, name in zip(pairs, calibrations, called, strict=True):
+        trial = validate_trial(*pair, calibration=made, settings=of_each, name=name, source=source)
+        trials.append(replace(trial, findings=(*trial.findings, *([apart] if apart else []))))
     return replace(summed(tuple(trials)), held_out=fits)
 
 

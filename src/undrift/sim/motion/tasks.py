@@ -442,6 +442,18 @@ def draw_task(
     )
 
 
+def with_six_rests(task: Task) -> Task:
+    """Return a task after which the device is turned about its x and y to rest for 3 s on each of its six sides."""
+    half_turns = {"roll": (0.5, 0.5, 0.5, 0.5, 0.0, 0.0, 0.0), "pitch": (0.0, 0.0, 0.0, 0.0, 0.5, -1.0, 0.5)}
+    steps = {
+        name: tuple(Step(task.duration_s + 6.0 * k, 3.0, math.pi * turn) for k, turn in enumerate(turns) if turn)
+        for name, turns in half_turns.items()
+    }
+    stop = task.duration_s + 39.0
+    moving_s, roll, pitch = (task.moving_s[0], stop), (*task.roll, *steps["roll"]), (*task.pitch, *steps["pitch"])
+    return replace(task, duration_s=stop + 3.0, moving_s=moving_s, roll=roll, pitch=pitch)
+
+
 def _slowness(who: Performance) -> float:
     return 1.0 + 0.003 * who.older  # [assumed] 3 % in ten years
 
