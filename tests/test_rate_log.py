@@ -84,7 +84,7 @@ def test_a_log_of_another_run_or_of_another_clock_is_refused_in_one_line(tmp_pat
     with pytest.raises(AlignmentError, match="no common motion"):
         align_clocks(log, other)
     jumped = np.where(np.arange(len(record)) > len(record) // 2, record.time + 3.0, record.time)
-    with pytest.raises(AlignmentError, match="a clock jumped"):
+    with pytest.raises(AlignmentError, match="no common motion"):
         align_clocks(log, Record(time=jumped, gyro=record.gyro, gyro_unit="dps"))
     with pytest.raises(InputError, match="has no gyroscope"):
         align_clocks(log, Record(time=record.time, accel=record.accel))

@@ -285,7 +285,7 @@ def lag_of(
     if fit is None or correlation < LEAST_CORRELATION or abs(lag) > settings.longest_lag_s + 1.0:
         raise AlignmentError(
             f"lag: record and reference have no common motion: the correlation of their rates is {correlation:.2f} at best, within "
-            f"{settings.longest_lag_s:g} s. Check that the two files belong together, or widen `longest_lag_s`.",
+            f"{settings.longest_lag_s:g} s. Check that the two files belong together, or widen `longest_lag_s`",
             correlation=correlation,
         )
     return replace(fit, seconds=lag)

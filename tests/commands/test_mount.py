@@ -91,7 +91,7 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
         ((), "--worn"),
         (("--worn", "thigh", "-o", "no.json"), "wanted a calibration to add the mounting to, got none"),
         (("--worn", "thigh", "-o", "no.csv"), r"wanted a name ending in \.json"),
-        (("--worn", "foot", "--movement", "bow"), "wanted a movement of the foot, walk or raise, got bow"),
+        (("--worn", "foot", "--movement", "bow"), "bow does not move the foot"),
     ],
 )
 def test_a_call_that_does_not_fit_is_refused_in_a_line(undrift, worn, words, wanted):

@@ -158,7 +158,7 @@ def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_foun
         (
             0.5,
             99.0,
-            "check that the two files belong together, or widen --max-lag-s; 97% of the samples are gaps",
+            "Check that the two files belong together, or widen --max-lag-s; 97% of the samples are gaps",
         ),
     ],
 )

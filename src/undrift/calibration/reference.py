@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import undrift.sync as sync
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import (
     STRIDE_S,
@@ -135,7 +135,8 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
 def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
-    gap, step = np.isnan(gyro).any(axis=1), float(np.median(np.diff(time)))
+    gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
+    step = float(np.median(np.diff(time)))
     late = np.diff(time, prepend=time[0]) > sync.LONGEST_STEP * step
     rest, uncertainty, sign = rest_reading(aligned)
     acts: FloatArray = np.ones(len(time))
@@ -164,7 +165,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
 def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign; NaN and zeros if it never rests."""
     record, span = aligned.record, aligned.span
-    rows = span.rested & (record.time < span.start_s - MARGIN_S)
+    rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
         for still in find_still(record, StillSettings()).stills[:1]:
             rows = (record.time >= record.time[still.start]) & (record.time < record.time[still.stop - 1])

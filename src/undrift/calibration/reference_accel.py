@@ -109,8 +109,8 @@ def fit_reference_accel(
     level = gravity_m_s2 * np.swapaxes(body[:, :2], 1, 2).reshape(-1, 2)
     sources = _sources(records, stills, windows, matrix, force, gravity_m_s2)
     fit = solve_inverse(reading, force, None, matrix, sources, excess={"level": tilt, "level common": level @ level.T})
-    names = {"method": "reference", "unit_in": unit, "unit_out": "m/s2"}
-    fitted = fit_of(parameters_of(fit), force, -fit.residuals.reshape(-1, 3), **names)
+    residuals = -fit.residuals.reshape(-1, 3)
+    fitted = fit_of(parameters_of(fit), force, residuals, method="reference", unit_in=unit, unit_out="m/s2")
     uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
     if uncertainty <= WANTED:
         return fitted

@@ -71,8 +71,14 @@ def window_equations(
     regressors = np.concatenate((u, turning, sign), axis=1)
     points, channels = len(recording.at), regressors.shape[1]
     q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
-    flat = (np.ascontiguousarray(array).reshape(-1) for array in (u @ matrix.T - turning * moving, regressors))
-    accumulate(*flat, np.ascontiguousarray(recording.time), recording.at, q.reshape(-1), total.reshape(-1))
+    accumulate(
+        np.ascontiguousarray(u @ matrix.T - turning * moving).reshape(-1),
+        np.ascontiguousarray(regressors).reshape(-1),
+        np.ascontiguousarray(recording.time),
+        recording.at,
+        q.reshape(-1),
+        total.reshape(-1),
+    )
     first = _whole(recording, reach)
     last = first + reach
     body = quaternion_product(recording.q_nb, mounting)
