@@ -23,7 +23,7 @@ from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
 from undrift.findings import Verdict, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
-from undrift.model import BodyMounting
+from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Still
 from undrift.segments import unpadded
@@ -130,8 +130,13 @@ def find_mounting(
         covariance=np.diag((*variances, scatter**2 + shared**2)),
         basis=f"{basis}; {way}",
     )
+    # a wrong sign of the accelerometers leaves no other trace
+    ahead, upward = (
+        f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
+    )
+    look = finding("mount.look", "info", forward=ahead, up=upward)
     uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
-    verdict = Verdict.of(*((uncertain,) if worn.uncertainty > WARN else ()))
+    verdict = Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ()))
     return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
 
 
