@@ -92,15 +92,16 @@ def test_a_record_that_never_moves_is_one_still_phase():
     assert found.thresholds[0].basis == "all still"
 
 
-def test_a_threshold_can_be_given_and_is_reported_with_its_unit():
+def test_a_threshold_in_noise_floors_is_reported_with_its_unit():
     record = poses(np.random.default_rng(3), [(1, 0, 0), (0, 1, 0)])
-    found = find_still(record, StillSettings(gyro_threshold=0.01, accel_threshold=0.1))
-    assert [(t.channel, t.value, t.unit, t.basis) for t in found.thresholds] == [
-        ("gyro", 0.01, "rad/s", "given"),
-        ("accel", 0.1, "m/s2", "given"),
+    found = find_still(record, StillSettings(threshold_floors=6.0))
+    assert [(t.channel, t.unit, t.basis) for t in found.thresholds] == [
+        ("gyro", "rad/s", "floors"),
+        ("accel", "m/s2", "floors"),
     ]
+    assert [t.value / t.noise_floor for t in found.thresholds] == pytest.approx([6.0, 6.0])
     assert len(found.stills) == 2
-    nothing = find_still(record, StillSettings(gyro_threshold=1e-9, accel_threshold=0.1))
+    nothing = find_still(record, StillSettings(threshold_floors=1e-6))
     assert nothing.stills == ()
     assert "no stretch below the thresholds lasts 1 s" in nothing.reason
 

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from benchmarks.public.table import DATA, Row, Table, by_others
-from testkit.published_poses import variance_with_rest
+from testkit.poses import fit_multi_position
+from testkit.published_poses import fit_lengths, variance_with_rest
 from testkit.stepper_jig import RUNS, turned
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.multi_position import fit_multi_position
 from undrift.calibration.noise import allan_deviation
 from undrift.calibration.norm import MG, fit_norm, judged
 from undrift.calibration.rate_table import fit_rate_table
@@ -60,10 +60,9 @@ def by_published_rule(record: Record, left_out: Sequence[Still]) -> TriadModel:
         ]
         if len(stills) >= 9:
             reading = np.concatenate([level.values[a : a + second] for a in stills])
-            fit = fit_norm(reading, gravity=STANDARD_GRAVITY)
-            found.append((float(fit.residuals @ fit.residuals), fit, reading))
-    _, fit, reading = min(found, key=lambda one: one[0])
-    return judged(fit, reading, record.accel_unit).model
+            fit = fit_lengths(reading, STANDARD_GRAVITY, record.accel_unit)
+            found.append((float(fit.residuals @ fit.residuals), fit))
+    return min(found, key=lambda one: one[0])[1].model
 
 
 def by_undrift(record: Record, left_out: Sequence[Still]) -> TriadModel:

@@ -8,21 +8,21 @@ turn is a stretch where the smoothed rate r, less the offset at rest, is far fro
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
 
-Where that search finds too few poses, ``find_poses`` tries windows of 0.2 to 2 s with thresholds of 3 to 64 noise floors and takes
-the count of poses that most of them agree on: what is a pose is one at many windows and thresholds, what is noise or a slow
-moment of a move is not.
+If that search finds too few poses, ``find_poses`` tries windows of 0.25 to 2 s with thresholds of 3 to 64 noise floors, and takes
+the count of poses on which most of them agree: a pose is found with many windows and thresholds, a slow moment of a move is not.
 """
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs, window_sums
 from undrift.errors import InputError
+from undrift.findings import told_apart
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -32,6 +32,9 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 # hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2; a person who stands or sits gives more.
 BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
 BENCH_ACCEL_LIMIT = 0.1  # m/s2
+# A hand that holds a pose keeps below this: tremor and slow sway.
+HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
+HAND_ACCEL_LIMIT = 0.6  # m/s2
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s; no gyroscope of this class is off by more at rest
 
 FLOOR_QUANTILE = 0.005  # of d: the level of the quietest windows
@@ -39,10 +42,10 @@ _PEAK = 4.0  # a noise peak spans at most this factor above its floor
 _DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
 _BIN = 0.05  # decades
 _GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its neighbouring peaks
-_WHITE = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
-_ALL_NOISE = 1.5  # a floor within this factor of the white noise holds no motion
+_MOTION = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
+_ALL_NOISE = 1.5  # a floor within this factor of the white noise contains no motion
 _NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
-_MOST_NOISE = 12.0  # limits; readings with more noise than that tell nothing
+_MOST_NOISE = 12.0  # limits; readings with more noise than that determine nothing
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
 
 
@@ -58,12 +61,8 @@ class StillSettings:
         Averaging before the spread is taken, s. Longer tolerates noise and vibration.
     min_duration_s : float
         Shortest still phase kept, s; the stretch around it is one window longer.
-    gyro_threshold, accel_threshold : float or None
-        Threshold on d in the record's unit; None to find it in the data.
     threshold_floors : float or None
         Threshold on d of both triads as a multiple of their noise floors; None to find it in the data.
-    adapt : bool
-        Where too few poses are found, try windows of 0.2 to 2 s, and other thresholds where none is given.
 
     Examples
     --------
@@ -75,49 +74,38 @@ class StillSettings:
     window_s: float = 1.0
     smooth_s: float = 0.1
     min_duration_s: float = 1.0
-    gyro_threshold: float | None = None
-    accel_threshold: float | None = None
     threshold_floors: float | None = None
-    adapt: bool = False
 
     def __post_init__(self) -> None:
-        least = min(self.window_s, self.smooth_s, self.min_duration_s)
-        given = (self.gyro_threshold, self.accel_threshold, self.threshold_floors)
-        if not least > 0.0 or any(value is not None and not value > 0.0 for value in given):
-            raise InputError(
-                "stills: wanted window, smoothing, shortest duration and thresholds above 0, got "
-                f"{self.window_s:g} s, {self.smooth_s:g} s, {self.min_duration_s:g} s and "
-                f"{', '.join('none' if value is None else f'{value:g}' for value in given)}; correct them"
-            )
+        for name in ("window_s", "smooth_s", "min_duration_s", "threshold_floors"):
+            value = getattr(self, name)
+            if value is not None and not value > 0.0:
+                raise InputError(f"stills: {name} must be above 0, got {value:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillThreshold:
     """The threshold of one triad and where it came from."""
 
-    channel: Literal["gyro", "accel"]  # gyro or accel
-    value: float  # Largest spread d of a still window, in ``unit``; NaN where none could be found
-    unit: str  # Unit of the record's channel
-    noise_floor: float  # Spread of the quietest windows, in ``unit``
-    # gap (between two peaks), all still, given, limit (what a bench allows), floors (a multiple of the noise floor that
-    # gives the poses most windows agree on), or none
-    basis: Literal["gap", "all still", "given", "limit", "floors", "none"]
+    channel: Literal["gyro", "accel"]
+    value: float  # largest spread d of a still window, in ``unit``; NaN if none was found
+    unit: str  # unit of the record's channel
+    noise_floor: float  # spread of the quietest windows, in ``unit``
+    # gap (between two peaks), all still, limit (what a bench allows), floors (a multiple of the noise floor), or none
+    basis: Literal["gap", "all still", "limit", "floors", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillSearch:
     """Still phases and how they were separated from motion."""
 
-    stills: tuple[Still, ...]  # In order of time, without faces
-    thresholds: tuple[StillThreshold, ...]  # One for each triad of the record
-    window_s: float  # Window used, s
-    settings: StillSettings  # Window, smoothing and shortest duration used
-    reason: str = ""  # Why there is none; "" when there is one or more
+    stills: tuple[Still, ...]  # in order of time, without faces
+    thresholds: tuple[StillThreshold, ...]  # one for each triad of the record
+    settings: StillSettings
+    reason: str = ""  # why there is none; "" if there is one or more
 
 
-def find_still(
-    record: Record, settings: StillSettings = StillSettings(adapt=True), *, recording: int = 0
-) -> StillSearch:
+def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
     """Find the stretches in which the device did not move.
 
     A sample is still when the window centred at it is quiet in every triad and the mean rate reading is that of the
@@ -128,14 +116,14 @@ def find_still(
     record : Record
         Any units, either triad may be missing.
     settings : StillSettings
-        Window and thresholds; by default a window of 1 s, and where that finds too few poses, others of 0.2 to 2 s.
+        Window and thresholds; by default a window of 1 s, and the threshold that the data show.
     recording : int
         Number of the record in its session, written into each Still.
 
     Returns
     -------
     StillSearch
-        Phases, thresholds with unit and basis, and a reason where there is none.
+        Phases, thresholds with unit and basis, and a reason if there is none.
 
     Raises
     ------
@@ -151,26 +139,52 @@ def find_still(
     >>> [(still.start, still.stop) for still in undrift.find_still(record).stills]
     [(0, 446), (1054, 1500)]
     """
-    if not settings.adapt:
-        return _find(record, _moments(record, settings), settings, recording)
-    (found,) = find_poses((record,), settings)
-    if not found.stills:  # the noise of the readings may hide a rest
-        over = _find(record, _moments(record, settings), settings, recording, over_noise=True)
-        found = over if over.stills else found
-    return replace(found, stills=tuple(replace(still, recording=recording) for still in found.stills))
+    return _find(record, _moments(record, settings), settings, recording)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
-    """What the windows of one triad hold."""
+    """Mean and spread of the windows of one triad."""
 
     is_gyro: bool
     unit: str
     values: FloatArray  # (N, 3)
     mean: FloatArray  # (M, 3)
     spread: FloatArray  # (M,)
+    floor: float  # spread of the quietest windows; infinite without readings
     window: int  # samples
     smooth: int  # samples
+
+    @cached_property
+    def white(self) -> float:
+        """Spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
+        steps = np.diff(self.values, axis=0)
+        _, spread = sliding_moments(steps, min(self.window, len(steps)), 1)
+        return _floor(spread) / np.sqrt(2.0 * self.smooth)
+
+    @cached_property
+    def quantisation(self) -> float:
+        """Spread that rounding leaves after smoothing, from the smallest steps between readings."""
+        steps = np.abs(np.diff(self.values, axis=0))
+        steps = steps[steps > 0.0]
+        return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(self.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
+
+    def limit(self, rate: float, accel: float) -> float:
+        """Return a limit, rad/s or m/s2, in the unit of the readings, with their white noise; infinite in other units."""
+        if not is_physical(self.unit):
+            return np.inf
+        limit = rate / si_factor(self.unit, "rate") if self.is_gyro else accel / si_factor(self.unit, "accel")
+        if self.floor <= limit / (2.0 * _NOISE):
+            return limit  # white noise cannot exceed it
+        white = self.white
+        if _NOISE * white <= limit or self.floor > _ALL_NOISE * white:
+            return limit
+        return float(np.hypot(limit, min(_NOISE * white, _MOST_NOISE * limit)))
+
+
+def _floor(spread: FloatArray) -> float:
+    finite = spread[np.isfinite(spread)]
+    return float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
 
 
 def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
@@ -187,43 +201,29 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
             mean, spread = sliding_moments(values, window, smooth)
             triads.append(
                 _Moments(
-                    is_gyro=is_gyro, unit=unit, values=values, mean=mean, spread=spread, window=window, smooth=smooth
+                    is_gyro=is_gyro, unit=unit, values=values, mean=mean, spread=spread, floor=_floor(spread),
+                    window=window, smooth=smooth,
                 )
-            )
+            )  # fmt: skip
     return tuple(triads)
 
 
-def _find(
-    record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int, *, over_noise: bool = False
-) -> StillSearch:
-    """Search with one window; ``over_noise`` counts what a bench allows from the white noise of the readings."""
+def _find(record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int) -> StillSearch:
     quiet = np.ones(len(triads[0].spread) if triads else 0, bool)
-    thresholds: list[StillThreshold] = []
-    for triad in triads:
-        threshold = _threshold(triad, settings, over_noise=over_noise)
-        if threshold.basis == "all still" and not is_physical(triad.unit):
-            # The spread of white noise alone after smoothing, from the steps between neighbouring samples.
-            steps = np.diff(triad.values, axis=0)
-            white = float(np.sqrt(np.nanvar(steps, axis=0).sum() / 2.0 / triad.smooth))
-            if float(np.median(triad.spread)) > _WHITE * white:
-                threshold = replace(threshold, value=np.nan, basis="none")
-        thresholds.append(threshold)
+    thresholds = [_threshold(triad, settings) for triad in triads]
+    for triad, threshold in zip(triads, thresholds, strict=True):
         if threshold.basis != "none":
             quiet &= triad.spread <= threshold.value
             if triad.is_gyro:
                 quiet &= ~_turning(triad.mean, triad.spread, threshold)
     if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
         quiet[:] = False
-    fs = record.sample_rate_hz
     edge = (triads[0].window + triads[0].smooth - 1) // 2 if triads else 0
-    stills = _phases(quiet, len(record), edge, sample_count(settings.min_duration_s, fs), recording)
-    return StillSearch(
-        stills=stills,
-        thresholds=tuple(thresholds),
-        window_s=settings.window_s,
-        settings=settings,
-        reason="" if stills else _why_none(thresholds, triads, settings, quiet, fs),
-    )
+    shortest = sample_count(settings.min_duration_s, record.sample_rate_hz)
+    stills = _phases(quiet, len(record), edge, shortest, recording)
+    longest = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
+    reason = "" if stills else _why_none(thresholds, triads, settings, longest)
+    return StillSearch(stills=stills, thresholds=tuple(thresholds), settings=settings, reason=reason)
 
 
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
@@ -244,57 +244,34 @@ def sample_count(seconds: float, sample_rate_hz: float) -> int:
     return max(2, round(seconds * sample_rate_hz))
 
 
-def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) -> StillThreshold:
-    spread, is_gyro, unit = triad.spread, triad.is_gyro, triad.unit
-    given = settings.gyro_threshold if is_gyro else settings.accel_threshold
-    finite = spread[np.isfinite(spread)]
-    floor = float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
+def _threshold(triad: _Moments, settings: StillSettings) -> StillThreshold:
     threshold = StillThreshold(
-        channel="gyro" if is_gyro else "accel", value=np.nan, unit=unit, noise_floor=floor, basis="none"
+        channel="gyro" if triad.is_gyro else "accel",
+        value=np.nan,
+        unit=triad.unit,
+        noise_floor=triad.floor,
+        basis="none",
     )
-    if given is not None:
-        return replace(threshold, value=given, basis="given")
+    finite = triad.spread[np.isfinite(triad.spread)]
     if not len(finite):
         return threshold
     if settings.threshold_floors is not None:
-        floor = max(floor, _quantisation(triad))
-        return replace(threshold, value=settings.threshold_floors * floor, noise_floor=floor, basis="given")
-    if (value := _gap_above(finite, floor)) is not None:
-        threshold = replace(threshold, value=value, basis="gap")
-    elif np.quantile(finite, 0.99) <= _PEAK * max(floor, np.finfo(float).tiny):
-        threshold = replace(threshold, value=max(float(finite.max()), _PEAK * floor), basis="all still")
-    if is_physical(unit):
-        limit = BENCH_RATE_LIMIT / si_factor(unit, "rate") if is_gyro else BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
-        if over_noise and floor <= _ALL_NOISE * _white(triad):
-            limit = _over_white(limit, triad)
-            threshold = replace(threshold, value=limit, basis="limit")
-        if threshold.value > limit:
-            threshold = replace(threshold, value=limit, basis="limit")
-    return threshold
-
-
-def _over_white(limit: float, triad: _Moments) -> float:
-    """Return the limit of a spread that holds white noise as well."""
-    return float(np.hypot(limit, min(_NOISE * _white(triad), _MOST_NOISE * limit)))
-
-
-def _white(triad: _Moments) -> float:
-    """Return the spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
-    steps = np.diff(triad.values, axis=0)
-    _, spread = sliding_moments(steps, min(triad.window, len(steps)), 1)
-    finite = spread[np.isfinite(spread)]
-    return float(np.quantile(finite, FLOOR_QUANTILE)) / np.sqrt(2.0 * triad.smooth) if len(finite) else 0.0
-
-
-def _quantisation(triad: _Moments) -> float:
-    """Return the spread that rounding leaves after smoothing, from the smallest steps between readings."""
-    steps = np.abs(np.diff(triad.values, axis=0))
-    steps = steps[steps > 0.0]
-    return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(triad.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
+        floor = max(triad.floor, triad.quantisation)
+        value = min(settings.threshold_floors * floor, triad.limit(HAND_RATE_LIMIT, HAND_ACCEL_LIMIT))
+        return replace(threshold, value=value, noise_floor=floor, basis="floors")
+    if (value_at_gap := _gap_above(finite, triad.floor)) is not None:
+        threshold = replace(threshold, value=value_at_gap, basis="gap")
+    elif np.quantile(finite, 0.99) <= _PEAK * max(triad.floor, np.finfo(float).tiny) and (
+        is_physical(triad.unit) or float(np.median(finite)) <= _MOTION * triad.white
+    ):
+        threshold = replace(threshold, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
+    limit = triad.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
+    return replace(threshold, value=limit, basis="limit") if threshold.value > limit else threshold
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
-    # Density of log10(d / floor), smoothed; the threshold is its emptiest place with a peak on either side.
+    """Return the emptiest place between two peaks of log d, or None."""
+    # density of log10(d / floor), smoothed; the threshold is its emptiest place with a peak on either side.
     positive = spread[spread > 0.0]
     if floor <= 0.0 or not len(positive):
         return None
@@ -396,11 +373,7 @@ def find_turning(
 
 
 def _why_none(
-    thresholds: list[StillThreshold],
-    triads: tuple[_Moments, ...],
-    settings: StillSettings,
-    quiet: BoolArray,
-    sample_rate_hz: float,
+    thresholds: list[StillThreshold], triads: tuple[_Moments, ...], settings: StillSettings, longest_s: float
 ) -> str:
     floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
     over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
@@ -409,188 +382,11 @@ def _why_none(
         if len(over) == 1 < len(thresholds) and over[0].endswith(" rad/s"):
             why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
     elif all(t.basis == "none" for t in thresholds):
-        usual = " and ".join(
-            f"{np.median(m.spread):.3g} {m.unit} against a floor of {t.noise_floor:.3g}"
-            for m, t in zip(triads, thresholds, strict=True)
-        )
+        usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
         why = f"no gap separates rest from motion; too restless: half of the windows vary by more than {usual}"
     else:
-        longest = max((int(stop - start) for start, stop in runs(quiet)), default=0) / sample_rate_hz
-        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s; too short: the longest lasts {longest:.2g} s"
+        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s; too short: the longest lasts {longest_s:.2g} s"
     return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
-
-
-# ---- poses: still phases by the window and threshold that suit the recordings
-
-WINDOWS_S = (2.0, 1.4, 1.0, 0.7, 0.5, 0.35, 0.2)
-FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
-# A hand that holds a pose keeps below this over the noise: tremor and slow sway, rms of three axes after smoothing.
-HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
-HAND_ACCEL_LIMIT = 0.6  # m/s2
-LEAST_POSES = 9  # free poses of a fit of nine parameters
-_SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
-_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart tell a fit something new
-_SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
-_NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
-_SHORT = 0.2  # of the window: how short pauses are looked for
-_LOST = 2  # poses in short pauses that the first search misses; one fewer is no reason to try others
-_ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
-_MOST = 200_000  # samples searched with every window; longer recordings are averaged
-_TINY = float(np.finfo(float).tiny)
-
-
-class _Poses:
-    """The poses that stills of some recordings show, by the direction of gravity in each; sums are taken once."""
-
-    def __init__(self, records: Sequence[Record]) -> None:
-        self.sums: list[tuple[FloatArray, FloatArray] | None] = []
-        self.centred = all(is_physical(record.accel_unit) for record in records if record.accel is not None)
-        for record in records:
-            if record.accel is None:
-                self.sums.append(None)
-                continue
-            seen = ~np.isnan(record.accel)
-            parts = np.where(seen, record.accel, 0.0), seen.astype(float)
-            total, count = (np.concatenate((np.zeros((1, 3)), np.cumsum(part, axis=0))) for part in parts)
-            self.sums.append((total, count))
-
-    def directions(self, searches: Sequence[StillSearch]) -> FloatArray:
-        """Return the unit direction of gravity in each still of the records with accelerometers, (P, 3)."""
-        means = [np.empty((0, 3))]
-        for sums, search in zip(self.sums, searches, strict=True):
-            if sums is not None and search.stills:
-                start, stop = (np.array([getattr(s, end) for s in search.stills]) for end in ("start", "stop"))
-                total, count = sums
-                means.append((total[stop] - total[start]) / np.maximum(count[stop] - count[start], 1.0))
-        up = np.concatenate(means)
-        if not self.centred and len(up) >= 5:
-            up = up - sphere_of(up)[0]
-        length = np.linalg.norm(up, axis=1, keepdims=True)
-        return np.asarray(up / np.where(length > 0.0, length, 1.0))
-
-    def count(self, searches: Sequence[StillSearch]) -> int:
-        """Return how many poses the stills show: neighbours that point alike are one."""
-        count, last = 0, np.zeros(3)
-        for one in self.directions(searches):
-            if one @ last < _SAME:
-                count, last = count + 1, one
-        return count
-
-    def enough(self, searches: Sequence[StillSearch]) -> bool:
-        """Tell whether stills show all six faces, or nine poses that lie all around."""
-        up, apart = self.directions(searches), list[FloatArray]()
-        if not self.centred and len(up) < len(FACES):
-            return False
-        for one in up:
-            if all(one @ other < _APART for other in apart):
-                apart.append(one)
-        if len(apart) < len(FACES):
-            return False
-        signed = np.concatenate((up, -up), axis=1)
-        if (signed.max(axis=0) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)).all():
-            return True
-        values = np.linalg.svd(np.array(apart) - np.mean(apart, axis=0), compute_uv=False) / np.sqrt(len(apart))
-        return len(apart) >= LEAST_POSES and float(values[-1]) >= _SPAN
-
-
-def find_poses(
-    records: Sequence[Record], settings: StillSettings = StillSettings(adapt=True)
-) -> tuple[StillSearch, ...]:
-    """Find the stills of recordings that together show a device in many poses.
-
-    First one window, with the threshold that the data show. With ``adapt``, where that finds too few poses or misses short pauses,
-    every window with every threshold: of the searches that find poses all around, the count of poses that most agree on is
-    taken; among those that give it the one with fewest interruptions, the lowest threshold, and the longest window.
-    """
-    moments = [_moments(record, settings) for record in records]
-    first = tuple(_find(*pair, settings, number) for number, pair in enumerate(zip(records, moments, strict=True)))
-    if not settings.adapt:
-        return first
-    poses = _Poses(records)
-    over = tuple(
-        own if own.stills else _find(record, triads, settings, number, over_noise=True)
-        for number, (record, triads, own) in enumerate(zip(records, moments, first, strict=True))
-    )
-    over = over if poses.count(over) > max(1, poses.count(first)) else first
-    enough = poses.enough(first)
-    if _covered(records, over) > _ALL_STILL or (enough and not _misses_poses(records, first, poses, settings)):
-        return over
-    thin, factor = _thinned(records)
-    tried = _most_agreed(thin, settings)
-    if tried is None:
-        return over
-    best = tuple(
-        replace(
-            search,
-            stills=tuple(replace(s, start=factor * s.start, stop=min(factor * s.stop, len(r))) for s in search.stills),
-        )
-        for r, search in zip(records, tried, strict=True)
-    )
-    return best if not enough or poses.count(best) > poses.count(first) else over
-
-
-def _covered(records: Sequence[Record], searches: Sequence[StillSearch]) -> float:
-    """Return the share of the samples that lie in stills."""
-    held = sum(still.stop - still.start for search in searches for still in search.stills)
-    return held / sum(len(record) for record in records)
-
-
-def _misses_poses(
-    records: Sequence[Record], searches: Sequence[StillSearch], poses: _Poses, settings: StillSettings
-) -> bool:
-    """Tell whether a search loses poses to noise near its limit, or in pauses shorter than its window."""
-    if any(t.basis == "limit" and t.value < _NOISE * t.noise_floor for own in searches for t in own.thresholds):
-        return True
-    with_short = [
-        replace(own, stills=tuple(sorted((*own.stills, *short_pauses(record, own, settings)), key=lambda s: s.start)))
-        for record, own in zip(records, searches, strict=True)
-    ]
-    return poses.count(with_short) >= poses.count(searches) + _LOST
-
-
-def _thinned(records: Sequence[Record]) -> tuple[tuple[Record, ...], int]:
-    """Return records of at most ``_MOST`` samples together, each the mean of a factor of samples, 25 a second at least."""
-    count, slowest = sum(len(record) for record in records), min(record.sample_rate_hz for record in records)
-    factor = max(1, min(-(-count // _MOST), int(slowest / 25.0), min(len(record) for record in records) // 2))
-    if factor == 1:
-        return tuple(records), 1
-    thin = []
-    for record in records:
-        rows = len(record) // factor
-        triads = [
-            None if values is None else values[: rows * factor].reshape(rows, factor, 3).mean(axis=1)
-            for values in (record.gyro, record.accel)
-        ]
-        time = record.time[: rows * factor : factor]
-        gyro_unit, accel_unit = record.gyro_unit, record.accel_unit
-        thin.append(Record(time=time, gyro=triads[0], accel=triads[1], gyro_unit=gyro_unit, accel_unit=accel_unit))
-    return tuple(thin), factor
-
-
-def _most_agreed(records: Sequence[Record], settings: StillSettings) -> tuple[StillSearch, ...] | None:
-    """Return the best of the searches with the most frequent count of poses, the larger where two are as frequent."""
-    poses = _Poses(records)
-    tried = [one for one in _tries(records, settings) if poses.enough(one[1])]
-    if not tried:
-        return None
-    counts = [poses.count(searches) for _, searches in tried]
-    most = max((times, count) for count, times in Counter(counts).items())[1]
-    ranked = [
-        (sum(len(search.stills) for search in searches), floors, -searches[0].window_s, k)
-        for k, (floors, searches) in enumerate(tried)
-        if counts[k] == most
-    ]
-    return tried[min(ranked)[-1]][1]
-
-
-def short_pauses(record: Record, search: StillSearch, settings: StillSettings) -> tuple[Still, ...]:
-    """Return pauses too short for a still, seen through a window of a fifth of its length."""
-    if not search.stills:  # nothing shows what this device's rest looks like
-        return ()
-    window_s, least_s = _SHORT * settings.window_s, 0.5 * _SHORT * settings.min_duration_s
-    shorter = replace(settings, window_s=window_s, min_duration_s=least_s, adapt=False)
-    pauses = find_still(record, shorter, recording=search.stills[0].recording).stills
-    return tuple(s for s in pauses if not any(s.start < o.stop and o.start < s.stop for o in search.stills))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -599,88 +395,137 @@ class LeftOut:
 
     start: int
     stop: int
-    why: Literal["too short", "too restless", "turning"]
-    value: float  # s at rest, smallest spread or that of the quietest windows, or mean rate
-    unit: str
-    limit: float  # What a still phase needs, in ``unit``; NaN where none is known
+    why: str  # too short, too restless, or in a steady turn, with numbers
 
 
 def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     """Return the quiet stretches, up to four thresholds, that touch no still phase, and why they are none."""
-    settings = search.settings
-    triads, fs = _moments(record, settings), record.sample_rate_hz
-    marks = [t.value if t.value >= t.noise_floor else 2.0 * t.noise_floor for t in search.thresholds]
-    searched = [np.isfinite(t.value) for t in search.thresholds]
-    used = [k for k, mark in enumerate(marks) if np.isfinite(mark) and mark > 0.0 and searched[k] >= any(searched)]
-    noisy = [k for k in used if search.thresholds[k].noise_floor > search.thresholds[k].value]  # refuses every window
-    if not used:
+    least_s, fs = search.settings.min_duration_s, record.sample_rate_hz
+    pairs = [
+        (triad, threshold)
+        for triad, threshold in zip(_moments(record, search.settings), search.thresholds, strict=True)
+        if threshold.basis != "none"
+    ]
+    if not pairs:
         return ()
-    over = np.array([triads[k].spread / marks[k] for k in used])  # (triads, M)
-    worst, edge, pauses = over.max(axis=0), (triads[0].window + triads[0].smooth - 1) // 2, list[LeftOut]()
-    near: list[list[int]] = []
+    ratio = np.array([triad.spread / max(threshold.value, threshold.noise_floor) for triad, threshold in pairs])
+    worst, edge = ratio.max(axis=0), (pairs[0][0].window + pairs[0][0].smooth - 1) // 2
+    spans, stretches = list[list[int]](), list[LeftOut]()
     for first, last in runs(worst <= _NEAR).tolist():
-        if any(s.start < last + 2 * edge and first < s.stop for s in search.stills):
+        if any(still.start < last + 2 * edge and first < still.stop for still in search.stills):
             continue
-        if near and first - near[-1][1] <= triads[0].window:
-            near[-1][1] = last  # a jerk in a pause parts it no further
+        if spans and first - spans[-1][1] <= 2 * edge:
+            spans[-1][1] = last  # a jerk does not divide a pause
         else:
-            near.append([first, last])
-    for first, last in near:
-        start, stop = first + edge, last + edge
-        at = first + int(np.argmin(worst[first:last]))
-        k = noisy[0] if noisy else used[int(np.argmax(over[:, at]))]
-        triad, mark, least_s = triads[k], search.thresholds[k], settings.min_duration_s
-        rest = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0)
-        spread, rate = float(triad.spread[at]), float(np.linalg.norm(triads[0].mean[at]))
-        spread, limit = max(spread, mark.noise_floor if noisy else 0.0), mark.value
-        if not spread <= limit:
-            why = LeftOut(start=start, stop=stop, why="too restless", value=spread, unit=triad.unit, limit=limit)
-        elif rest < sample_count(least_s, fs):
-            why = LeftOut(start=start, stop=stop, why="too short", value=rest / fs, unit="s", limit=least_s)
+            spans.append([first, last])
+    for first, last in spans:
+        quietest = first + int(np.argmin(worst[first:last]))
+        triad, threshold = pairs[int(np.argmax(ratio[:, quietest]))]
+        spread, limit = max(float(triad.spread[quietest]), threshold.noise_floor), threshold.value
+        rest_s = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0) / fs
+        if spread > limit:
+            value, most = told_apart(spread, ".3g", limit), told_apart(limit, ".3g", spread)
+            why = f"too restless: {value} {triad.unit} rms, limit {most}"
+        elif round(rest_s * fs) < sample_count(least_s, fs):
+            why = f"too short: {rest_s:.2g} s at rest, wanted {least_s:g} s"
         else:
-            why = LeftOut(start=start, stop=stop, why="turning", value=rate, unit=triads[0].unit, limit=np.nan)
-        pauses.append(why)
-    return tuple(pauses)
+            why = f"in a steady turn: {np.linalg.norm(pairs[0][0].mean[quietest]):.3g} {pairs[0][0].unit}"
+        stretches.append(LeftOut(start=first + edge, stop=last + edge, why=why))
+    return tuple(stretches)
 
 
-def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[float, tuple[StillSearch, ...]]]:
-    """Search with every window and threshold; return multiple of the noise floor, and what each record holds."""
-    given, shortest = settings.threshold_floors, min(record.duration_s for record in records)
+# ---- poses: still phases with the window and threshold that suit the recordings
+
+WINDOWS_S = (2.0, 1.0, 0.5, 0.25)
+FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+LEAST_POSES = 9  # free poses of a fit of nine parameters
+_SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
+_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart tell a fit something new
+_SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
+_NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
+_ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
+_MOST_SAMPLES = 2_000_000  # a hand holds no poses for longer
+
+
+def find_poses(records: Sequence[Record], settings: StillSettings = StillSettings()) -> tuple[StillSearch, ...]:
+    """Find the stills of recordings that together contain a device in many poses.
+
+    First with the settings. If these state no threshold, and the stills are neither six faces nor nine poses all around, windows
+    and multiples of the noise floor are tried. Of the searches that find poses all around, those with the most frequent count of
+    poses are taken, and of these the one with the fewest interruptions and the lowest threshold.
+    """
+    first = tuple(find_still(record, settings, recording=number) for number, record in enumerate(records))
+    count = sum(len(record) for record in records)
+    still = sum(still.stop - still.start for search in first for still in search.stills)
+    if (
+        settings.threshold_floors is not None
+        or all(record.accel is None for record in records)
+        or still > _ALL_STILL * count
+        or count > _MOST_SAMPLES
+        or _all_around(records, first)
+    ):
+        return first
+    searches = [tried for tried in _tries(records, settings) if _all_around(records, tried)]
+    if not searches:
+        return first
+    counts = [_count_poses(records, tried) for tried in searches]
+    agreed = max(counts, key=lambda poses: (counts.count(poses), poses))
+    alike = [tried for tried, poses in zip(searches, counts, strict=True) if poses == agreed]
+    return min(alike, key=lambda tried: sum(len(search.stills) for search in tried))
+
+
+def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[StillSearch, ...]]:
+    """Yield the searches with every multiple of the floor, lowest first, and every window, longest first."""
+    windows = []
     for window_s in WINDOWS_S:
-        smooth_s = min(settings.smooth_s, window_s / 4.0)
-        if shortest < 2.0 * (window_s + smooth_s):
-            continue
-        least_s = min(settings.min_duration_s, window_s)
-        trial = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=least_s)
-        moments = [_moments(record, trial) for record in records]
-        floors = [[_floor_and_limit(triad) for triad in triads] for triads in moments]
-        for multiple in FLOORS if given is None else (given,):
-            searches = []
-            for number, (record, triads) in enumerate(zip(records, moments, strict=True)):
-                marks: dict[str, float] = {}
-                for triad, (floor, limit) in zip(triads, floors[number], strict=True):
-                    name = "gyro_threshold" if triad.is_gyro else "accel_threshold"
-                    if getattr(settings, name) is None:
-                        marks[name] = multiple * floor if given is not None else min(multiple * floor, limit)
-                here = replace(trial, threshold_floors=None, **{name: max(mark, _TINY) for name, mark in marks.items()})  # type: ignore[arg-type]
-                search = _find(record, triads, here, number)
-                basis: Literal["given", "floors"] = "floors" if given is None else "given"
-                thresholds = tuple(
-                    replace(t, basis=basis) if f"{t.channel}_threshold" in marks else t for t in search.thresholds
-                )
-                searches.append(replace(search, thresholds=thresholds))
-            yield multiple, tuple(searches)
+        trial = replace(
+            settings,
+            window_s=window_s,
+            smooth_s=min(settings.smooth_s, window_s / 4.0),
+            min_duration_s=min(settings.min_duration_s, window_s),
+        )
+        if all(record.duration_s > 2.0 * (window_s + trial.smooth_s) for record in records):
+            windows.append((trial, [_moments(record, trial) for record in records]))
+    for floors in FLOORS:
+        for trial, moments in windows:
+            own = replace(trial, threshold_floors=floors)
+            yield tuple(_find(record, moments[k], own, k) for k, record in enumerate(records))
 
 
-def _floor_and_limit(triad: _Moments) -> tuple[float, float]:
-    """Return the noise floor, rounding included, and what a hand that holds a pose does: without limit in unknown units."""
-    finite = triad.spread[np.isfinite(triad.spread)]
-    floor = max(float(np.quantile(finite, FLOOR_QUANTILE)), _quantisation(triad)) if len(finite) else 0.0
-    if not is_physical(triad.unit):
-        return floor, np.inf
-    kind: Literal["rate", "accel"] = "rate" if triad.is_gyro else "accel"
-    limit = (HAND_RATE_LIMIT if triad.is_gyro else HAND_ACCEL_LIMIT) / si_factor(triad.unit, kind)
-    return floor, _over_white(limit, triad)
+def _directions(records: Sequence[Record], searches: Sequence[StillSearch]) -> FloatArray:
+    """Return the unit direction of gravity in each still of the records with accelerometers, (P, 3)."""
+    means = [
+        still_means(record.accel, search.stills)
+        for record, search in zip(records, searches, strict=True)
+        if record.accel is not None
+    ]
+    up = np.concatenate(means)
+    if len(up) >= 5 and not all(is_physical(record.accel_unit) for record in records if record.accel is not None):
+        up = up - sphere_of(up)[0]
+    return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny))
+
+
+def _count_poses(records: Sequence[Record], searches: Sequence[StillSearch]) -> int:
+    """Return how many poses the stills contain: neighbours that point alike are one."""
+    count, last = 0, np.zeros(3)
+    for up in _directions(records, searches):
+        if up @ last < _SAME:
+            count, last = count + 1, up
+    return count
+
+
+def _all_around(records: Sequence[Record], searches: Sequence[StillSearch]) -> bool:
+    """Return True if stills lie on all six faces, or in nine poses all around."""
+    directions, apart = _directions(records, searches), list[FloatArray]()
+    for up in directions:
+        if all(up @ other < _APART for other in apart):
+            apart.append(up)
+    if len(apart) < len(FACES):
+        return False
+    if (np.concatenate((directions, -directions), axis=1).max(axis=0) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)).all():
+        return True
+    spans = np.linalg.svd(np.array(apart) - np.mean(apart, axis=0), compute_uv=False) / np.sqrt(len(apart))
+    return len(apart) >= LEAST_POSES and float(spans[-1]) >= _SPAN
 
 
 # ---- faces: the sensor axis that points up, by gravity

@@ -22,7 +22,7 @@ from undrift.errors import AlignmentError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Record, Reference
-from undrift.segments import StillSettings, find_still
+from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- mean rates between neighbouring poses, and readings averaged over the same stretches
@@ -476,8 +476,7 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
 
 def _between_stills(record: Record) -> tuple[float, float] | None:
     """Return the stretch from the first rest of 3 s to the last one, or to the end; None without such a rest."""
-    search = find_still(record, StillSettings())
-    search = search if search.stills else find_still(record)
+    search = find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:
         return None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from undrift.calibration.multi_position import fit_multi_position
+from testkit.poses import fit_multi_position
 from undrift.record import Record
 from undrift.units import STANDARD_GRAVITY
 

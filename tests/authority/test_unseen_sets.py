@@ -78,7 +78,7 @@ def test_motion_of_analog_gyroscopes_holds_their_gains_by_optics() -> None:
         f"{gain.round(2)} +- {spread.round(2)}, optics {optics}",
     )
     assert (np.abs(gain - optics) < 3.0 * spread).all()
-    assert "motion.gyro_prior" in [item.code for item in model.verdict.findings]
+    assert "motion.prior" in [item.code for item in model.verdict.findings]
 
 
 def test_matrix_and_offset_of_24_poses_leave_the_residual_that_is_stated() -> None:

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from testkit.poses import fit_poses
+from testkit.poses import PosesFit, fit_multi_position, fit_poses
 from testkit.published_poses import PublishedFit, fit_as_published, variance_with_rest
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.multi_position import MultiPositionFit, fit_multi_position
 from undrift.model import TriadModel
 from undrift.record import Record, Session
 
@@ -40,7 +39,7 @@ def published() -> PublishedFit:
 
 
 @cache
-def ours() -> MultiPositionFit:
+def ours() -> PosesFit:
     return fit_multi_position(session(), gravity=GRAVITY)
 
 

@@ -15,7 +15,6 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import finding
 from undrift.record import Record, Session, Still, Turn
-from undrift.segments import StillSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -292,7 +291,7 @@ def test_mode_paper_is_reported_where_it_was_not_used():
     assert {(f.level, f.values["mode"], f.values["method"]) for f in unused} == {("warn", "paper", "multi-position")}
 
 
-def test_pauses_that_were_too_short_are_counted():
+def test_pauses_shorter_than_the_usual_window_are_found():
     rng = np.random.default_rng(26)
     n, gyro, accel = 100, [], []
     for k in range(12):
@@ -307,25 +306,18 @@ def test_pauses_that_were_too_short_are_counted():
         accel=accel + 0.01 * rng.standard_normal(accel.shape),
     )
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,))
-    found = calibrate(session, settings=CalibrateSettings(still=StillSettings()))
-    short = only(found.verdict.findings, "session.pauses")
-    assert (short.values["recording"], short.values["pauses"]) == (0, 11)
-    assert "shorter than the 2 s" in short.detail
-    assert only(found.verdict.findings, "session.too_few_poses").values["rests"] == 1
-    adapted = observe(session, CalibrateSettings())
-    assert len(adapted.stills) == 12
-    assert adapted.findings == ()
+    seen = observe(session, CalibrateSettings())
+    assert len(seen.stills) == 12
+    assert seen.findings == ()
 
 
 def test_a_device_that_sways_throughout_has_no_short_pauses():
     rng = np.random.default_rng(27)
     time = np.arange(6000) / 100.0
     sway = np.where(np.sin(2.0 * np.pi * time / 4.0) > 0.0, 1.0, 0.05)[:, None]
-    record = Record(
-        time=time,
-        gyro=sway * rng.standard_normal((6000, 3)),
-        accel=[0.0, 0.0, 9.81] + sway * rng.standard_normal((6000, 3)),
-    )
+    wave = np.sin(2.0 * np.pi * 1.3 * time[:, None] + [0.0, 1.0, 2.0])
+    noise = 0.002 * rng.standard_normal((6000, 3))
+    record = Record(time=time, gyro=sway * wave + noise, accel=[0.0, 0.0, 9.81] + 3.0 * (sway * wave + noise))
     with pytest.raises(NotObservable, match="no still phase") as caught:
         calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
     assert "pauses" not in str(caught.value)
@@ -526,7 +518,7 @@ def test_each_kind_of_session_names_its_own_limits_and_no_other(kind, limits):
 def test_the_limits_alone_leave_a_verdict_good():
     verdict = calibrate(limited("multi_position")).verdict
     assert verdict.status == "good"
-    assert codes(verdict.findings) == ["multi_position.g_sensitivity_fitted", MOUNTING, "session.one_temperature"]
+    assert codes(verdict.findings) == [MOUNTING, "session.one_temperature"]
     assert {item.level for item in verdict.findings} == {"info"}
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import show
 from testkit.findings import codes, only
-from undrift.calibration.multi_position import MultiPositionFit, fit_multi_position
+from testkit.poses import PosesFit, fit_multi_position
 from undrift.errors import NotObservable
 from undrift.record import FACES, Record
 from undrift.sim.motion.bench import BenchSettings, script_motion
@@ -33,9 +33,7 @@ def faces_by_hand(seed: int, poses: int = 16) -> Motion:
 MOTION = faces_by_hand(1)
 
 
-def fitted(
-    seed: int, motion: Motion = MOTION, cross_axis_prior: float | None = PRIOR
-) -> tuple[MultiPositionFit, np.ndarray]:
+def fitted(seed: int, motion: Motion = MOTION, cross_axis_prior: float | None = PRIOR) -> tuple[PosesFit, np.ndarray]:
     """Return the fit to a device whose cross-axis terms are drawn from the prior, and its accelerometer's matrix."""
     rng = np.random.default_rng(seed)
     accel = np.diag(rng.normal(1.0, 0.02, 3))
@@ -92,7 +90,7 @@ def test_scales_offsets_cross_axis_terms_and_gyroscopes_lie_within_their_stated_
     assert worst[1] < 3e-3  # quadratic terms that twelve poses leave open tilt gravity by 0.11 deg, 2e-3, at one sigma
 
 
-def test_a_session_that_shows_everything_is_fitted_to_the_last_bit_as_without_a_prior() -> None:
+def test_a_session_that_determines_everything_is_hardly_changed_by_the_prior() -> None:
     rng, script = np.random.default_rng(4), Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
     for up in rng.normal(size=(14, 3)):
         script.lay(facing(script.q, up), SETTINGS.move_s)
@@ -102,8 +100,8 @@ def test_a_session_that_shows_everything_is_fitted_to_the_last_bit_as_without_a_
     for one, other in ((with_prior.accel, without.accel), (with_prior.gyro, without.gyro)):
         assert one is not None
         assert other is not None
-        assert (one.model.matrix == other.model.matrix).all()
-        assert (one.model.covariance == other.model.covariance).all()
+        spread = other.model.standard_uncertainty[:9].reshape(3, 3)
+        assert (np.abs(one.model.matrix - other.model.matrix) <= 0.1 * spread).all()
     assert with_prior.accel.model.rank == 9
 
 

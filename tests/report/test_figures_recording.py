@@ -12,7 +12,6 @@ from undrift.calibration.pieces import pieces_of
 from undrift.calibration.settings import CalibrateSettings
 from undrift.record import Record, Session, Still, Turn
 from undrift.report.figures import draw_recording, svg_of
-from undrift.segments import StillSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -61,13 +60,13 @@ def test_what_a_calibration_used_and_left_out_is_shown_with_the_reason():
 
 def test_gaps_saturation_and_restless_pauses_are_marked_with_numbers():
     calm, _ = hand_held_log(np.random.default_rng(1), Tremor(rate_dps=0.1, sway_deg=0.02, accel=0.01), poses=5)
-    shaky, _ = hand_held_log(np.random.default_rng(2), Tremor(rate_dps=6.0, sway_deg=0.1, accel=0.02), poses=4)
+    shaky, _ = hand_held_log(np.random.default_rng(2), Tremor(rate_dps=6.0, sway_deg=0.1, accel=0.02), poses=3)
     gyro = np.clip(np.concatenate((calm.gyro, shaky.gyro)), -1.0, 1.0)
     gyro[4200:4300] = np.nan
     time = np.arange(len(gyro)) / 100.0
     time[3000:] += 2.0
     record = Record(time=time, gyro=gyro, accel=np.concatenate((calm.accel, shaky.accel)))
-    pieces, _, text = drawn(session_of(record), CalibrateSettings(still=StillSettings()))
+    pieces, _, text = drawn(session_of(record))
     restless = [piece for piece in pieces if piece.why.startswith("too restless: ")]
     assert len(restless) >= 3
     assert (

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from undrift.arrays import runs
-from undrift.calibration.multi_position import cut_moves, gravity_directions, rough_matrix, turned_in
-from undrift.calibration.norm import NormFit, fit_norm, judged
-from undrift.fit.triad import TriadFit
+from undrift.calibration.moves import cut_moves, gravity_directions, rough_matrix, turned_in
+from undrift.fit.triad import TriadFit, triad_fit
 from undrift.record import Record, Still
+from undrift.segments import sphere_of
 
 
 @dataclass(frozen=True)
@@ -53,19 +53,41 @@ def variance_with_rest(record: Record, rest_s: float = 50.0) -> StillVariance:
     return StillVariance(values, level, float(np.linalg.norm(rest.var(axis=0, ddof=1))))
 
 
+def fit_lengths(reading: np.ndarray, gravity: float, unit_in: str) -> TriadFit:
+    """Fit an upper triangular matrix and an offset to readings (N, 3) of one length, all of one weight."""
+    center, radius = sphere_of(reading)
+    scale, upper = gravity / radius, np.triu_indices(3)
+    v = scale * (reading - center)
+
+    def matrix_of(p: np.ndarray) -> np.ndarray:
+        matrix = np.zeros((3, 3))
+        matrix[upper] = p[:6]
+        return matrix
+
+    def missed(p: np.ndarray) -> np.ndarray:
+        return np.linalg.norm((v - p[6:]) @ matrix_of(p).T, axis=1) - gravity
+
+    start = np.append(np.eye(3)[upper], np.zeros(3))
+    p = least_squares(missed, start, method="lm", xtol=1e-12, ftol=1e-12).x
+    return triad_fit(
+        missed(p), method="multi-position", unit_in=unit_in, unit_out="m/s2", matrix=scale * matrix_of(p),
+        offset=center + p[6:] / scale, covariance=np.full((12, 12), np.nan), rank=9, condition=1.0,
+        valid_range=(-gravity, gravity),
+    )  # fmt: skip
+
+
 def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> PublishedFit:
     """Fit both triads of a recording by the published rule."""
     level = variance_with_rest(record, rest_s)
     shortest = round(record.sample_rate_hz)
     multiples = tuple(float(m) for m in range(2, 11))
-    found: list[tuple[float, list[tuple[int, int]], np.ndarray, NormFit]] = []
+    found: list[tuple[float, list[tuple[int, int]], TriadFit]] = []
     for multiple in multiples:
         stills = [(int(a), int(b)) for a, b in level.below(multiple * level.at_rest, shortest)]
         reading = np.concatenate([level.values[a : a + shortest] for a, _ in stills])
-        fit = fit_norm(reading, gravity=gravity, variances=None, cross_axis=True, prior_sd=None, quadratic_sd=0.0)
-        found.append((0.5 * float(fit.residuals @ fit.residuals), stills, reading, fit))
-    _, stills, reading, fit = min(found, key=lambda one: one[0])
-    accel = judged(fit, reading, record.accel_unit)
+        fit = fit_lengths(reading, gravity, record.accel_unit)
+        found.append((0.5 * float(fit.residuals @ fit.residuals), stills, fit))
+    _, stills, accel = min(found, key=lambda one: one[0])
     used = [Still(start=a, stop=b) for a, b in stills]
     moves = cut_moves([record], used)
     n = gravity_directions(moves, accel.model)[0]

@@ -5,8 +5,8 @@ with an orientation reference each. Out: a ``Calibration``: a TriadModel for eac
 
     session                      stills, faces, turns and temperature of a session; what every fit returns
     calibrate                    the fits that a session allows, in turn
-    six_face, multi_position     accelerometers against gravity: on faces, in free poses (norm: |M (u - o)| = g)
-    rate_table, known_rotation   gyroscopes against rates (dwells: what the table did) and angles; multi_position: moves
+    six_face, moves              accelerometers against gravity: on faces, in free poses (norm: |M (u - o)| = g)
+    rate_table, known_rotation   gyroscopes against rates (dwells: what the table did) and angles; moves: between rests
     reference, reference_accel   both against the poses of a reference
     creep, codes                 what moves within a session; what rounding to codes does
     noise                        of a device at rest, by Allan variance

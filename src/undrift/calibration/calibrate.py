@@ -24,7 +24,7 @@ from undrift.calibration.codes import device_adc, identify_record_adc, restored
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
-from undrift.calibration.multi_position import FEWEST_POSES, calibrate_moves, calibrate_poses
+from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.plausibility import missing_faces, range_in_doubt
 from undrift.calibration.quality import check_accel
 from undrift.calibration.rate_table import calibrate_rates, scale_verdict

@@ -26,12 +26,12 @@ from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
-from undrift.fit.priors import SCALE_FACTOR
+from undrift.fit.priors import SCALE_FACTOR, SCALE_LIMIT
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
 from undrift.record import Record
-from undrift.segments import StillSettings, find_still
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
+from undrift.segments import find_still
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates less their mean
 BRIDGED_S = 0.05  # the longest gap over which a line is near enough to the readings [assumed]
@@ -42,7 +42,6 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 ONE_AXIS = 0.1  # share of the rates about the main axis, below which the others are no turns [assumed]
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1 [assumed]
-FAR = 0.05  # of a scale factor: data sheets state 3 % [assumed]
 IMPLAUSIBLE = 0.25  # of a scale factor: raw parts are within 0.2
 SHOWN = 0.7  # of the prior deviation, below which an element counts as seen
 FIELD_SIZE = 0.01  # of a corrected magnetic field: what its size may differ by in the means [assumed]
@@ -85,12 +84,6 @@ def _elements() -> FloatArray:
 ELEMENTS = _elements()
 
 
-def kind_sizes(square: FloatArray) -> FloatArray:
-    """Return the sizes (7,) after the squares (..., 21) of the elements of some devices."""
-    total = square.reshape(-1, 7, 3).sum(axis=(0, 2))
-    return np.asarray(np.sqrt((_KNOWN_FROM * _SIZE**2 + total) / (_KNOWN_FROM + square.size / 7.0)))
-
-
 # ---- fit
 
 _OF_GYRO = np.r_[:9, 21:24]
@@ -111,13 +104,8 @@ class InMotion:
 
     @property
     def units(self) -> tuple[float, float]:
-        """What a unit of reading is worth, rad/s and m/s2; of counts the mean of the axes."""
-        of_each: tuple[tuple[TriadModel, Quantity], ...] = ((self.gyro.model, "rate"), (self.accel.model, "accel"))
-        rate, force = (
-            si_factor(model.unit_in, of) if is_physical(model.unit_in) else float(np.trace(model.matrix)) / 3.0
-            for model, of in of_each
-        )
-        return rate, force
+        """Size of a unit of reading, rad/s and m/s2."""
+        return si_factor(self.gyro.model.unit_in, "rate"), si_factor(self.accel.model.unit_in, "accel")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,7 +175,7 @@ class _Unit:
 
 @dataclass(eq=False)
 class _Model:
-    """What the descent moves of a device, rad/s and m/s2."""
+    """Parameters of a device that the descent moves, rad/s and m/s2."""
 
     gyro: FloatArray
     accel: FloatArray
@@ -197,18 +185,13 @@ class _Model:
 
     @property
     def deviation(self) -> FloatArray:
-        """M and A against the identity, and p, by kinds of elements, (21,)."""
-        matrices = (np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1)
-        return np.asarray(ELEMENTS @ np.append(matrices, self.offset))
+        """M and A minus the identity, row by row, and p, (21,)."""
+        return np.append((np.stack((self.gyro, self.accel)) - np.eye(3)).reshape(-1), self.offset)
 
     @property
-    def weight(self) -> FloatArray:
-        """What is known of M, A and p before: information by kinds, (21, 21), of ``deviation``."""
-        return np.asarray(ELEMENTS.T @ self._information)
-
-    @property
-    def _information(self) -> FloatArray:
-        return np.diag(1.0 / np.repeat(self.sizes, 3) ** 2)
+    def information(self) -> FloatArray:
+        """Information of the prior about these, (21, 21)."""
+        return np.asarray((ELEMENTS.T / np.repeat(self.sizes, 3) ** 2) @ ELEMENTS)
 
     def move(self, step: FloatArray) -> None:
         """Take a step (24,) of M, A, p and the usual offset."""
@@ -216,9 +199,9 @@ class _Model:
         self.offset, self.usual = self.offset + step[18:21], self.usual + step[21:24]
 
     def widen(self, covariance: FloatArray) -> None:
-        """Let the size of each kind of element follow this device: what it deviates by, and what is not known of that."""
-        variance = np.diag(ELEMENTS @ covariance[:21, :21] @ ELEMENTS.T)
-        self.sizes = kind_sizes(self.deviation**2 + variance)
+        """Let the size of each kind of element follow this device: its deviation, and how uncertain that is."""
+        square = (ELEMENTS @ self.deviation) ** 2 + np.diag(ELEMENTS @ covariance[:21, :21] @ ELEMENTS.T)
+        self.sizes = np.sqrt((_KNOWN_FROM * _SIZE**2 + square.reshape(7, 3).sum(axis=1)) / (_KNOWN_FROM + 3.0))
 
 
 def fit_in_motion(
@@ -249,7 +232,7 @@ def fit_in_motion(
     for stage in STAGES_S:
         before, towards = _prior(model, units)
         shown = np.zeros_like(before)
-        usual = np.append(np.sqrt(np.diag(np.linalg.inv(model.weight @ ELEMENTS))), np.full(3, RAW_RATE))
+        usual = np.append(np.sqrt(np.diag(np.linalg.inv(model.information))), np.full(3, RAW_RATE))
         for k, one in enumerate(units):
             one.cut(stage)
             places = np.r_[:21, 24 + 3 * k : 27 + 3 * k]
@@ -321,7 +304,7 @@ def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
     units = []
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
-        still = find_still(record, StillSettings()).stills or find_still(record).stills
+        still = find_still(record).stills
         rest = _Rest.of(gyro[still[0].start : still[0].stop], record.sample_rate_hz) if still else None
         moving = np.ones(len(record))
         for one in still:
@@ -335,48 +318,38 @@ def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
             here = np.asarray(record.time)[a:b]
             own = None if mag is None else mag[a:b]
             units.append(_Unit(number, here, gyro[a:b], accel[a:b], moving[a:b], rest, np.zeros(3), [], own))
-    turned = np.degrees(max(float(np.sqrt(one.rate.var(axis=0).sum())) for one in units))
-    if turned < LEAST_DPS:
+    turned_dps = np.degrees(max(float(np.sqrt(unit.rate.var(axis=0).sum())) for unit in units))
+    variances = np.linalg.eigvalsh(np.mean([np.cov(unit.rate.T) for unit in units], axis=0))
+    across_dps, along_dps = np.degrees(np.sqrt(variances[1:].clip(0.0))).tolist()
+    advice = "Turn the device in the hand, slowly, about every axis, for a minute"
+    if turned_dps < LEAST_DPS:
         raise NotObservable(
-            f"motion: wanted a device that is turned, got rates of {turned:.2g} deg/s rms; turn it in the hand, slowly, about "
-            "every axis, for a minute"
+            f"motion: wanted a device that is turned, got rates of {turned_dps:.2g} deg/s rms. {advice}"
         )
-    _check_turned_axes(units)
+    if across_dps < ONE_AXIS * along_dps:
+        raise NotObservable(
+            f"motion: the device turns about one axis only, {along_dps:.3g} deg/s rms; across it, rates are "
+            f"{across_dps:.2g} deg/s rms. Errors of the accelerometers then read as scale of the gyroscope. {advice}",
+            along_dps=along_dps,
+            across_dps=across_dps,
+        )
     return units
 
 
-def _check_turned_axes(units: list[_Unit]) -> None:
-    """Raise NotObservable if the device turns about one axis: errors of the accelerometers then read as scale of a gyroscope."""
-    turns = np.sqrt(np.linalg.eigvalsh(np.mean([np.cov(one.rate.T) for one in units], axis=0)).clip(0.0))
-    if turns[1] < ONE_AXIS * turns[2]:
-        raise NotObservable(
-            f"motion: the device turns about one axis only, {np.degrees(turns[2]):.3g} deg/s rms; across it, rates are "
-            f"{np.degrees(turns[1]):.2g} deg/s rms. Errors of the accelerometers then read as scale of the gyroscope. Turn the "
-            "device in the hand, slowly, about every axis, for a minute",
-            along_dps=float(np.degrees(turns[2])),
-            across_dps=float(np.degrees(turns[1])),
-        )
-
-
 def _prior(model: _Model, units: list[_Unit]) -> tuple[FloatArray, FloatArray]:
-    """Return information and right side of what is known before: elements, offsets of the device and of its recordings."""
-    count = 24 + 3 * len(units)
+    """Return information and right side of the priors: of elements, and of the offsets of the device and of its recordings."""
+    count, eye = 24 + 3 * len(units), np.eye(3)
     information, towards = np.zeros((count, count)), np.zeros(count)
-    information[:21, :21] = model.weight @ ELEMENTS
-    information[range(21, 24), range(21, 24)] = 1.0 / RAW_RATE**2
-    towards[:24] = -np.append(model.weight @ model.deviation, model.usual / RAW_RATE**2)
-    for k, one in enumerate(units):
-        at = np.arange(24 + 3 * k, 27 + 3 * k)
-        information[at, at] += 1.0 / DAILY**2
-        information[range(21, 24), range(21, 24)] += 1.0 / DAILY**2
-        information[at, range(21, 24)] -= 1.0 / DAILY**2
-        information[range(21, 24), at] -= 1.0 / DAILY**2
-        apart = (one.offset - model.usual) / DAILY**2
-        towards[at] -= apart
-        towards[21:24] += apart
-        if one.rest is not None:
-            information[at, at] += 1.0 / one.rest.spread**2
-            towards[at] += (one.rest.rate - one.offset) / one.rest.spread**2
+    information[:21, :21], information[21:24, 21:24] = model.information, eye / RAW_RATE**2
+    towards[:24] = -np.append(model.information @ model.deviation, model.usual / RAW_RATE**2)
+    for k, unit in enumerate(units):
+        own, apart = slice(24 + 3 * k, 27 + 3 * k), np.zeros((3, count))
+        apart[:, 21:24], apart[:, own] = -eye, eye
+        information += apart.T @ apart / DAILY**2
+        towards -= apart.T @ (unit.offset - model.usual) / DAILY**2
+        if unit.rest is not None:
+            information[own, own] += np.diag(unit.rest.spread**-2.0)
+            towards[own] += (unit.rest.rate - unit.offset) / unit.rest.spread**2
     return information, towards
 
 
@@ -442,25 +415,30 @@ def _result(
     )
 
 
+_ADVICE = {
+    "gyroscope": "add ten seconds for each axis: lay it level and turn the device about it by half a turn or more, to and fro",
+    "accelerometer": "add ten seconds for each side: hold the device with each of these axes up, then down",
+}
+
+
 def _judged(model: _Model, covariance: FloatArray) -> Iterator[Finding]:
-    """Yield what the motion did not show, by axes, and how well the rest is known; how the case turns both triads is apart."""
+    """Yield scale factors that keep their prior, and how uncertain or implausible the others are."""
     spread = np.sqrt(np.diag(covariance))
-    for triad, first, size in (("gyro", 0, model.sizes[0]), ("accel", 9, model.sizes[2])):
-        scale = first + np.array([0, 4, 8])
-        unseen = spread[scale] > SHOWN * size
-        if unseen.any():
-            axes = ", ".join(axis for axis, hidden in zip("xyz", unseen, strict=True) if hidden)
-            most = 100.0 * float(spread[scale].max())
-            if triad == "gyro":
-                yield finding("motion.gyro_prior", "warn", axes=axes, uncertainty_percent=most)
-            else:
-                yield finding("motion.accel_prior", "warn", axes=axes, uncertainty_percent=most)
-        elif triad == "gyro":
-            pairs = [(1, 3), (2, 6), (5, 7)]
-            alike = [0.5 * float(np.sqrt(covariance[np.ix_(pair, pair)].sum())) for pair in pairs]
-            if (most := 100.0 * max(*alike, *spread[scale])) > 0.2:
+    for triad, first, size, matrix in (
+        ("gyroscope", 0, model.sizes[0], model.gyro),
+        ("accelerometer", 9, model.sizes[2], model.accel),
+    ):
+        scale = spread[first + np.array([0, 4, 8])]
+        if (scale > SHOWN * size).any():
+            axes = ", ".join(axis for axis, kept in zip("xyz", scale > SHOWN * size, strict=True) if kept)
+            most = 100.0 * float(scale.max())
+            yield finding(
+                "motion.prior", "warn", triad=triad, axes=axes, uncertainty_percent=most, advice=_ADVICE[triad]
+            )
+        elif triad == "gyroscope":
+            alike = [0.5 * np.sqrt(covariance[np.ix_(pair, pair)].sum()) for pair in ((1, 3), (2, 6), (5, 7))]
+            if (most := 100.0 * float(max(*alike, *scale))) > 0.2:
                 yield finding("reference.uncertainty", "warn", uncertainty_percent=most)
-    for triad, matrix in (("gyroscope", model.gyro), ("accelerometer", model.accel)):
-        if (most := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > FAR:
-            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * most)
+        if (far := float(np.abs(1.0 / np.diag(matrix) - 1.0).max())) > SCALE_LIMIT:
+            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * far)
     yield finding("motion.case", "info", lean_deg=np.degrees(spread[:18][~_DIAGONAL].max()))

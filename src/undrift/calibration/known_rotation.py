@@ -15,7 +15,7 @@ device was not turned keep the nominal scale, as on a rate table. The errors in 
     temperature    warmth (alpha + beta w)   offset and scale follow the temperature
     instability    flicker of a stated size, and a random walk of each sensor, whose size is an excess variance (fit/gls.py)
 
-Moves between the rests turn gravity, which shows the matrix as well (multi_position.py): its fit joins both.
+Moves between the rests turn gravity, which shows the matrix as well (moves.py): its fit joins both.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -29,8 +29,8 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration import multi_position
 from undrift.calibration.codes import limited_by_codes, mean_rounding
+from undrift.calibration.moves import ByTurns, fit_moves, offsets_in_moves
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     axis_vectors,
@@ -271,7 +271,7 @@ def _closed_form(
     return TriadParameters(theta, np.sum([*parts.values()], axis=0), parts), residuals
 
 
-# Moves from rest to rest turn gravity (multi_position.py), whatever angle and axis of a turn were. The turns' matrix and its
+# Moves from rest to rest turn gravity (moves.py), whatever angle and axis of a turn were. The turns' matrix and its
 # covariance C enter their fit, which returns both joined, m and C_m. The other parameters x follow:
 #
 #     x + B (m - x_M)        B = cov(x, x_M) C^-1
@@ -409,10 +409,10 @@ def _by_moves(
     # an offset that follows the temperature is interpolated between the rests as a walk is
     drift = creep[1].offset_per_k * creep[1].span_k
     walk = walk + drift**2 / max(float(np.ptp(spans_of(seen.session.records, stills))), 1.0)
-    offset = partial(multi_position.offsets_in_moves, scale=np.linalg.norm(forward, axis=1), walk=walk)
-    by_turns = multi_position.ByTurns(fitted.matrix, fitted.covariance[:9, :9], offset)
+    offset = partial(offsets_in_moves, scale=np.linalg.norm(forward, axis=1), walk=walk)
+    by_turns = ByTurns(fitted.matrix, fitted.covariance[:9, :9], offset)
     try:
-        return multi_position.fit_gyro_between_stills(records, stills, accel, creep=creep, by_turns=by_turns).model
+        return fit_moves(records, stills, accel, creep=creep, by_turns=by_turns).model
     except NotObservable:
         return None
     except PoorFit as error:

@@ -10,10 +10,9 @@ from undrift.calibration.plausibility import stuck_windows
 from undrift.calibration.quality import saturated_turns
 from undrift.calibration.session import Observed, at_one_temperature, in_one_unit, look
 from undrift.calibration.settings import CalibrateSettings
-from undrift.findings import told_apart
 from undrift.model import Calibration
 from undrift.record import Record, Session, Still, Turn
-from undrift.segments import LeftOut, TurnSearch, left_out
+from undrift.segments import TurnSearch, left_out
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 SATURATED = "gyroscope saturated"
@@ -67,20 +66,11 @@ def pieces_of(
             pieces += _found_turns(number, record, search, calibration)
     for number, (record, still_search) in enumerate(zip(seen.session.records, seen.searches, strict=False)):
         pieces += [
-            Piece(kind="still", start=pause.start, stop=pause.stop, recording=number, why=_pause_reason(pause))
+            Piece(kind="still", start=pause.start, stop=pause.stop, recording=number, why=pause.why)
             for pause in left_out(record, still_search)
         ]
     reason = "" if stills else next((search.reason for search in seen.searches if search.reason), "")
     return tuple(sorted(pieces, key=lambda piece: (piece.recording, piece.start))), reason
-
-
-def _pause_reason(pause: LeftOut) -> str:
-    if pause.why == "too short":
-        return f"too short: {pause.value:.2g} s at rest, wanted {pause.limit:g} s"
-    if pause.why == "turning":
-        return f"in a steady turn: {pause.value:.3g} {pause.unit}"
-    value, limit = told_apart(pause.value, ".3g", pause.limit), told_apart(pause.limit, ".3g", pause.value)
-    return f"too restless: {value} {pause.unit} rms, {'no gap above it' if np.isnan(pause.limit) else f'limit {limit}'}"
 
 
 def _still_piece(still: Still, calibration: Calibration | None) -> Piece:

@@ -39,7 +39,7 @@ from undrift.fit.triad import TriadFit, offset_of
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
-from undrift.segments import StillSettings, find_still, find_turning, unpadded
+from undrift.segments import find_still, find_turning, unpadded
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- settings and results
@@ -167,7 +167,7 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     record, span = aligned.record, aligned.span
     rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
-        for still in find_still(record, StillSettings()).stills[:1]:
+        for still in find_still(record).stills[:1]:
             rows = (record.time >= record.time[still.start]) & (record.time < record.time[still.stop - 1])
         if not rows.any():
             return np.full(3, np.nan), np.zeros(3), np.zeros(3)

@@ -27,7 +27,7 @@ from undrift.fit.triad import TriadFit, first_matrix, fit_of, parameters_of, sca
 from undrift.frames import rotation
 from undrift.model import TriadModel
 from undrift.record import Record, Reference, Session, Still
-from undrift.segments import StillSettings, find_still
+from undrift.segments import find_still
 from undrift.sync import native_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 

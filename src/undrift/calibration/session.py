@@ -30,7 +30,7 @@ from undrift.calibration.quality import (
 )
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
-from undrift.findings import Finding, finding, told_apart
+from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve
 from undrift.fit.triad import TriadFit
 from undrift.model import Verdict
@@ -220,7 +220,7 @@ class Observed:
         if not self.found:
             for number, record in enumerate(self.session.records):
                 with suppress(InputError):  # shorter than a window
-                    search = segments.find_still(record, replace(self.settings.still, adapt=False), recording=number)
+                    search = segments.find_still(record, self.settings.still, recording=number)
                     candidates += search.stills
         return unused_stills(self.session, candidates, used)
 
@@ -395,22 +395,10 @@ def _pauses_left_out(session: Session, searches: Sequence[segments.StillSearch])
     for number, (record, search) in enumerate(zip(session.records, searches, strict=True)):
         if not search.stills:  # nothing shows what rest is for this device; the search has given the reason
             continue
-        least_s = search.settings.window_s + search.settings.min_duration_s
-        short = len(segments.short_pauses(record, search, search.settings))
-        if short >= 3:
-            what = f"{short} pauses were shorter than the {least_s:g} s that a pose must last"
-            yield finding("session.pauses", "warn", recording=number, pauses=short, what=what)
-        restless = [pause for pause in segments.left_out(record, search) if pause.why == "too restless"]
-        if restless:
-            quietest = min(restless, key=lambda pause: pause.value / pause.limit)
-            spread, limit = (
-                told_apart(quietest.value, ".3g", quietest.limit),
-                told_apart(quietest.limit, ".3g", quietest.value),
-            )
-            what = (
-                f"{len(restless)} pauses vary by {spread} {quietest.unit} rms or more; a rest varies by {limit} or less"
-            )
-            yield finding("session.pauses", "warn", recording=number, pauses=len(restless), what=what)
+        pauses = [pause for pause in segments.left_out(record, search) if pause.why.startswith("too ")]
+        if pauses:
+            what = f"the first, from {record.time[pauses[0].start]:.1f} s, is {pauses[0].why}"
+            yield finding("session.pauses", "warn", recording=number, pauses=len(pauses), what=what)
 
 
 def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:

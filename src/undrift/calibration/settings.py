@@ -65,7 +65,7 @@ class CalibrateSettings:
     6.0
     """
 
-    still: StillSettings = field(default_factory=lambda: StillSettings(adapt=True))
+    still: StillSettings = field(default_factory=StillSettings)
     latitude_deg: float | None = None
     turn_angle_deg: float | None = None
     window_s: float = 6.0

@@ -340,11 +340,11 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
     import numpy as np
 
     from undrift.commands.calibrate import raw_and_corrected
-    from undrift.segments import StillSettings, find_still
+    from undrift.segments import find_still
 
     stills, sizes, rms = tuple["Still", ...](), list["FloatArray"](), dict[str, float]()
     with suppress(InputError):  # shorter than a window
-        stills = find_still(done, StillSettings()).stills
+        stills = find_still(done).stills
     ideals = {"accel": ("accel_mg", _gravity(model), si_factor("mg", "accel")), "gyro": ("rate_dps", 0.0, 1.0)}
     for name, (key, ideal, unit) in ideals.items():
         triads = [values for values in (getattr(raw, name), getattr(done, name)) if values is not None]

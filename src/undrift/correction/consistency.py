@@ -10,7 +10,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
-from undrift.segments import StillSettings, find_still, unpadded
+from undrift.segments import find_still, unpadded
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -45,7 +45,7 @@ def check_device(
     record = record.in_si().between(record.time[0], record.time[0] + REST_LOOKED_AT_S)
     if stills is None:
         try:
-            stills = find_still(record, StillSettings()).stills
+            stills = find_still(record).stills
         except InputError:  # shorter than a window
             return ()
     rests = tuple(still for still in stills if still.stop <= len(record) and _whole(record, still))

@@ -25,7 +25,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import MOVING_NAMES, TriadModel
 from undrift.record import ForceUncertainty, Record, Still, joined
-from undrift.segments import StillSettings, find_still, unpadded
+from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
@@ -162,7 +162,7 @@ def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffse
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
     head, stills = _first(lambda span_s: (_head(record, span_s), len(record)), what)
-    whole = stills if len(head) == len(record) else find_still(record, StillSettings()).stills
+    whole = stills if len(head) == len(record) else find_still(record).stills
     return stills[0], *(one for one in whole if one.start >= stills[0].stop)
 
 
@@ -208,7 +208,7 @@ def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[
         inner = unpadded(head)
         first = int(head.time.searchsorted(inner.time[0]))
         inner = inner if whole else head.part(first, len(head))
-        found = find_still(inner, StillSettings())
+        found = find_still(inner)
         stills = tuple(replace(one, start=one.start + first, stop=one.stop + first) for one in found.stills)
         if stills and (whole or stills[0].stop < len(head)):
             return head, stills

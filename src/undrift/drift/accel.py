@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.norm import WEAKEST, NormFit, fit_norm
+from undrift.calibration.norm import NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import bins_of, near_data
 from undrift.drift.rates import MATRIX_GAP_C
@@ -112,10 +112,9 @@ def _fit_poses(v: FloatArray, variance: FloatArray, gravity: float, count: int) 
     if len(v) < count:
         return None
     try:
-        fit = fit_norm(v, gravity=gravity, variances=variance, cross_axis=count == _FULL)
+        return fit_norm(v, gravity=gravity, variances=variance, cross_axis=count == _FULL)
     except CalibrationError:
         return None
-    return fit if fit.weakest >= WEAKEST else None
 
 
 def _symmetric(fit: NormFit) -> tuple[FloatArray, FloatArray]:

@@ -32,7 +32,7 @@ from undrift.findings import finding
 from undrift.fit.gls import block_size
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session, Still, Turn
-from undrift.segments import StillSettings, find_still
+from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
@@ -177,7 +177,7 @@ def find_rests(session: Session) -> tuple[Still, ...]:
     rests: list[Still] = []
     for number, record in enumerate(session.records):
         spans = [(a, b) for r, a, b in turning if r == number]
-        stills = find_still(record, StillSettings(), recording=number).stills
+        stills = find_still(record, recording=number).stills
         rests.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
     if not rests:
         raise NotObservable(

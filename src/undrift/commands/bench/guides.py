@@ -251,7 +251,7 @@ class Turns(Guide):
         record = self.capture.tail(after.stop_s - start_s)
         if record is None:
             return GAP
-        stills = find_still(record, StillSettings()).stills
+        stills = find_still(record).stills
         if len(stills) < 2:
             return "That was no turn."
         first, last = _nearest(record, stills[0], stills[-1])

@@ -14,7 +14,7 @@ from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, information, jacobian, white_device
 from testkit.poses import fit_poses
 from testkit.twins import rotation_matrices
-from undrift.calibration.multi_position import fit_gyro_between_stills
+from undrift.calibration.moves import fit_moves
 from undrift.frames import quaternion_product
 from undrift.record import Record
 from undrift.sim.device.model import DeviceModel
@@ -144,7 +144,7 @@ def test_poses_and_turns_give_back_the_device_without_noise() -> None:
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY).model
         np.testing.assert_allclose(accel.matrix[UPPER], p[:6], atol=1e-10 * p[0])  # rounding of 1e-16 times condition
         np.testing.assert_allclose(accel.offset, p[6:], atol=1e-6)  # counts; g is 4096
-        found = fit_gyro_between_stills((record,), motion.stills, accel).model
+        found = fit_moves((record,), motion.stills, accel).model
         np.testing.assert_allclose(found.matrix, gyro, atol=1e-7 * gyro[0, 0])  # rounding through the iterations
         np.testing.assert_allclose(found.offset, offset, atol=1e-5)  # counts; 1 rad/s is 940
 
@@ -163,7 +163,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
         sd = (device.accel.gain * device.accel.white_noise.random_walk) * np.sqrt(50.0 / moves.samples[:, None])
         p, matrix, offset, _ = triangular_truth(device)
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY, standard_errors=sd).model
-        gyro = fit_gyro_between_stills((record,), motion.stills, accel).model
+        gyro = fit_moves((record,), motion.stills, accel).model
         accel_bound, gyro_bound = bounds(device, moves)
         error = np.concatenate((accel.matrix[UPPER], accel.offset)) - p
         accel_tally.add(error, accel_bound, accel.standard_uncertainty[SEEN])
