@@ -160,7 +160,7 @@ class _Moments:
         """Spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
         steps = np.diff(self.values, axis=0)
         _, spread = sliding_moments(steps, min(self.window, len(steps)), 1)
-        return _floor(spread) / np.sqrt(2.0 * self.smooth)
+        return float(_floor(spread) / np.sqrt(2.0 * self.smooth))
 
     @cached_property
     def quantisation(self) -> float:

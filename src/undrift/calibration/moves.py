@@ -577,7 +577,7 @@ def _change_of_offset(problem: _Problem) -> FloatArray:
     if warmth.any():  # the offset is that at the reference temperature
         change = change - warmth @ np.linalg.pinv(warmth) @ change
         known = np.diagonal(problem.offset.drift_covariance, axis1=1, axis2=2).mean(axis=1)
-    return np.maximum((change**2).mean(axis=0) - known, 0.0)
+    return np.asarray(np.maximum((change**2).mean(axis=0) - known, 0.0))
 
 
 def _with_g(
