@@ -87,7 +87,7 @@ def fit_reference_accel(
     stills, poses = list[Still](), list[FloatArray]()
     for number, (record, reference) in enumerate(zip(records, references, strict=True)):
         mounting = Rotation.from_rotvec(mountings[number])
-        for still in find_still(record, StillSettings(), recording=number).stills:
+        for still in find_still(record, recording=number).stills:
             pose = _mean_pose(native_poses(reference), record.time[[still.start, still.stop - 1]] - lags_s[number])
             if pose is not None and len(whole_readings(record.accel, still.start, still.stop)) > 1:
                 stills.append(still)
