@@ -27,11 +27,11 @@ the rest (6D), or relative to magnetic east where it takes the magnetometer (9D)
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, bridged, frozen, runs
+from undrift.arrays import BoolArray, FloatArray, Shape, bridged, freeze, runs
 from undrift.base.summary import Shown, at
 from undrift.calibration.triads import check_triads
 from undrift.correction.rest import (
@@ -71,16 +71,15 @@ NOT_STATED = (
 class Tilt:
     """Orientation at rest."""
 
-    q_nb: FloatArray  # (4,), b to n, w-x-y-z
-    specific_force: FloatArray  # (3,), mean over the still phase, m/s2, frame b
+    q_nb: Annotated[FloatArray, Shape(4)]  # b to n, w-x-y-z
+    specific_force: Annotated[FloatArray, Shape(3)]  # mean over the still phase, m/s2, frame b
     inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
     expanded_uncertainty: float  # 95 % of directions err by less, rad
     parts: tuple[tuple[str, float], ...]  # Its share by source, rad: squares sum to that of the whole
     basis: str  # "calibration", or why the accelerometers' own part is missing
 
     def __post_init__(self) -> None:
-        for name, shape in (("q_nb", (4,)), ("specific_force", (3,))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Tilt.{name}"))
+        freeze(self)
 
     @property
     def statement(self) -> str:
@@ -94,7 +93,13 @@ class Tilt:
 
 def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
     """Find the orientation of a device at rest."""
-    force = _readings_at_rest(record, still)
+    if record.accel is None:
+        raise InputError("tilt: wanted accelerometer readings, got none; map the columns that hold them")
+    force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
+    if len(force) < FEWEST:
+        raise InputError(f"tilt: wanted {FEWEST} samples at rest or more, got {len(force)}; give a longer still phase")
+    if np.isnan(force).any():
+        raise InputError("tilt: wanted readings without gaps, got NaN in the still phase; choose another one")
     mean = force.mean(axis=0)
     length = float(np.linalg.norm(mean))
     if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
@@ -142,35 +147,20 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
     return np.asarray(q / np.linalg.norm(q))
 
 
-def _readings_at_rest(record: Record, still: Still) -> FloatArray:
-    if record.accel is None:
-        raise InputError("tilt: wanted accelerometer readings, got none; map the columns that hold them")
-    force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
-    if len(force) < FEWEST:
-        raise InputError(f"tilt: wanted {FEWEST} samples at rest or more, got {len(force)}; give a longer still phase")
-    if np.isnan(force).any():
-        raise InputError("tilt: wanted readings without gaps, got NaN in the still phase; choose another one")
-    return force
-
-
 # ---- Strapdown
 
 
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
     """Refuse a rate (N, 3) with gaps: no orientation can be carried over one."""
-    gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1).reshape(-1)
-    stretches = runs(gap)
-    if not len(stretches):
-        return
-    first, last = stretches[0] - [0, 1]
-    raise InputError(
-        f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
-        f"{time[first]:.6g} to {time[last]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy hold, "
-        "temperatures filled in), or take each stretch between gaps with a rest of its own",
-        gaps=int(gap.sum()),
-        first_s=float(time[first]),
-        last_s=float(time[last]),
-    )
+    gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1)
+    if gap.any():
+        start, stop = runs(gap)[0]
+        raise InputError(
+            f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
+            f"{time[start]:.6g} to {time[stop - 1]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy "
+            "hold, temperatures filled in), or take each stretch between gaps with a rest of its own",
+            gaps=int(gap.sum()),
+        )
 
 
 # ---- Angles
@@ -204,7 +194,7 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
 
 
-_FAR_UP_DEG = 60.0  # of the axis for up from the vertical at rest: the device is worn another way
+FAR_UP_DEG = 60.0  # of the axis for up from the vertical at rest: the device is worn another way
 
 
 def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
@@ -216,21 +206,17 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
     mean = np.nanmean(vertical if rest is None else vertical[rest], axis=0)
     cosine = mean[AXES.index(up[1])] / np.linalg.norm(mean) * (1.0 if up[0] == "+" else -1.0)
     off_deg = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    if off_deg < _FAR_UP_DEG:
+    if off_deg < FAR_UP_DEG:
         return ()
-    upward, leans = _nearest_face(mean), np.nanstd(vertical, axis=0)
+    k, leans = int(np.abs(mean).argmax()), np.nanstd(vertical, axis=0)
+    upward = FACES[2 * k + int(mean[k] < 0.0)]
     axis = max((axis for axis in AXES if axis != upward[1]), key=lambda axis: leans[AXES.index(axis)])
     ways: list[Face] = [face for face in FACES if face[1] == axis]
     spans = [np.degrees(np.nanpercentile(sagittal_pitch(q_nb, forward=way, up=upward), (0, 100))) for way in ways]
     choices = " or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True))
-    stated, where = f"forward {forward} and up {up}", "on average" if rest is None else "at rest"
-    values = {"stated": stated, "where": where, "off_deg": off_deg, "up": upward, "forward": ways, "choices": choices}
+    values = {"stated": f"forward {forward} and up {up}", "where": "on average" if rest is None else "at rest"}
+    values |= {"off_deg": off_deg, "up": upward, "forward": ways, "choices": choices}
     return (finding("orient.pitch_axes", "warn", **values),)
-
-
-def _nearest_face(vector: FloatArray) -> Face:
-    k = int(np.abs(vector).argmax())
-    return FACES[2 * k + int(vector[k] < 0.0)]
 
 
 # ---- A whole record
@@ -278,25 +264,21 @@ class OrientSettings:
 class Orientation(Shown):
     """Orientation of the device case over time."""
 
-    time: FloatArray  # (N,), s, the record's clock
-    q_nb: FloatArray  # (N, 4), b to n, w-x-y-z
-    inclination: FloatArray  # (N,), angle of the body's z from the vertical, rad
-    heading: FloatArray  # (N,), turn about the vertical, rad
-    pitch: FloatArray  # (N,), of gravity in the sagittal plane, forward lean positive, rad
+    time: Annotated[FloatArray, Shape("n")]  # s, the record's clock
+    q_nb: Annotated[FloatArray, Shape("n", 4)]  # b to n, w-x-y-z
+    inclination: Annotated[FloatArray, Shape("n")]  # angle of the body's z from the vertical, rad
+    heading: Annotated[FloatArray, Shape("n")]  # turn about the vertical, rad
+    pitch: Annotated[FloatArray, Shape("n")]  # of gravity in the sagittal plane, forward lean positive, rad
     tilt: Tilt  # at the still phase, or at the first sample without one
     still: Still | None  # that phase; None if the device never rests
-    offset: FloatArray  # (3,), rate that was subtracted at that phase, rad/s
+    offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
     rests: tuple[Still, ...]  # the still phases, by which the uncertainty of the offset is judged
-    rest_offsets: FloatArray  # (K, 3), mean rate of each before anything was subtracted, rad/s
+    rest_offsets: Annotated[FloatArray, Shape("k", 3)]  # mean rate of each before anything was subtracted, rad/s
     offset_uncertainty: float  # standard, all axes together, rad/s
     findings: tuple[Finding, ...] = ()  # the drift to expect of strapdown; axes of the pitch that do not fit
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rest_offsets", frozen(self.rest_offsets, (len(self.rests), 3), "rest_offsets"))
-        one, three, four = (len(self.time),), (3,), (len(self.time), 4)
-        names = ("time", "q_nb", "inclination", "heading", "pitch", "offset")
-        for name, shape in zip(names, (one, four, one, one, one, three), strict=True):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"Orientation.{name}"))
+        freeze(self, k=len(self.rests))
 
     def _rows(self) -> dict[str, str]:
         named = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
@@ -335,25 +317,17 @@ def orient(
     record : Record
         Rate and specific force in physical units, best corrected: the uncertainty of the tilt then counts the calibration's.
     still : Still, optional
-        Where the device stood still; the first still phase that is found when absent. Where there is none, gravity in motion
-        shows tilt and offset.
+        Where the device stood still, by default the first still phase. Without one, gravity in motion shows tilt and offset.
     settings : OrientSettings
         Method, offset, heading and axes.
     gyro_model : TriadModel, optional
         The gyroscope's model, whose covariance then counts in the uncertainty of the offset.
 
-    Returns
-    -------
-    Orientation
-        Quaternions, angles, the tilt that they rest on, and the drift to expect.
-
     Raises
     ------
-    InputError
-        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis,
-        or readings in counts.
-    Implausible
-        Columns, units or a sample rate that clearly are others than stated.
+    InputError, Implausible
+        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis or counts;
+        columns, units or a sample rate that clearly are others than stated.
 
     Examples
     --------
@@ -484,12 +458,10 @@ def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     third = max(len(accel) // 3, 1)
     first, last = np.nanmean(accel[:third], axis=0), np.nanmean(accel[-third:], axis=0)
     turned = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
-    if spread > MOVING_RATE:
-        how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"
-    elif turned > TURNED:
-        how = f"gravity turns by {turned / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
-    else:
+    if spread <= MOVING_RATE and turned <= TURNED:
         return ()
+    how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"
+    how = how if spread > MOVING_RATE else f"gravity turns by {turned / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
     span = {"start_s": float(record.time[still.start]), "stop_s": float(record.time[still.stop - 1])}
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 

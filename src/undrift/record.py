@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 State = Literal["raw", "corrected"]
+CHANNELS = ("time", "gyro", "accel", "temp_c", "mag_ut")  # of a record
+LARGEST_SPAN_M = 50.0  # m, of what optics see
 
 
 @stored()
@@ -62,28 +64,19 @@ class Record(Shown):
     ----------
     time : array, shape (N,)
         s, strictly increasing.
-    gyro : array, shape (N, 3), or None
-        Rate readings in ``gyro_unit``; None where the file has no gyroscope.
-    accel : array, shape (N, 3), or None
-        Specific-force readings in ``accel_unit``; None where the file has no accelerometer.
+    gyro, accel : array, shape (N, 3), or None
+        Readings of rate in ``gyro_unit`` (rad/s, dps, count, v) and of specific force in ``accel_unit`` (m/s2, g, mg, count, v).
     temp_c : array, shape (N,), or None
         Temperature at the sensor, degC.
     mag_ut : array, shape (N, 3), or None
-        Magnetic field, uT. Carried along, not calibrated.
-    gyro_unit : str
-        rad/s, dps, count or v.
-    accel_unit : str
-        m/s2, g, mg, count or v.
-    frame : str
-        "s" for sensor axes, "b" for the device case.
-    state : str
-        "raw" or "corrected".
+        Magnetic field, uT.
+    frame, state : str
+        "s" for sensor axes, "b" for the device case; "raw" or "corrected".
     device : str
-        Serial number or name; "" when the file does not state it.
-    accel_uncertainty : ForceUncertainty or None
-        Of a corrected record: what its calibration knows of the accelerometers, for the uncertainty of a tilt.
-    offset_uncertainty : float or None
-        Of a corrected record from which an offset was subtracted: its standard uncertainty in motion, rad/s.
+        Serial number or name; "" if the file does not state it.
+    accel_uncertainty, offset_uncertainty : ForceUncertainty or None, float or None
+        Of a corrected record: the uncertainty of its accelerometers, and the standard uncertainty in motion, rad/s, of an offset
+        that was subtracted.
 
     Raises
     ------
@@ -98,11 +91,11 @@ class Record(Shown):
     (3, 100.0, True)
     """
 
-    time: FloatArray
-    gyro: FloatArray | None = None
-    accel: FloatArray | None = None
-    temp_c: FloatArray | None = None
-    mag_ut: FloatArray | None = None
+    time: Annotated[FloatArray, Shape("n")]
+    gyro: Annotated[FloatArray | None, Shape("n", 3)] = None
+    accel: Annotated[FloatArray | None, Shape("n", 3)] = None
+    temp_c: Annotated[FloatArray | None, Shape("n")] = None
+    mag_ut: Annotated[FloatArray | None, Shape("n", 3)] = None
     gyro_unit: str = "rad/s"
     accel_unit: str = "m/s2"
     frame: Frame = "s"
@@ -112,17 +105,11 @@ class Record(Shown):
     offset_uncertainty: float | None = None
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "time", frozen(self.time, (None,), "time"))
-        n = len(self.time)
-        for name, width in (("gyro", 3), ("accel", 3), ("mag_ut", 3), ("temp_c", None)):
-            value = getattr(self, name)
-            if value is not None:
-                set_(self, name, frozen(value, (n,) if width is None else (n, width), name))
+        freeze(self)
         if self.gyro is None and self.accel is None:
             raise InputError("record: wanted gyro or accel readings, got neither; map the columns that hold them")
-        set_(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
-        set_(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
+        object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
+        object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         check_time(self.time)
 
     def __len__(self) -> int:
@@ -229,7 +216,7 @@ class Record(Shown):
 
     def part(self, start: int, stop: int) -> "Record":
         """Return the samples [start, stop)."""
-        channels = {name: getattr(self, name) for name in ("time", "gyro", "accel", "temp_c", "mag_ut")}
+        channels = {name: getattr(self, name) for name in CHANNELS}
         return replace(self, **{name: values[start:stop] for name, values in channels.items() if values is not None})
 
     def between(self, start_s: float, stop_s: float) -> "Record":
@@ -260,9 +247,6 @@ class Record(Shown):
         return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
 
 
-LARGEST_SPAN_M = 50.0  # m, of what optics see
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reference:
     """Poses of a rigid body as an independent instrument saw them.
@@ -288,25 +272,21 @@ class Reference:
     4
     """
 
-    time: FloatArray
-    q_nb: FloatArray
-    position: FloatArray | None = None
-    moving: FloatArray | None = None
+    time: Annotated[FloatArray, Shape("n")]
+    q_nb: Annotated[FloatArray, Shape("n", 4)]
+    position: Annotated[FloatArray | None, Shape("n", 3)] = None
+    moving: Annotated[FloatArray | None, Shape("n")] = None
     name: str = ""
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "time", frozen(self.time, (None,), "time"))
-        n = len(self.time)
-        q = frozen(self.q_nb, (n, 4), "q_nb")
-        norm = np.linalg.norm(q, axis=1)
+        freeze(self)
+        norm = np.linalg.norm(self.q_nb, axis=1)
         if (np.abs(norm[np.isfinite(norm)] - 1.0) > 1e-3).any():
             raise InputError(
                 "q_nb: wanted unit quaternions w-x-y-z, got other lengths; check the columns and their order"
             )
-        set_(self, "q_nb", frozen(q / norm[:, None], (n, 4), "q_nb"))
+        object.__setattr__(self, "q_nb", frozen(self.q_nb / norm[:, None], (None, 4), "q_nb"))
         if self.position is not None:
-            set_(self, "position", frozen(self.position, (n, 3), "position"))
             seen = self.position[np.isfinite(self.position).all(axis=1)]
             span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
             if span > LARGEST_SPAN_M:
@@ -315,8 +295,6 @@ class Reference:
                     "convert them",
                     span=span,
                 )
-        if self.moving is not None:
-            set_(self, "moving", frozen(self.moving, (n,), "moving"))
         check_time(self.time)
 
     def __len__(self) -> int:
@@ -401,12 +379,10 @@ class Still:
 
     Parameters
     ----------
-    start, stop : int
-        Samples [start, stop).
+    start, stop, recording : int
+        Samples [start, stop) of a record of the session.
     face : str or None
         Axis that points up; None for a free pose.
-    recording : int
-        Number of the record in the session.
     temp_c : float or None
         Chamber set-point, degC, if there is no temperature column.
 
@@ -433,16 +409,12 @@ class Turn:
 
     Parameters
     ----------
-    start, stop : int
-        Samples [start, stop).
+    start, stop, recording : int
+        Samples [start, stop) of a record of the session.
     axis : str or None
         Case axis of the turn; None for a free rotation.
-    turn_rate : float or None
-        Achieved steady rate about +axis, rad/s (rate table).
-    angle : float or None
-        Angle turned about +axis, rad (known rotation).
-    recording : int
-        Which record of the session.
+    turn_rate, angle : float or None
+        Achieved steady rate about +axis, rad/s (rate table); angle turned about +axis, rad (known rotation).
     temp_c : float or None
         Chamber set-point, degC.
 
@@ -509,10 +481,10 @@ class RateTable:
     wobble_deg: float = 0.01  # Of the table's axis from dwell to dwell, about each axis across it, deg
 
     def __post_init__(self) -> None:
-        for name in ("table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"):
-            value, most = getattr(self, name), 0.1 if name == "rate_uncertainty" else 10.0
+        for item in fields(self):
+            value, most = getattr(self, item.name), 0.1 if item.name == "rate_uncertainty" else 10.0
             if not 0.0 <= value <= most:
-                raise InputError(f"rate table: wanted {name} from 0 to {most:g}, got {value:g}; correct it")
+                raise InputError(f"rate table: wanted {item.name} from 0 to {most:g}, got {value:g}; correct it")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -535,32 +507,26 @@ class Session:
     Parameters
     ----------
     kind : str
-        calibration, thermal or static; set-points where each row of the records is a mean over a set-point.
+        calibration, thermal or static; set-points if each row of the records is a mean over a set-point.
     serial : str
         Device serial number.
-    gravity_m_s2 : float
-        Local gravity, m/s2.
     records : tuple of Record
         One or more recordings.
-    stills : tuple of Still
-        As stated in the file; empty when they are to be found in the data.
-    turns : tuple of Turn
-        Likewise.
+    stills, turns : tuple of Still, tuple of Turn
+        As stated in the file; empty if they are to be found in the data.
     inputs : tuple of (str, str)
         File name and sha256 of every file that was read.
     file_map : FileMap or None
-        How its files are read, where one map serves all of them; None where they need none.
-    gravity_source : str
-        "stated", "latitude and height" (WGS 84), or "standard": standard gravity, assumed.
-    sensitivity : TemperatureSensitivity
-        How far the device may follow temperature.
-    rate_table : RateTable
-        How good the rate table and the mounting are.
+        How its files are read, if they need a map.
+    gravity_m_s2, gravity_source : float, str
+        Local gravity, m/s2: "stated", from "latitude and height" (WGS 84), or "standard" gravity, assumed.
+    sensitivity, rate_table : TemperatureSensitivity, RateTable
+        How far the device may follow temperature; how good the rate table and the mounting on it are.
     mounting : str or None
-        Of a fit to references: "one" states that device and reference body were mounted once for all recordings, "each" that a
-        small rotation is fitted for each; None where it is not stated.
+        Of a fit to references: "one" if device and reference body were mounted once for all recordings, "each" if a small rotation
+        is fitted for each; None if it is not stated.
     means : tuple of SetPointMeans
-        Of a session of set-points: what the rows of each record state; else empty.
+        Of a session of set-points: what the rows of each record state; otherwise empty.
 
     Examples
     --------
@@ -633,7 +599,7 @@ def joined(records: Sequence[Record]) -> Record:
     if not others:
         return first
     whole = dict[str, Any]()
-    for name in ("time", "gyro", "accel", "temp_c", "mag_ut"):
+    for name in CHANNELS:
         parts = [getattr(record, name) for record in records]
         whole[name] = None if any(part is None for part in parts) else np.concatenate(parts)
     return replace(first, **whole)

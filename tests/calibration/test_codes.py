@@ -8,13 +8,11 @@ import pytest
 from testkit.data import data_path, show
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.codes import (
-    CodeGrid,
     _swept_codes,
-    adc_model,
     code_grid,
     code_variance,
+    device_adc,
     identify_adc,
-    identify_record_adc,
     without_truncation,
 )
 from undrift.calibration.settings import CalibrateSettings
@@ -73,13 +71,11 @@ def test_few_readings_or_constant_ones_have_no_grid():
 
 
 def test_the_model_keeps_only_what_is_certain():
-    known = identify_adc(np.trunc(sweeping(np.random.default_rng(5))))
-    unknown = CodeGrid(lsb=np.ones(3), rounding=None)
-    model = adc_model(known, unknown)
+    codes, time = np.trunc(sweeping(np.random.default_rng(5))), np.arange(40000) / 100.0
+    model = device_adc([Record(time=time, gyro=codes, accel=sweeping(np.random.default_rng(6)))])
     assert model.gyro_rounding == "toward_zero"
     assert model.accel_lsb is None
-    assert adc_model(unknown, None) is None
-    assert adc_model(None, known).accel_rounding == "toward_zero"
+    assert device_adc([Record(time=time, accel=codes)]).accel_rounding == "toward_zero"
 
 
 def test_putting_the_half_step_back_undoes_truncation_on_average():
@@ -95,7 +91,7 @@ def test_putting_the_half_step_back_undoes_truncation_on_average():
 
 def test_a_record_without_codes_gives_no_model():
     record = Record(time=np.arange(40000) / 100.0, gyro=sweeping(np.random.default_rng(7)))
-    assert identify_record_adc(record) is None
+    assert device_adc([record]) is None
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_moves_about_one_axis_leave_the_gyroscopes_unseen() -> None:
 def test_a_sample_rate_that_is_wrong_by_two_is_named() -> None:
     record = recorded()
     halved = Record(time=record.time * 2.0, gyro=record.gyro, accel=record.accel)
-    with pytest.raises(Implausible, match=r"gyro: wanted a scale factor.*2 times too large.*sample rate"):
+    with pytest.raises(Implausible, match=r"gyro: .*2 times too large.*sample rate"):
         fit_multi_position(halved, gravity=G)
 
 
@@ -108,7 +108,7 @@ def test_a_reversed_gyroscope_axis_is_named() -> None:
     record = recorded()
     assert record.gyro is not None
     mirrored = Record(time=record.time, gyro=record.gyro * np.array([1.0, -1.0, 1.0]), accel=record.accel)
-    with pytest.raises(Implausible, match=r"got \+x, -y, \+z: gyroscope column y is reversed"):
+    with pytest.raises(Implausible, match=r"\+x, -y, \+z .*: gyroscope column y is reversed"):
         fit_multi_position(mirrored, gravity=G)
 
 
@@ -256,7 +256,7 @@ def test_a_range_that_is_too_small_leaves_the_accelerometer_and_says_why_there_i
     with pytest.raises(NotObservable, match="Gyroscope saturated: 19 of 19 moves left out"):
         fit_moves([replace(record, gyro=record.gyro.clip(-top, top))], MOTION.stills, fit.accel.model)
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=0.005)
-    with pytest.raises(Implausible, match=r"accelerometer in still poses: wanted [xyz] readings inside the range"):
+    with pytest.raises(Implausible, match=r"accelerometer in still poses: .* stuck at"):
         fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)
 
 

@@ -115,9 +115,9 @@ def test_poses_all_on_one_side_are_refused() -> None:
 
 
 def test_a_wrong_unit_is_implausible() -> None:
-    with pytest.raises(Implausible, match=r"wanted \|a\| near 9.81"):
+    with pytest.raises(Implausible, match=r"expected gravity, 9.81"):
         fit_poses(0.25 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
-    with pytest.raises(Implausible, match="wanted a scale factor within 25 %"):
+    with pytest.raises(Implausible, match="scale factor within 25 %"):
         fit_poses(1.4 * G * directions(20), gravity=G, standard_errors=np.full((20, 3), 1e-3), unit_in="m/s2")
 
 

@@ -10,18 +10,17 @@ from testkit.data import data_path, show
 from undrift.calibration.plausibility import (
     axis_vectors,
     cause_by_gravity,
-    cause_by_turns,
     check_axis_order,
     check_faces,
     check_gravity,
     check_handedness,
+    check_own_scale,
     check_range,
-    check_saturation,
-    check_scale_factor,
+    columns_text,
     face_vectors,
     missing_faces,
     nearest_signed_permutation,
-    stuck_in_motion,
+    stuck_axis,
     stuck_windows,
 )
 from undrift.errors import Implausible
@@ -50,15 +49,14 @@ def test_gravity_is_the_length_of_the_force_in_any_pose():
 def test_a_face_recorded_twice_is_named():
     twice = READING.copy()
     twice[3] = twice[0] + 0.02
-    with pytest.raises(Implausible, match=r"faces \+x and -y: wanted two poses, got readings 0\.00\d g apart"):
+    with pytest.raises(Implausible, match=r"faces \+x and -y .* recorded twice"):
         check_faces(twice, FACES)
 
 
-@pytest.mark.parametrize(("wrong", "apart"), [("-y", "1.9"), ("-z", "1.")])
-def test_a_label_stated_twice_is_named_with_what_is_missing(wrong, apart):
+@pytest.mark.parametrize("wrong", ["-y", "-z"])
+def test_a_label_stated_twice_is_named_with_what_is_missing(wrong):
     labels = tuple("+y" if face == wrong else face for face in FACES)
-    words = rf"face \+y: stated twice, readings {apart}\d* g apart; {wrong} missing: one of the two is another face"
-    with pytest.raises(Implausible, match=words):
+    with pytest.raises(Implausible, match=rf"face \+y is stated twice, and {wrong} is missing"):
         check_faces(READING, labels)
 
 
@@ -66,16 +64,30 @@ def test_a_label_stated_twice_is_named_with_what_is_missing(wrong, apart):
 def test_two_swapped_faces_are_named(a, b):
     swapped = READING.copy()
     swapped[[a, b]] = swapped[[b, a]]
-    with pytest.raises(Implausible, match=r"are swapped: correct the labels in session.toml") as caught:
+    with pytest.raises(Implausible, match=r"are swapped") as caught:
         check_faces(swapped, FACES)
-    assert set(caught.value.swapped) == {FACES[a], FACES[b]}
+    assert set(caught.value.numbers["wrong"]) == {FACES[a], FACES[b]}
 
 
 def test_opposite_faces_swapped_are_named_although_the_fit_would_be_perfect():
     swapped = READING.copy()
     swapped[[2, 3]] = swapped[[3, 2]]
-    with pytest.raises(Implausible, match=r"faces \+y and -y: wanted the axis that points up to read the larger value"):
+    with pytest.raises(Implausible, match=r"column y is reversed, or faces \+y and -y are swapped"):
         check_faces(swapped, FACES)
+
+
+def test_accelerometer_columns_in_another_order_or_sign_are_named():
+    for columns, cause in (((1, 0, 2), "columns x and y are exchanged"), ((1, 2, 0), "exchanged in a ring")):
+        with pytest.raises(Implausible, match=f"accelerometer .*{cause}"):
+            check_faces(READING[:, columns], FACES)
+    with pytest.raises(Implausible, match="opposite sign"):
+        check_faces(-READING, FACES)
+
+
+def test_five_faces_are_judged_as_six():
+    check_faces(READING[:5], FACES[:5])
+    with pytest.raises(Implausible, match=r"faces \+x and \+z are swapped"):
+        check_faces(READING[[4, 1, 2, 3, 0]], FACES[:5])
 
 
 def test_labels_in_disorder_are_refused_even_when_no_single_swap_explains_them():
@@ -85,7 +97,7 @@ def test_labels_in_disorder_are_refused_even_when_no_single_swap_explains_them()
 
 
 def test_a_quarter_of_gravity_is_called_a_wrong_unit_or_range():
-    with pytest.raises(Implausible, match=r"\(0\.25\d g\); readings are 4 times too small: check the unit") as caught:
+    with pytest.raises(Implausible, match=r"\(0\.25\d g\): readings are 4 times too small") as caught:
         check_gravity(READING / 3.97, 9.81)
     assert caught.value.ratio == pytest.approx(0.25, abs=0.01)
     check_gravity(READING, 9.81)
@@ -97,7 +109,7 @@ def test_the_hot_and_cold_bmi270_logs_are_caught_at_a_quarter_of_gravity(name, r
     with gzip.open(data_path("thermal_bmi270_two_point", f"{name}.csv.gz"), "rt", errors="replace") as file:
         rows = [line.strip().split(",") for line in file]
     accel = np.array([[float(x) for x in row[1:4]] for row in rows if len(row) == 7 and _numbers(row)])
-    with pytest.raises(Implausible, match="readings are 4 times too small") as caught:
+    with pytest.raises(Implausible, match=r"readings are (3\.9|4) times too small") as caught:
         check_gravity(accel * STANDARD_GRAVITY, STANDARD_GRAVITY)
     show(f"{name} |a|, g", f"{caught.value.ratio:.4f}", ratio)
     assert caught.value.ratio == pytest.approx(ratio, abs=0.001)
@@ -111,9 +123,7 @@ def _numbers(row):
 
 
 def test_left_handed_axes_are_refused_with_the_axis():
-    with pytest.raises(
-        Implausible, match=r"gyroscope: wanted right-handed axes, got a left-handed triad: gyroscope reversed about y;"
-    ):
+    with pytest.raises(Implausible, match=r"left-handed triad: gyroscope column y is reversed"):
         check_handedness(np.diag([1.0, -1.0, 1.0]), "gyroscope")
     with pytest.raises(Implausible, match=r"gyroscope columns x and y are exchanged"):
         check_handedness(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), "gyroscope")
@@ -121,34 +131,33 @@ def test_left_handed_axes_are_refused_with_the_axis():
 
 
 def test_a_gain_off_by_two_is_called_a_factor_and_the_sample_rate_is_named():
-    with pytest.raises(
-        Implausible, match=r"got 2\.0100 of it \(\+101\.0 %\); readings are 2 times too large: .*sample rate"
-    ):
-        check_scale_factor(np.array([1.99, 2.01, 2.0]), 1.0, 0.2, "gyroscope")
-    with pytest.raises(
-        Implausible, match=r"within 3 % of the stated sensitivity, got 0\.8507 of it \(-14\.9 %\); check"
-    ):
-        check_scale_factor(np.array([0.8507]), 1.0, 0.03, "gyroscope y")
-    check_scale_factor(np.array([1.0, 1.02, 0.98]), 1.0, 0.03, "gyroscope")
+    with pytest.raises(Implausible, match=r"got 2\.0100 of it \(\+101\.0 %\): readings are 2 times too large"):
+        check_own_scale(np.array([1.99, 2.01, 2.0]), "rad/s", "rate", 0.2, "gyroscope")
+    with pytest.raises(Implausible, match=r"within 3 % .* got 0\.8507 of it \(-14\.9 %\)"):
+        check_own_scale(np.array([0.8507]), "rad/s", "rate", 0.03, "gyroscope y")
+    with pytest.raises(Implausible, match=r"has 50 samples a second, 100 were stated"):
+        check_own_scale(np.array([0.5]), "rad/s", "rate", 0.2, "gyroscope", sample_rate_hz=100.0)
+    check_own_scale(np.array([1.0, 1.02, 0.98]), "rad/s", "rate", 0.03, "gyroscope")
+    check_own_scale(np.array([16.4]), "count", "rate", 0.03, "gyroscope")
 
 
 def test_readings_stuck_at_the_end_of_the_range_are_found_and_quantised_rest_is_not():
     rng = np.random.default_rng(0)
     motion = np.round(40000.0 * np.sin(np.arange(3000) / 200.0))[:, None] + np.round(rng.normal(0.0, 5.0, (3000, 3)))
     clipped = np.clip(motion, -32768, 32767)
-    with pytest.raises(
-        Implausible, match=r"gyroscope x: wanted readings inside the range, got \d+ samples stuck at 32767"
-    ):
-        check_saturation(clipped, "gyroscope")
-    check_saturation(motion, "gyroscope")
-    check_saturation(np.round(rng.normal(2.0, 0.6, (5000, 3))), "gyroscope")  # codes 0..5 repeat often and mean nothing
+    with pytest.raises(Implausible, match=r"gyroscope: \d+ samples of x are stuck at 32767"):
+        check_range([clipped], "gyroscope")
+    check_range([motion], "gyroscope")
+    check_range([np.round(rng.normal(2.0, 0.6, (5000, 3)))], "gyroscope")  # codes 0..5 repeat often and mean nothing
 
 
 def test_the_scale_factor_that_is_named_is_the_one_furthest_off_either_way():
-    with pytest.raises(Implausible, match=r"got 0\.7000 of it \(-30\.0 %\)"):
-        check_scale_factor(np.array([1.2, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")
-    with pytest.raises(Implausible, match=r"got 1\.4000 of it \(\+40\.0 %\)"):
-        check_scale_factor(np.array([1.4, 0.7, 1.0]) * 16.4, 16.4, 0.25, "gyroscope")
+    for scales, off in (
+        ((1.2, 0.7, 1.0), r"0\.7000 of it \(-30\.0 %\)"),
+        ((1.4, 0.7, 1.0), r"1\.4000 of it \(\+40\.0 %\)"),
+    ):
+        with pytest.raises(Implausible, match=f"got {off}"):
+            check_own_scale(np.array(scales), "rad/s", "rate", 0.25, "gyroscope")
 
 
 # ---- what the columns of a gyroscope see, in words
@@ -180,20 +189,11 @@ def test_the_order_as_it_should_be_passes():
     ("seen", "cause"),
     [
         (rows("+x", "-y", "+z"), "gyroscope column y is reversed"),
-        (rows("-x", "-y", "+z"), "gyroscope columns x and y are reversed, or accelerometer column z is"),
-        (
-            rows("-x", "-y", "-z"),
-            "all gyroscope columns are reversed, or the same two columns of both triads are exchanged",
-        ),
+        (rows("-x", "-y", "+z"), "accelerometer column z is reversed, or gyroscope columns x and y are reversed"),
+        (rows("-x", "-y", "-z"), "gyroscope columns x, y and z are reversed, or the same two columns of both triads"),
         (rows("+y", "+x", "+z"), "gyroscope columns x and y are exchanged"),
-        (
-            rows("-y", "-x", "-z"),
-            "accelerometer columns x and y are exchanged, or gyroscope columns x and y and all their",
-        ),
-        (
-            rows("+y", "+z", "+x"),
-            "columns x, y and z are exchanged in a ring, those of the gyroscope or those of the acc",
-        ),
+        (rows("-y", "-x", "-z"), "accelerometer columns x and y are exchanged, or gyroscope columns x and y are"),
+        (rows("+y", "+z", "+x"), "gyroscope columns x, y and z are exchanged in a ring, or accelerometer columns x, y"),
         (rows("+y", "-z", "-x"), "gyroscope columns x, y and z are exchanged in a ring, and y and z reversed"),
     ],
 )
@@ -209,23 +209,19 @@ def test_exchanged_accelerometer_columns_show_as_the_cause_says():
     )
 
 
-def test_turns_name_the_columns_or_the_turns():
-    assert cause_by_turns(rows("+y", "+x", "+z")) == "columns x and y exchanged, or the axes of the turns"
-    assert cause_by_turns(rows("+y", "+z", "+x")) == "columns x, y and z exchanged in a ring, or the axes of the turns"
-    assert cause_by_turns(rows("+x", "+y", "-z")) == "column z reversed, or the sign of the turns about z"
+def test_columns_that_are_exchanged_or_reversed_are_named():
+    assert columns_text(rows("+y", "+x", "+z")) == "columns x and y are exchanged"
+    assert columns_text(rows("+y", "+z", "+x")) == "columns x, y and z are exchanged in a ring"
+    assert columns_text(rows("+x", "+y", "-z")) == "column z is reversed"
 
 
 def test_an_even_exchange_is_right_handed_and_refused_all_the_same():
     ring = rows("+y", "+z", "+x") @ SKEW
     assert np.linalg.det(ring) > 0.0
-    with pytest.raises(
-        Implausible, match=r"of the accelerometer axes, got \+y, \+z, \+x: columns x, y and z"
-    ) as caught:
+    with pytest.raises(Implausible, match=r"\+y, \+z, \+x of the accelerometer axes: ") as caught:
         check_axis_order(ring, "gyro against accel", against="accelerometer")
-    assert caught.value.seen == "+y, +z, +x"
-    with pytest.raises(
-        Implausible, match=r"as stated, got \+y, \+z, \+x: .* or the axes of the turns; correct the order"
-    ):
+    assert caught.value.numbers["order"] == "+y, +z, +x"
+    with pytest.raises(Implausible, match=r"\+y, \+z, \+x as stated: .* or the axes or signs of the turns"):
         check_axis_order(ring, "rate table", against="turns")
 
 
@@ -243,9 +239,7 @@ def test_readings_cut_off_at_the_top_are_named_with_their_axis():
     cut[:, 1] = cut[:, 1].clip(None, 2.5)
     check_range([noisy()], "gyroscope")
     check_range([], "gyroscope")
-    with pytest.raises(
-        Implausible, match=r"gyroscope: wanted y readings inside the range, got \d+ samples stuck at 2.5"
-    ):
+    with pytest.raises(Implausible, match=r"gyroscope: \d+ samples of y are stuck at 2.5"):
         check_range([cut[:1000], cut[1000:]], "gyroscope")
 
 
@@ -268,7 +262,7 @@ def test_a_reading_that_jumps_to_the_end_of_the_range_is_seen_among_coarse_codes
     check_range([coarse], "gyroscope")
     spoilt = coarse.copy()
     spoilt[1000:1010, 0] = -32768.0
-    with pytest.raises(Implausible, match=r"gyroscope: wanted x .* got 10 samples stuck at -32768"):
+    with pytest.raises(Implausible, match=r"gyroscope: 10 samples of x are stuck at -32768"):
         check_range([spoilt], "gyroscope")
     assert stuck_windows([coarse[:1000], spoilt[900:1100], coarse[1000:]]).tolist() == [False, True, False]
 
@@ -281,7 +275,7 @@ def test_a_pose_that_sticks_as_a_whole_is_seen_among_the_others():
     rng = np.random.default_rng(1)
     poses = [up + 0.02 * rng.normal(size=(200, 3)) for up in 9.81 * np.vstack((np.eye(3), -np.eye(3)))]
     check_range(poses, "accelerometer")
-    with pytest.raises(Implausible, match=r"accelerometer: wanted x .* stuck at 9\.5"):
+    with pytest.raises(Implausible, match=r"accelerometer: .* of x are stuck at 9\.5"):
         check_range([pose.clip(None, 9.5) for pose in poses], "accelerometer")
 
 
@@ -289,4 +283,4 @@ def test_level_at_rest_of_a_turn_to_one_side_is_no_end_of_the_range():
     time = np.arange(1000) / 100.0
     rate = np.where((time > 3.0) & (time < 7.0), 2.0 * np.sin(np.pi * (time - 3.0) / 4.0) ** 2, 0.0) - 0.02
     log = np.round(np.stack((rate, 0.0 * rate + 0.01, 0.0 * rate - 0.01), axis=1), 2)
-    assert stuck_in_motion([log]) is None
+    assert stuck_axis([log]) is None

@@ -61,7 +61,7 @@ def test_six_faces_at_rest_pass_without_a_word():
 @pytest.mark.parametrize("creep_dps", [1.0, 3.0])
 def test_stills_that_creep_are_refused_by_their_tilt(creep_dps):
     with pytest.raises(
-        Implausible, match=r"\[\[still\]\] \d \(recording 0, .* s\): wanted a device at rest, got a tilt of"
+        Implausible, match=r"\[\[still\]\] \d \(recording 0, .* s\): expected a device at rest, got a tilt of"
     ) as caught:
         observe(faces(creep_dps), CalibrateSettings())
     one_line(caught)
@@ -113,9 +113,7 @@ def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():
 def test_the_same_recording_twice_is_refused():
     session = faces()
     twice = replace(session, records=session.records * 2)
-    with pytest.raises(
-        InputError, match="recording 1: wanted new readings, got those of recording 0 again; take one of"
-    ) as caught:
+    with pytest.raises(InputError, match=r"recording 1: .* recording 0 again") as caught:
         observe(twice, CalibrateSettings())
     one_line(caught)
     other = replace(session.records[0], gyro=session.records[0].gyro + 1e-4, accel=None)
@@ -125,9 +123,7 @@ def test_the_same_recording_twice_is_refused():
 def test_the_same_still_or_turn_twice_is_refused_and_neighbours_pass():
     session = faces()
     again = Still(start=30, stop=HOLD - 10, face="+x")
-    with pytest.raises(
-        InputError, match=r"\[\[still\]\] 7 .*shares 100 % of its samples with \[\[still\]\] 1; take one"
-    ):
+    with pytest.raises(InputError, match=r"\[\[still\]\] 7 .*shares 100 % of its samples with \[\[still\]\] 1"):
         observe(replace(session, stills=(*session.stills, again)), CalibrateSettings())
     turns = tuple(Turn(start=k, stop=k + 50, axis="x", angle=1.0) for k in (0, 100, 101))
     with pytest.raises(InputError, match=r"\[\[turn\]\] 3 .*shares 98 % of its samples with \[\[turn\]\] 2"):
@@ -178,15 +174,12 @@ def test_sound_turns_give_no_finding_and_0_1_s_of_ramp_are_allowed(kind: str) ->
 
 def test_a_dwell_that_overlaps_a_stop_is_named_with_the_share() -> None:
     session = shifted(made("bench"), 90, which=70)  # 0.9 s late: the table brakes and stands still at its end
-    found = list(check_turns(session, session.stills, 0.3))
-    stop, uneven = found
+    stop = only(check_turns(session, session.stills, 0.3), "turn.unsteady")
     assert stop.level == "fail"
     assert "overlaps a stop" in stop.detail
     assert str(stop.values["turn"]).startswith("[[turn]] 71 (recording 0, ")
     assert stop.values["turns"] == 1
     assert 5.0 < float(stop.values["percent"]) < 35.0  # a third of a dwell of 3 s at most
-    assert "varies" in uneven.detail
-    assert uneven.values["turns"] == 1
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from benchmarks.broad_files import read_broad
 from testkit.data import DATA, data_path
 from testkit.demo_session import demo_session
 from undrift.calibration.calibrate import calibrate, calibrate_to_references
-from undrift.calibration.codes import identify_record_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.noise import fit_noise
 from undrift.correction.correct import correct
 from undrift.drift.fit import DriftFit, fit_drift
@@ -134,7 +134,7 @@ def references() -> Numbers:
 
 
 def codes() -> Numbers:
-    found = identify_record_adc(broad(32, 90.0)[0])
+    found = device_adc([broad(32, 90.0)[0]])
     assert found is not None
     return {"gyro rounding": found.gyro_rounding, "gyro codes": found.gyro_lsb, "accel codes": found.accel_lsb}
 

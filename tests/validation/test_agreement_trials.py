@@ -39,7 +39,7 @@ def test_leave_one_out_beats_the_rest_offset(pairs):
     assert held.mean.end_total_deg < 0.3
 
 
-def test_the_adc_of_a_device_is_what_most_of_its_recordings_say(pairs):
+def test_the_adc_of_a_device_is_what_its_recordings_say_together(pairs):
     lsb = 1e-2
     records = [replace(r, gyro=np.trunc(r.gyro / lsb) * lsb) for r, _ in pairs]
     found = device_adc(records)

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import device_adc, identify_record_adc, restored
+from undrift.calibration.codes import device_adc, restored
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
@@ -50,10 +50,7 @@ Adc = Literal["auto", "none"]
 Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 
 MIN_FREE_POSES = 9  # of a multi-position fit
-LATITUDE_LIKE_RADIANS = (
-    0.4,
-    1.22,
-)  # read as degrees a place at the equator, as radians 23 to 70 deg, where people live
+LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # as degrees a place at the equator, as radians 23 to 70 deg, where people live
 GRAVITY_SPREAD = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
 
 
@@ -108,20 +105,14 @@ def calibrate(
 
     Parameters
     ----------
-    session : Session or Record
-        A session, whose stills and turns are used as it states them; or the first recording, in which they are found.
-    more : Record
-        Further recordings of the same device.
-    accel : str, optional
-        six-face or multi-position; None chooses.
-    gyro : str, optional
-        rate-table, known-rotation, multi-position, or rest (only the offset); "none" leaves the gyroscope out; None chooses.
+    session, more : Session, or recordings of one device
+        A session's stills and turns are used as stated; in recordings they are found.
+    accel, gyro : str, optional
+        Method of each triad; gyro "none" leaves it out. None chooses.
     mode : str, optional
         paper or affine; None is affine.
-    gravity_m_s2 : float, optional
-        Local gravity of recordings, m/s2; None assumes standard gravity, and the verdict says so. A session states its own.
-    serial : str
-        Serial number of the device in recordings.
+    gravity_m_s2, serial
+        Of recordings: local gravity, m/s2 (None assumes standard gravity, and the verdict says so), and the serial number.
     settings : CalibrateSettings
         Further choices.
 
@@ -132,12 +123,8 @@ def calibrate(
 
     Raises
     ------
-    NotObservable
-        A fit that was asked for lacks recordings, or nothing at all could be fitted.
-    Implausible
-        Data or results that cannot be this device.
-    InputError
-        An unknown method or mode, or a corrected recording.
+    NotObservable, Implausible, InputError
+        Recordings do not allow a fit that was asked for, or any; data cannot be this device; a choice is unknown.
 
     Examples
     --------
@@ -245,7 +232,7 @@ def _doubts(seen: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
 
 def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
     """Return the converter's rounding, and what the session shows once it is corrected."""
-    adc = identify_record_adc(*(r for r in session.records if r.state == "raw")) if settings.identify_adc else None
+    adc = device_adc(session.records) if settings.identify_adc else None
     return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
 
 
@@ -262,15 +249,13 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 
 def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings, those that differ in their triad alone as one with both triads."""
-    alike: dict[tuple[str, str, str], list[Finding]] = {}
+    merged: dict[tuple[str, str, str], Finding] = {}
     for item in findings:
-        others = {name: value for name, value in item.values.items() if name != "triad"}
-        alike.setdefault((item.code, item.level, repr(others)), []).append(item)
-    return tuple(
-        replace(group[-1], values={**group[-1].values, "triad": " and ".join(names)}) if names else group[-1]
-        for group in alike.values()
-        for names in ({str(item.values["triad"]): None for item in group if "triad" in item.values},)
-    )
+        key = (item.code, item.level, repr({name: value for name, value in item.values.items() if name != "triad"}))
+        first, triad = merged.setdefault(key, item), str(item.values.get("triad", ""))
+        if triad not in str(first.values.get("triad", "")):
+            merged[key] = replace(first, values={**first.values, "triad": f"{first.values['triad']} and {triad}"})
+    return tuple(merged.values())
 
 
 def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
@@ -364,10 +349,8 @@ def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Out
 
 
 def _mode_not_used(mode: Mode | None, triad: str, outcome: Outcome) -> Iterator[Finding]:
-    accel = triad == "accelerometer"
-    without = outcome.method != "six-face" if accel else mode == "paper" and outcome.method == "multi-position"
-    if outcome.fit is not None and mode == "paper" and without:
-        needs = "rests on all six faces" if accel else "turns by known rates or angles"
+    if outcome.fit is not None and mode == "paper" and outcome.method == "multi-position":
+        needs = "rests on all six faces" if triad == "accelerometer" else "turns by known rates or angles"
         yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
 
 
@@ -378,11 +361,8 @@ def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) ->
     if gyro.fit is not None and gyro.method in ("rate-table", "known-rotation") and accel.fit is None:
         yield finding("rate_table.no_accel", "info")
     if not thermal:
-        where = (
-            f"near {temp_c:.1f} degC"
-            if np.isfinite(temp_c)
-            else "at the temperature of the session, which was not recorded"
-        )
+        unknown = "at the temperature of the session, which was not recorded"
+        where = f"near {temp_c:.1f} degC" if np.isfinite(temp_c) else unknown
         yield finding("session.one_temperature", "info", where=where)
 
 
@@ -432,25 +412,19 @@ def calibrate_to_references(
 
     Parameters
     ----------
-    records : sequence of Record
-        Raw recordings of one device, best with a rest of 3 s before the motion.
-    references : sequence of Reference
-        One for each record.
+    records, references : sequence of Record, sequence of Reference
+        Raw recordings of one device, best with a rest of 3 s before the motion, and the reference of each.
     adc : str
-        "auto" fits what the codes lost where their rounding is identified; "none" leaves the codes.
-    settings : ReferenceSettings
-        Of the fit.
-    lag_settings : LagSettings
-        Of the search for the lag between the clocks.
-    gravity_m_s2 : float, optional
-        Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
-    gravity_source : str
-        "stated", or "latitude and height" where it was computed from these.
+        "auto" fits what the codes lost if their rounding is identified; "none" leaves the codes.
+    settings, lag_settings : ReferenceSettings, LagSettings
+        Of the fit, and of the search for the lag between the clocks.
+    gravity_m_s2, gravity_source
+        Local gravity, m/s2, and where it is from; None assumes standard gravity, and the verdict says so.
 
     Returns
     -------
     Calibration
-        Gyroscopes, and accelerometers where all recordings have them; the verdict names what neither rests nor motion show.
+        Gyroscopes, and accelerometers if all recordings have them; the verdict names what neither rests nor motion show.
 
     Raises
     ------
@@ -516,12 +490,8 @@ def calibrate_from_motion(
     ----------
     records : sequence of Record
         Raw recordings of one device in physical units, 20 s and more each, best with a rest somewhere.
-    adc : str
-        "auto" corrects the codes' rounding where they show it; "none" leaves them.
-    gravity_m_s2 : float, optional
-        Local gravity, m/s2; None assumes standard gravity, and the verdict says so.
-    gravity_source : str
-        "stated", or "latitude and height" where it was computed from these.
+    adc, gravity_m_s2, gravity_source
+        As for ``calibrate_to_references``.
     magnetometer : bool
         Whether to fit the magnetometer too, by the recordings that have one.
 
@@ -582,17 +552,11 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
     field = None
     if magnetometer:  # the field is then a second direction beside gravity
         field = _fit_field(readings, fit)
-        rates = [_rate_in_motion(record, fit, k) for k, record in enumerate(readings)]
-        fit = fit_readings(
-            [
-                record
-                if record.mag_ut is None
-                else replace(record, mag_ut=field.magnetometer.corrected(record.mag_ut, rate))
-                for record, rate in zip(readings, rates, strict=True)
-            ],
-            field=True,
-        )
-        fit = replace(fit, field=field)
+        for number, record in enumerate(readings):
+            if record.mag_ut is not None:
+                mag_ut = field.magnetometer.corrected(record.mag_ut, _rate_in_motion(record, fit, number))
+                readings[number] = replace(record, mag_ut=mag_ut)
+        fit = replace(fit_readings(readings, field=True), field=field)
     verdict = fit.gyro.verdict.also(Verdict.of(*each_once(findings)))
     calibration = _calibration(
         records,
@@ -657,13 +621,10 @@ def _accel_of(
     """Return the accelerometers' fit to the references, or why there is none."""
     if any(record.accel is None for record in records):
         return None, ()
+    readings = [restored(record, adc) for record in records]
     try:
         accel_fit = fit_reference_accel(
-            [restored(record, adc) for record in records],
-            references,
-            mountings=fit.mountings,
-            gravity_m_s2=gravity_m_s2,
-            lags_s=fit.lags_s,
+            readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
         )
     except (CalibrationError, InputError) as error:
         nominal, why = turned_like(fit.triad.model, records[0].accel_unit), str(error)

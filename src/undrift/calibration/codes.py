@@ -16,10 +16,9 @@ exp(-2 pi^2 k^2 s^2 / q^2). Its variance over all places x between two codes is 
     S = s^2 + q^2 / 12 - Q
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -54,46 +53,32 @@ def identify_adc(values: FloatArray) -> CodeGrid:
         return CodeGrid(lsb=None, rounding=None, reason="readings lie on no grid")
     if (np.abs(phases) >= MAX_PHASE).any():
         return CodeGrid(lsb=steps, rounding=None, reason="an offset was subtracted from the codes")
-    counts = [_swept_codes(column, step) for column, step in zip(values.T, steps, strict=True)]
-    if sum(_enough(count) for count in counts) < 2:
+    counts = np.array([_swept_codes(column, step) for column, step in zip(values.T, steps, strict=True)])
+    others = np.delete(counts, SIDE_CODES, axis=1)
+    if (others.sum(axis=1) >= MIN_SWEPT).sum() < 2:
         return CodeGrid(lsb=steps, rounding=None, reason="fewer than two axes sweep through code 0")
-    ratio, sigma = _zero_ratio(np.sum(counts, axis=0))
-    sigma_if_nearest = SIGNIFICANCE_SIGMAS * sigma * np.sqrt(1.0 + 1.0 / (2 * SIDE_CODES))
-    sigma_if_zero = SIGNIFICANCE_SIGMAS * sigma * np.sqrt(2.0 + 4.0 / (2 * SIDE_CODES))
-    if abs(ratio - 2.0) < max(0.3, sigma_if_zero) and ratio - 1.0 > sigma_if_nearest:
-        return CodeGrid(lsb=steps, rounding="toward_zero")
-    if abs(ratio - 1.0) < max(0.3, sigma_if_nearest) and 2.0 - ratio > sigma_if_zero:
-        return CodeGrid(lsb=steps, rounding="nearest")
-    return CodeGrid(
-        lsb=steps, rounding=None, reason=f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as expected"
-    )
-
-
-def identify_record_adc(*records: Record) -> AdcModel | None:
-    """Find the ADC of a device from its raw records, all together; None if the rounding of no triad is certain."""
-    gyro = [record.gyro for record in records if record.gyro is not None]
-    accel = [record.accel for record in records if record.accel is not None]
-    return adc_model(*(identify_adc(np.concatenate(parts)) if parts else None for parts in (gyro, accel)))
+    beside = others.sum(axis=0)
+    expected = float(beside.mean())
+    uneven = max(1.0, float(beside.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
+    ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
+    chance = {k: SIGNIFICANCE_SIGMAS * sigma * np.sqrt(k + k**2 / (2 * SIDE_CODES)) for k in (1.0, 2.0)}
+    roundings: tuple[tuple[Rounding, float, float], ...] = (("toward_zero", 2.0, 1.0), ("nearest", 1.0, 2.0))
+    for rounding, expected_ratio, other in roundings:
+        if abs(ratio - expected_ratio) < max(0.3, chance[expected_ratio]) and abs(ratio - other) > chance[other]:
+            return CodeGrid(lsb=steps, rounding=rounding)
+    reason = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as expected"
+    return CodeGrid(lsb=steps, rounding=None, reason=reason)
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:
-    """Find how the gyroscope codes of one device were rounded, from all its recordings; None if they disagree."""
-    models = [model for model in map(identify_record_adc, records) if model is not None and model.gyro_lsb is not None]
-    ranked = Counter(model.gyro_rounding for model in models).most_common()
-    if not ranked or (len(ranked) > 1 and ranked[0][1] == ranked[1][1]):
-        return None
-    chosen = [model for model in models if model.gyro_rounding == ranked[0][0]]
-    return min(chosen, key=lambda model: float(np.sum(np.asarray(model.gyro_lsb))))
-
-
-def adc_model(gyro: CodeGrid | None, accel: CodeGrid | None) -> AdcModel | None:
-    """Return the model of the triads whose rounding is certain; None if there are none."""
-    known = [None if grid is None or grid.rounding is None else grid for grid in (gyro, accel)]
-    if known == [None, None]:
-        return None
-    steps = [None if grid is None else grid.lsb for grid in known]
-    roundings: list[Rounding] = [grid.rounding or "nearest" if grid else "nearest" for grid in known]
-    return AdcModel(gyro_lsb=steps[0], accel_lsb=steps[1], gyro_rounding=roundings[0], accel_rounding=roundings[1])
+    """Find the ADC of a device from all its raw recordings together; None if the rounding of no triad is certain."""
+    fields: dict[str, Any] = {}
+    for name in ("gyro", "accel"):
+        readings = [values for record in records if (values := getattr(record, name)) is not None]
+        grid = identify_adc(np.concatenate(readings)) if readings else None
+        if grid is not None and grid.rounding is not None:
+            fields |= {f"{name}_lsb": grid.lsb, f"{name}_rounding": grid.rounding}
+    return AdcModel(**fields) if fields else None
 
 
 def code_grid(column: FloatArray) -> tuple[float, float]:
@@ -136,17 +121,6 @@ def _swept_codes(column: FloatArray, step: float) -> FloatArray:
     sweeps[SWEEP_SAMPLES:-SWEEP_SAMPLES] = travelled & known[after] & known[before]  # a gap is no motion
     near = codes[sweeps & known & (np.abs(codes) <= SIDE_CODES)] + SIDE_CODES
     return np.bincount(near, minlength=2 * SIDE_CODES + 1).astype(float)
-
-
-def _enough(counts: FloatArray) -> bool:
-    return float(counts.sum() - counts[SIDE_CODES]) >= MIN_SWEPT
-
-
-def _zero_ratio(counts: FloatArray) -> tuple[float, float]:
-    others = np.delete(counts, SIDE_CODES)
-    expected = float(others.mean())
-    uneven = max(1.0, float(others.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
-    return float(counts[SIDE_CODES]) / expected, float(np.sqrt(uneven / expected))
 
 
 # ---- readings without truncation

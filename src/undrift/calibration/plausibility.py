@@ -10,24 +10,23 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, runs
+from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
+from undrift.io.inspect import saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
-# ---- axis order: do a gyroscope's columns have the order and sense of the stated axes?
+# ---- axis order: do columns have the order and sense of the stated axes?
 #
-# Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a gyroscope's forward matrix K, its rows scaled
-# to one, gives what each column senses:
+# Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a forward matrix K, its rows scaled to one, gives
+# the axis that each column reads:
 #
-#     P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for a turn about +j
+#     P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for axis +j
 #
 # Any P but the identity is an exchange of columns, a wrong sign, or axis labels that do not belong to the data. A left-handed
 # triad is only one half of the cases: an even exchange stays right-handed.
-
-Against = Literal["accelerometer", "turns"]
 
 
 def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
@@ -40,78 +39,78 @@ def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
     return nearest
 
 
-def check_axis_order(forward: FloatArray, what: str, *, against: Against) -> None:
+def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accelerometer", "turns"]) -> None:
     """Raise unless each gyroscope column reads + for a turn about its own axis, by the forward matrix (3, 3)."""
-    seen = nearest_signed_permutation(forward)
-    if not np.array_equal(seen, np.eye(3)):
-        by_turns = against == "turns"
-        cause = cause_by_turns(seen) if by_turns else cause_by_gravity(seen)
+    order = nearest_signed_permutation(forward)
+    if not np.array_equal(order, np.eye(3)):
+        turns = against == "turns"
+        cause = (
+            f"{columns_text(order)}, or the axes or signs of the turns are wrong" if turns else cause_by_gravity(order)
+        )
         raise Implausible(
-            f"{what}: wanted gyroscope columns x, y, z that read turns about +x, +y, +z "
-            f"{'as stated' if by_turns else 'of the accelerometer axes'}, got {order_text(seen)}: {cause}; correct the order or "
-            f"the sign of the columns{' or of the turns' if by_turns else ''}",
-            seen=order_text(seen),
+            f"{what}: the gyroscope columns x, y, z read turns about {order_text(order)} "
+            f"{'as stated' if turns else 'of the accelerometer axes'}: {cause}. Correct the order or the sign of the columns"
+            f"{' or of the turns' if turns else ''}.",
+            order=order_text(order),
         )
 
 
-def order_text(seen: FloatArray) -> str:
+def check_handedness(forward: FloatArray, what: str) -> None:
+    """Raise if a forward matrix (3, 3) turns a right-handed frame into a left-handed one."""
+    if np.linalg.det(forward) < 0.0:
+        cause = columns_text(nearest_signed_permutation(forward))
+        raise Implausible(
+            f"{what}: its axes form a left-handed triad: {what} {cause}. Correct the labels, or the sign or order of the columns."
+        )
+
+
+def order_text(order: FloatArray) -> str:
     """Return a signed permutation as text: "+y, +x, +z"."""
-    axis = np.abs(seen).argmax(axis=1)
-    return ", ".join(f"{'+' if seen[i, j] > 0.0 else '-'}{AXES[j]}" for i, j in enumerate(axis))
+    axis = np.abs(order).argmax(axis=1)
+    return ", ".join(f"{'+' if order[i, j] > 0.0 else '-'}{AXES[j]}" for i, j in enumerate(axis))
 
 
-def cause_by_turns(seen: FloatArray) -> str:
-    """Return which columns or stated turns would have to be exchanged or reversed to give an order."""
-    negative, moved = _reversed_and_moved(seen)
+def columns_text(order: FloatArray) -> str:
+    """Return which columns would have to be exchanged or reversed to give an order."""
+    negative = [AXES[i] for i in range(3) if order[i].min() < 0.0]
+    moved = [AXES[i] for i in range(3) if order[i, i] == 0.0]
     if not moved:
-        return f"column {' and '.join(negative)} reversed, or the sign of the turns about {' and '.join(negative)}"
+        return f"column{'s' if len(negative) > 1 else ''} {_listed(negative)} {'are' if len(negative) > 1 else 'is'} reversed"
     ring = " in a ring" if len(moved) == 3 else ""
-    names = f"{', '.join(moved[:-1])} and {moved[-1]}"
-    return f"columns {names} exchanged{ring}{_and_reversed(negative)}, or the axes of the turns"
+    return f"columns {_listed(moved)} are exchanged{ring}{f', and {_listed(negative)} reversed' if negative else ''}"
 
 
-def cause_by_gravity(seen: FloatArray) -> str:
-    """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order.
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1]) if len(names) > 1 else names)
+
+
+def columns_to_mend(order: FloatArray) -> int:
+    """Return how much of one triad's columns would have to be mended: 1 for a reversed column, 2 for a moved one."""
+    return 6 - int(2 * np.trace(order > 0.5)) - int((np.diag(order) < -0.5).sum())
+
+
+def accel_order(order: FloatArray) -> FloatArray | None:
+    """Return the accelerometer columns A that gravity sees as gyroscope columns P, None if there are none.
 
     A turn is a pseudovector: accelerometer columns that are exchanged or reversed, A, show as P = det(A) A^T.
     """
-    negative, moved = _reversed_and_moved(seen)
-    if not moved:
-        if len(negative) == 2:
-            other = next(a for a in AXES if a not in negative)
-            return f"gyroscope columns {' and '.join(negative)} are reversed, or accelerometer column {other} is"
-        if len(negative) == 3:
-            return "all gyroscope columns are reversed, or the same two columns of both triads are exchanged"
-        return f"gyroscope column {negative[0]} is reversed"
-    if len(moved) == 3:
-        how = f"columns x, y and z are exchanged in a ring{_and_reversed(negative)}"
-        return f"{how}, those of the gyroscope or those of the accelerometer" if not negative else f"gyroscope {how}"
-    pair = " and ".join(moved)
-    if len(negative) == 3:
-        return (
-            f"accelerometer columns {pair} are exchanged, or gyroscope columns {pair} and all their signs are reversed"
-        )
-    return f"gyroscope columns {pair} are exchanged{_and_reversed(negative)}"
+    return min(order.T, -order.T, key=columns_to_mend) if np.linalg.det(order) > 0.0 else None
 
 
-def _reversed_and_moved(seen: FloatArray) -> tuple[list[str], list[str]]:
-    negative: list[str] = [AXES[i] for i in range(3) if seen[i].min() < 0.0]
-    return negative, [AXES[i] for i in range(3) if seen[i, i] == 0.0]
-
-
-def _and_reversed(negative: list[str]) -> str:
-    return f", and {' and '.join(negative)} reversed" if negative else ""
+def cause_by_gravity(order: FloatArray) -> str:
+    """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order."""
+    causes = [(columns_to_mend(order), f"gyroscope {columns_text(order)}")]
+    if (accel := accel_order(order)) is not None:
+        causes.append((columns_to_mend(accel), f"accelerometer {columns_text(accel)}"))
+    elif np.array_equal(order, -np.eye(3)):
+        causes.append((6, "the same two columns of both triads are exchanged"))
+    return ", or ".join(cause for _, cause in sorted(causes, key=lambda pair: pair[0]))
 
 
 # ---- readings at the end of the range
 
-_RUN = 5  # equal readings in a row: at an end it is the converter's, unless readings inside repeat as long
-_ABRUPT = 5.0  # smallest changes: a reading gets to the end of the range, or leaves it, in one sample
-_LEAST_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
-_FEW = 0.1  # of the readings at one end: fewer are no step of such a signal
-# Share of the largest reading of an axis. Ranges are symmetric about zero, so that a reading nearer to zero is the level at rest of
-# a motion to one side, not an end of the range [assumed]
-_NEAR_ZERO = 0.1
+MANY_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
+NEAR_ZERO = 0.1  # of the largest reading: a level nearer to zero is the rest of a motion to one side
 
 
 class Stuck(NamedTuple):
@@ -121,21 +120,46 @@ class Stuck(NamedTuple):
     reading: float
     samples: int
 
-    def refusal(self, wanted: str) -> Implausible:
-        """Return the error that names them."""
-        return Implausible(
-            f"{wanted} readings inside the range, got {self.samples} samples stuck at {self.reading:g}; choose a wider range or "
-            "move more slowly",
-            samples=self.samples,
-            extreme=self.reading,
+
+def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
+    """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
+        limits = [limit for limit, _ in saturated_runs(column)]
+        values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
+        if (
+            len(values) > MANY_VALUES
+        ):  # most readings at one end of many: ``saturated_runs`` takes that for the usual level
+            ends = (
+                (values[k], counts[k]) for k in (0, -1) if abs(values[k]) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
+            )
+            limits += [float(value) for value, count in ends if 2 * count > len(column)]
+        if limits:
+            return Stuck(axis, limits[0], int((column == limits[0]).sum()))
+    return None
+
+
+def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
+    """Return for each window (n_i, 3) whether it contains readings at an end of the range."""
+    saturated = np.zeros(len(windows), dtype=bool)
+    while stuck := stuck_axis([window for window, skip in zip(windows, saturated, strict=True) if not skip]):
+        saturated |= [bool((window[:, stuck.axis] == stuck.reading).any()) for window in windows]
+    return saturated
+
+
+def check_range(windows: Sequence[FloatArray], what: str) -> None:
+    """Raise if a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    if stuck := stuck_axis(windows):
+        raise Implausible(
+            f"{what}: {stuck.samples} samples of {AXES[stuck.axis]} are stuck at {stuck.reading:g}, the end of the range. Choose a "
+            "wider range or move more slowly.",
+            samples=stuck.samples,
+            extreme=stuck.reading,
         )
 
 
 def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
     """Return the record with a gap in place of the readings at the end of the range, and a finding for each triad."""
-    from undrift.io.inspect import saturated_runs
-
-    found, changed = list[Finding](), dict[str, Any]()
+    findings, changed = list[Finding](), dict[str, Any]()
     for channel in ("gyro", "accel"):
         readings = getattr(record, channel)
         limits = [] if readings is None else [[limit for limit, _ in saturated_runs(column)] for column in readings.T]
@@ -144,272 +168,15 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
         saturated = np.column_stack([np.isin(column, ends) for column, ends in zip(readings.T, limits, strict=True)])
         axes = ", ".join(axis for axis, ends in zip(AXES, limits, strict=True) if ends)
         item = {"channel": channel, "axes": axes, "count": int(saturated.any(axis=1).sum()), "of": len(record)}
-        found.append(finding("reference.saturated", "warn", **item))
+        findings.append(finding("reference.saturated", "warn", **item))
         changed[channel] = np.where(saturated, np.nan, readings)
-    return replace(record, **changed), tuple(found)
-
-
-def stuck_in_motion(windows: Sequence[FloatArray]) -> Stuck | None:
-    """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
-    window = np.repeat(np.arange(len(windows)), [len(one) for one in windows])
-    readings = np.concatenate(windows) if len(windows) else np.zeros((0, 3))
-    signed = bool((readings < 0.0).any())  # unsigned codes have their zero at an end of the range
-    for axis, column in enumerate(readings.T if len(readings) else ()):
-        kept = np.isfinite(column)
-        finite, seam = column[kept], np.diff(window[kept]) != 0
-        for end in (finite.max(), finite.min()) if len(np.unique(finite)) > 2 else ():
-            if signed and abs(end) < _NEAR_ZERO * np.abs(finite).max():
-                continue
-            if _piles_up(finite, end) and _sticks(finite, end, seam):
-                return Stuck(axis, float(end), int((finite == end).sum()))
-    return None
-
-
-def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
-    """Tell for each window (n_i, 3) whether it holds readings at an end of the range, one axis and end after the other."""
-    spoilt = np.zeros(len(windows), dtype=bool)
-    while found := stuck_in_motion([window for window, bad in zip(windows, spoilt, strict=True) if not bad]):
-        spoilt |= [bool((window[:, found.axis] == found.reading).any()) for window in windows]
-    return spoilt
-
-
-def check_range(windows: Sequence[FloatArray], what: str) -> None:
-    """Raise when a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
-    if found := stuck_in_motion(windows):
-        raise found.refusal(f"{what}: wanted {AXES[found.axis]}")
-
-
-def _piles_up(finite: FloatArray, end: float) -> bool:
-    """Tell whether more readings lie at an end than within one sample's change of it."""
-    change = np.abs(np.diff(finite))
-    away = np.abs(finite - end)
-    return bool((away == 0.0).sum() > ((away > 0.0) & (away <= np.median(change[change > 0.0]))).sum())
-
-
-def _sticks(finite: FloatArray, end: float, seam: BoolArray) -> bool:
-    """Tell whether readings repeat at an end as no rounding to codes and no sample that is held repeats them inside.
-
-    ``seam`` (N-1,) is True where one window ends and the next begins: no reading gets anywhere there.
-    """
-    change = np.where(seam, 0.0, np.abs(np.diff(finite)))
-    begins = np.flatnonzero(np.concatenate(([True], (change != 0.0) | seam)))
-    value, length = finite[begins], np.diff(np.append(begins, len(finite)))
-    jump = change[begins[1:] - 1] > _ABRUPT * change[change > 1e-9 * np.abs(finite).max()].min()
-    before, after = np.append(False, jump), np.append(jump, False)
-    inside = (length >= _RUN) & (value != finite.max()) & (value != finite.min())
-    stuck = (length >= _RUN) & (value == end)
-    if (inside & before & after).sum() > stuck.sum():
-        return False
-    if len(np.unique(finite)) < _LEAST_VALUES and (finite == end).mean() > _FEW:
-        return False
-    coarse = inside.any() or len(np.unique(finite)) < _LEAST_VALUES
-    return bool((stuck & (before | after)).any() if coarse else stuck.any())
+    return replace(record, **changed), tuple(findings)
 
 
 # ---- labels, gravity, scale
 
 SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from the stated unit
-
-# A gain this close to a whole factor is a unit, a range or a sample rate, not a sensor.
-_FACTORS = (2.0, 4.0, 8.0, 16.0)
-_REPEAT_APART = 0.5  # g; 29 deg: no repeated face leans so far
-_FAR_FROM_REST = 50.0  # steps between the extreme and the median before a run counts as saturation
-
-
-def face_vectors(faces: Sequence[Face]) -> FloatArray:
-    """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
-    sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
-    return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
-
-
-def axis_vectors(axes: Sequence[str]) -> FloatArray:
-    """Return the unit vector of each axis, one a row, (R, 3)."""
-    return np.eye(3)[[AXES.index(axis) for axis in axes]]
-
-
-def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
-    """Raise when the length of the specific force at rest, means (P, 3) in m/s2, cannot be gravity."""
-    ratio = float(np.median(np.linalg.norm(means, axis=1))) / gravity
-    if not 1.0 / factor <= ratio <= factor:
-        lengths = np.linalg.norm(means, axis=1) / gravity
-        named = force_words(ratio, float(lengths.std()) if len(lengths) > 1 else 0.0)
-        raise Implausible(
-            f"accelerometer at rest: wanted |a| near {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g); "
-            f"{f'{named}: ' if named else _likely_factor(ratio)}check the unit of the columns, the range setting, and that no "
-            "other quantity is mapped as accelerometer",
-            ratio=ratio,
-        )
-
-
-def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
-    """Raise when the labels of a six-face session contradict its mean readings (P, 3)."""
-    up = face_vectors(faces)
-    radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
-    for a, b in itertools.combinations(range(len(faces)), 2):
-        apart = float(np.linalg.norm(means[a] - means[b]))
-        if faces[a] != faces[b] and apart < 0.3 * radius:
-            raise Implausible(
-                f"faces {faces[a]} and {faces[b]}: wanted two poses, got readings {apart / radius:.3f} g apart; "
-                "one face was recorded twice: label it again or record the missing one",
-                faces=(faces[a], faces[b]),
-                apart_g=apart / radius,
-            )
-    check_repeats(means, faces)
-    present = [f for f in FACES if f in faces]
-    before = _affine(means, up)[1]
-    if len(present) < 5 or before < 0.2 * radius:
-        _check_opposites(means, up)
-        return
-    # Several swaps may fit alike, all but one of them with axes exchanged: take the one whose sensors read their own axes.
-    swapped = {
-        (one, other): _affine(means, face_vectors([other if f == one else one if f == other else f for f in faces]))
-        for one, other in itertools.combinations(present, 2)
-    }
-    fitting = [pair for pair, (_, misfit) in swapped.items() if misfit < 0.2 * before]
-    pair = max(fitting, key=lambda one: swapped[one][0], default=None)
-    what = f"faces {pair[0]} and {pair[1]} are swapped" if pair else "labels do not fit the readings"
-    raise Implausible(
-        f"six faces: wanted readings that follow their labels, got a misfit of {before / radius:.2f} g rms; {what}: "
-        "correct the labels in session.toml",
-        misfit_g=before / radius,
-        swapped=pair,
-    )
-
-
-def _affine(means: FloatArray, up: FloatArray) -> tuple[float, float]:
-    """Return how much the sensors read their own axes, and the rms misfit, of an affine fit."""
-    design = np.column_stack((up, np.ones(len(up))))
-    solution = np.linalg.lstsq(design, means, rcond=None)[0]
-    misfit = np.sqrt(((means - design @ solution) ** 2).sum(axis=1).mean())
-    return float(np.trace(solution[:3])), float(misfit)
-
-
-def check_handedness(forward: FloatArray, what: str) -> None:
-    """Raise when a forward matrix (3, 3) turns a right-handed frame into a left-handed one."""
-    if np.linalg.det(forward) < 0.0:
-        negative, moved = _reversed_and_moved(nearest_signed_permutation(forward))
-        columns = f"{what} columns {' and '.join(moved)}" if moved else ""
-        named = f"{columns} are exchanged" if moved else f"{what} reversed about {' and '.join(negative)}"
-        raise Implausible(
-            f"{what}: wanted right-handed axes, got a left-handed triad: {named}; "
-            "correct the labels, or the sign or order of the columns",
-            reversed=tuple(negative),
-        )
-
-
-def check_scale_factor(
-    scale_factor: FloatArray | float, stated: float, tolerance: float, what: str, *, sample_rate_hz: float | None = None
-) -> None:
-    """Raise when a fitted scale factor, one or (K,), is outside the tolerance of the stated sensitivity.
-
-    A wrong sample rate scales angles: it is given where a fit integrates turns.
-    """
-    ratio = np.atleast_1d(np.asarray(scale_factor, float)) / stated
-    worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
-    if abs(worst - 1.0) > tolerance:
-        raise Implausible(
-            f"{what}: wanted a scale factor within {100 * tolerance:g} % of the stated sensitivity, got {worst:.4f} of it "
-            f"({100 * (worst - 1.0):+.1f} %); {_likely_factor(worst, sample_rate_hz)}check the conversion from counts, "
-            "the range setting and the sample rate",
-            ratio=worst,
-            tolerance=tolerance,
-        )
-
-
-def check_own_scale(
-    scale_factor: FloatArray | float,
-    unit: str,
-    quantity: Quantity,
-    tolerance: float,
-    what: str,
-    *,
-    sample_rate_hz: float | None = None,
-) -> None:
-    """Raise when a fitted scale factor, reading per SI unit, is outside the tolerance of the unit's own; counts have none."""
-    if is_physical(unit):
-        check_scale_factor(
-            scale_factor, 1.0 / si_factor(unit, quantity), tolerance, what, sample_rate_hz=sample_rate_hz
-        )
-
-
-_LEAST_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
-
-
-def range_in_doubt(scale_factor: float, largest: float, *, stated: bool) -> Iterator[Finding]:
-    """Yield the range that a scale factor, counts per rad/s, means for readings of 16 bit.
-
-    It is a warning if no gyroscope has a range as small; otherwise a note if only stated turns determine the scale.
-    """
-    range_ = 2.0**15 / scale_factor
-    small = range_ < _LEAST_RANGE and largest < 2.0**15
-    if small or stated:
-        per_dps, range_dps = scale_factor * RADIAN_PER_DEGREE, range_ / RADIAN_PER_DEGREE
-        yield finding("gyro.range", "warn" if small else "info", per_dps=per_dps, range_dps=range_dps)
-
-
-def stuck_at_rate(values: FloatArray) -> Stuck | None:
-    """Return the axis whose readings (N, 3) at a steady rate, or at rest, stick at the end of the range."""
-    for axis, column in enumerate(values.T):
-        finite = column[np.isfinite(column)]
-        steps = np.unique(np.abs(np.diff(np.unique(finite))))
-        if not len(steps):
-            continue
-        for end in (finite.max(), finite.min()):
-            far = abs(end - np.median(finite)) > _FAR_FROM_REST * max(steps[0], 1e-9 * abs(end))
-            if far and int(np.diff(runs(finite == end)).max(initial=0)) >= _RUN:
-                return Stuck(axis, float(end), int((finite == end).sum()))
-    return None
-
-
-def check_saturation(values: FloatArray, what: str) -> None:
-    """Raise when readings (N, 3) stick at the end of the range."""
-    if found := stuck_at_rate(values):
-        raise found.refusal(f"{what} {AXES[found.axis]}: wanted")
-
-
-def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
-    """Return the faces that a session lacks."""
-    return tuple(face for face in FACES if face not in faces)
-
-
-def check_repeats(means: FloatArray, faces: Sequence[Face]) -> None:
-    """Raise when a face is stated twice with readings of two."""
-    radius = 0.5 * float(np.max(means.max(axis=0) - means.min(axis=0)))
-    for a, b in itertools.combinations(range(len(faces)), 2):
-        apart = float(np.linalg.norm(means[a] - means[b])) / radius
-        if faces[a] == faces[b] and apart > _REPEAT_APART:
-            missing = missing_faces(faces)
-            lacking = f"; {' and '.join(missing)} missing" if missing else ""
-            raise Implausible(
-                f"face {faces[a]}: stated twice, readings {apart:.2f} g apart{lacking}: one of the two is another face, "
-                "correct its label",
-                faces=(faces[a], faces[b]),
-                apart_g=apart,
-            )
-
-
-def _check_opposites(means: FloatArray, up: FloatArray) -> None:
-    # The affine fit cannot see +x and -x exchanged: the gain merely turns negative. Axes are named by the readings' columns.
-    swapped: dict[str, float] = {}
-    for axis, name in enumerate(AXES):
-        plus, minus = means[up[:, axis] > 0.0], means[up[:, axis] < 0.0]
-        if len(plus) and len(minus):
-            gain = float(plus[:, axis].mean() - minus[:, axis].mean())
-            span = float(np.abs(plus.mean(axis=0) - minus.mean(axis=0)).max())
-            if gain < 0.0 and -gain > 0.5 * span:
-                swapped[name] = gain
-    if not swapped:
-        return
-    first, gain = next(iter(swapped.items()))
-    every = "acceleration has the opposite sign, or " if len(swapped) == 3 else ""
-    names = " and ".join(f"faces +{one} and -{one}" for one in swapped)
-    raise Implausible(
-        f"{names}: wanted the axis that points up to read the larger value, got {gain:.4g} less; "
-        f"{every}the two are swapped: a face names the axis that points up, which reads +g",
-        swapped=(f"+{first}", f"-{first}"),
-    )
-
-
+MIN_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
 FORCE_UNITS = {  # length of the specific force in g -> what is wrong
     STANDARD_GRAVITY: "acceleration is in m/s2, not g",
     1.0 / STANDARD_GRAVITY: "acceleration is in g, not m/s2",
@@ -425,8 +192,117 @@ RATE_UNITS = {  # readings over what they should be -> what is wrong
 }
 
 
+def face_vectors(faces: Sequence[Face]) -> FloatArray:
+    """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
+    sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
+    return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
+
+
+def axis_vectors(axes: Sequence[str]) -> FloatArray:
+    """Return the unit vector of each axis, one a row, (R, 3)."""
+    return np.eye(3)[[AXES.index(axis) for axis in axes]]
+
+
+def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
+    """Return the faces that a session lacks."""
+    return tuple(face for face in FACES if face not in faces)
+
+
+def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
+    """Raise if the labels of five faces or more contradict the face that each mean reading (P, 3) shows.
+
+    A reading shows the face of its largest component, about the middle between the extremes of each axis.
+    """
+    away = means - 0.5 * (means.max(axis=0) + means.min(axis=0))
+    axes = np.abs(away).argmax(axis=1)
+    read = [FACES[2 * axis + int(row[axis] < 0.0)] for axis, row in zip(axes, away, strict=True)]
+    if read == list(faces):
+        return
+    shown: dict[Face, set[Face]] = {}
+    order = np.zeros((3, 3))  # columns that would give these readings, if all labels are right
+    for label, face in zip(faces, read, strict=True):
+        shown.setdefault(label, set()).add(face)
+        order[AXES.index(face[1]), AXES.index(label[1])] += 1.0 if face[0] == label[0] else -1.0
+    wrong = [label for label in shown if shown[label] != {label}]
+    alike = next((pair for pair in itertools.combinations(shown, 2) if shown[pair[0]] & shown[pair[1]]), None)
+    nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
+    if any(len(faces_read) > 1 for faces_read in shown.values()):
+        label = next(label for label in shown if len(shown[label]) > 1)
+        missing = missing_faces(faces)
+        cause = f"face {label} is stated twice{f', and {_listed(missing)} is missing' if missing else ''}"
+    elif alike:
+        cause = f"faces {_listed(alike)} read alike, so that one face was recorded twice"
+    elif np.array_equal(order != 0.0, nearest != 0.0) and np.abs(order).sum() == len(faces):
+        reversed_ = [f"+{AXES[j]} and -{AXES[j]}" for j in range(3) if nearest[j, j] < 0.0]
+        cause = (
+            "acceleration has the opposite sign" if len(reversed_) == 3 else f"accelerometer {columns_text(nearest)}"
+        )
+        cause += f", or faces {' and '.join(reversed_)} are swapped" if reversed_ else ""
+    else:
+        cause = f"faces {_listed(wrong)} are swapped" if len(wrong) == 2 else "the labels do not fit the readings"
+    raise Implausible(
+        f"six faces: the poses labelled {', '.join(faces)} read {', '.join(read)} up: {cause}. Correct the labels in session.toml, "
+        "or the order or sign of the columns.",
+        wrong=tuple(wrong),
+    )
+
+
+def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
+    """Raise if the length of the specific force at rest, means (P, 3) in m/s2, cannot be gravity."""
+    lengths = np.linalg.norm(means, axis=1) / gravity
+    ratio = float(np.median(lengths))
+    if not 1.0 / factor <= ratio <= factor:
+        cause = force_words(ratio, float(lengths.std())) or _times(ratio)
+        raise Implausible(
+            f"accelerometer at rest: expected gravity, {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g): "
+            f"{cause}. Check the unit of the columns, the range setting, and that no other quantity is mapped as accelerometer.",
+            ratio=ratio,
+        )
+
+
+def check_own_scale(
+    scale_factor: FloatArray | float,
+    unit: str,
+    quantity: Quantity,
+    tolerance: float,
+    what: str,
+    *,
+    sample_rate_hz: float | None = None,
+) -> None:
+    """Raise if a scale factor, reading per SI unit, one or (K,), is outside the tolerance of the unit's own; counts have none.
+
+    A wrong sample rate scales angles: it is given where a fit integrates turns.
+    """
+    if not is_physical(unit):
+        return
+    ratio = np.atleast_1d(np.asarray(scale_factor, float)) * si_factor(unit, quantity)
+    worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
+    if abs(worst - 1.0) > tolerance:
+        cause = _named(worst, RATE_UNITS, 1.1) or _times(worst)
+        if sample_rate_hz:
+            cause += f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second, {sample_rate_hz:.3g} were stated"
+        raise Implausible(
+            f"{what}: expected a scale factor within {100 * tolerance:g} % of the unit's own, got {worst:.4f} of it "
+            f"({100 * (worst - 1.0):+.1f} %): {cause}. Check the unit, the range setting and the sample rate.",
+            ratio=worst,
+            tolerance=tolerance,
+        )
+
+
+def range_in_doubt(scale_factor: float, largest: float, *, stated: bool) -> Iterator[Finding]:
+    """Yield the range that a scale factor, counts per rad/s, means for readings of 16 bit.
+
+    It is a warning if no gyroscope has a range as small; otherwise a note if only stated turns determine the scale.
+    """
+    range_ = 2.0**15 / scale_factor
+    small = range_ < MIN_RANGE and largest < 2.0**15
+    if small or stated:
+        per_dps, range_dps = scale_factor * RADIAN_PER_DEGREE, range_ / RADIAN_PER_DEGREE
+        yield finding("gyro.range", "warn" if small else "info", per_dps=per_dps, range_dps=range_dps)
+
+
 def force_words(median_g: float, spread_g: float) -> str:
-    """Return what a specific force of another length than gravity's at rest comes from, "" where it is not known.
+    """Return why a specific force has another length than gravity's at rest, "" if the cause is not known.
 
     Lengths that scatter by more than 0.3 of their median have gravity removed; a unit only scales both.
     """
@@ -441,21 +317,10 @@ def rate_unit_words(ratio: float) -> str:
 
 
 def _named(ratio: float, units: Mapping[float, str], within: float) -> str:
-    found = (text for size, text in units.items() if abs(np.log(max(abs(ratio), 1e-12) / size)) < np.log(within))
-    return next(found, "")
+    size = max(abs(ratio), 1e-12)
+    return next((text for unit, text in units.items() if abs(np.log(size / unit)) < np.log(within)), "")
 
 
-def _likely_factor(ratio: float, sample_rate_hz: float | None = None) -> str:
-    if named := _named(ratio, RATE_UNITS, 1.1):
-        return f"{named}: "
-    size = max(abs(ratio), 1.0 / max(abs(ratio), 1e-12))
-    for factor in _FACTORS:
-        if abs(size / factor - 1.0) < 0.06:
-            text = f"readings are {factor:g} times too {'small' if abs(ratio) < 1.0 else 'large'}"
-            true = (sample_rate_hz or 0.0) * abs(ratio)
-            return (
-                f"{text}, or the file has {true:.3g} samples a second, {sample_rate_hz:.3g} were stated: "
-                if true
-                else f"{text}: "
-            )
-    return ""
+def _times(ratio: float) -> str:
+    size = abs(ratio)
+    return f"readings are {max(size, 1.0 / max(size, 1e-12)):.2g} times too {'small' if size < 1.0 else 'large'}"

@@ -17,8 +17,8 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import code_steps, code_variance
 from undrift.calibration.plausibility import SCALE_TOLERANCE, check_gravity, rate_unit_words
 from undrift.calibration.quality import (
+    CUT_OFF_SHARE,
     SAME_TEMPERATURE_K,
-    TURN_LIMITS,
     check_counted_once,
     check_stills,
     check_turns,
@@ -67,8 +67,7 @@ def mean_of_rests(
     variances = np.array([window.var(axis=0) / max(1, len(window) - 1) for window in windows])
     long = [max(size, len(window) // LONG_BLOCKS) for window, size in zip(windows, sizes, strict=True)]
     for lengths in (sizes, long):
-        noise = noise_of_means(windows, lengths)
-        if noise is not None:
+        if (noise := noise_of_means(windows, lengths)) is not None:
             variances = np.maximum(variances, noise**2)
     c = np.zeros(len(means)) if creep is None else creep
     ones, mean, variance = np.ones(len(means)), np.zeros(3), np.zeros(3)
@@ -90,37 +89,35 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     many pieces as the largest. Faces that it lacks come from the group with most faces; sources.py states what their temperature
     adds.
     """
-    temps = piece_temperatures(session, (*session.stills, *session.turns))
-    if len(temps) < 2 or np.isnan(temps).any():
+    pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
+    temps = piece_temperatures(session, pieces)
+    if len(temps) < 2 or np.isnan(temps).any() or not (np.diff(np.sort(temps)) > SAME_TEMPERATURE_K).any():
         return session, ()
-    order = np.argsort(temps)
-    group = np.empty(len(temps), dtype=np.int64)
+    group, order = np.empty(len(temps), dtype=np.int64), np.argsort(temps)
     group[order] = np.concatenate(([0], np.cumsum(np.diff(temps[order]) > SAME_TEMPERATURE_K)))
     counts = np.bincount(group)
-    if len(counts) == 1:
-        return session, ()
     means = np.bincount(group, temps) / counts
-    large = np.flatnonzero(2 * counts >= counts.max())
-    chosen = int(large[np.argmin(np.abs(means[large] - ROOM_C))])
-    used = group == chosen
-    of_face = np.array([*(still.face is not None for still in session.stills), *(False for _ in session.turns)])
+    chosen = min(np.flatnonzero(2 * counts >= counts.max()), key=lambda k: abs(means[k] - ROOM_C))
+    face = [piece.face if isinstance(piece, Still) else None for piece in pieces]
     faces = [
-        len({still.face for still, k in zip(session.stills, group, strict=False) if k == number} - {None})
-        for number in range(len(counts))
+        len({f for f, k in zip(face, group, strict=True) if k == number} - {None}) for number in range(len(counts))
     ]
+    used = group == chosen
     if faces[chosen] < max(faces):
-        used |= of_face & (group == min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen]))))
-    stills = tuple(still for still, keep in zip(session.stills, used, strict=False) if keep)
-    turns = tuple(turn for turn, keep in zip(session.turns, used[len(session.stills) :], strict=True) if keep)
+        nearest = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen])))
+        used |= (group == nearest) & np.array([f is not None for f in face])
+    kept = [piece for piece, use in zip(pieces, used, strict=True) if use]
     temperatures = finding(
         "session.temperatures",
         "warn",
         groups=len(counts),
         least_temp_c=means.min(),
         most_temp_c=means.max(),
-        pieces=int(used.sum()),
+        pieces=len(kept),
         temp_c=temps[used].mean(),
     )
+    stills = tuple(piece for piece in kept if isinstance(piece, Still))
+    turns = tuple(piece for piece in kept if isinstance(piece, Turn))
     return replace(session, stills=stills, turns=turns), (temperatures,)
 
 
@@ -165,27 +162,21 @@ class Observed:
 
     def with_triad(self, triad: Literal["gyro", "accel"]) -> "Observed":
         """Return the recordings that have a triad, with their stills and turns; the same if all or none have it."""
-        session = self.session
-        numbers = [k for k, record in enumerate(session.records) if getattr(record, triad) is not None]
-        if len(numbers) in (0, len(session.records)):
+        numbers = [k for k, record in enumerate(self.session.records) if getattr(record, triad) is not None]
+        if len(numbers) in (0, len(self.session.records)):
             return self
 
-        def kept(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+        def renumbered(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
             return tuple(replace(p, recording=numbers.index(p.recording)) for p in pieces if p.recording in numbers)
 
-        return Observed(
-            session=replace(
-                session,
-                records=tuple(session.records[k] for k in numbers),
-                stills=kept(session.stills),
-                turns=kept(session.turns),
-            ),
-            settings=self.settings,
-            stills=kept(self.stills),
-            found=self.found,
-            findings=self.findings,
-            searches=tuple(self.searches[k] for k in numbers) if self.searches else (),
+        session = replace(
+            self.session,
+            records=tuple(self.session.records[k] for k in numbers),
+            stills=renumbered(self.session.stills),
+            turns=renumbered(self.session.turns),
         )
+        searches = tuple(self.searches[k] for k in numbers if self.searches)
+        return replace(self, session=session, stills=renumbered(self.stills), searches=searches, _turns={})
 
     def rest_means(self) -> FloatArray:
         """Return the mean rate reading of each still with a gyroscope, (P, 3)."""
@@ -303,11 +294,8 @@ class Observed:
                     f"{ratio:.3g} times that angle: {cause}. Correct the unit of the gyroscope columns.",
                     ratio=ratio,
                 )
-            size = np.linalg.norm(np.asarray(record.gyro), axis=1)
-            if (
-                search.rotations
-                and size[-round(CUT_OFF_S * record.sample_rate_hz) :].min() > TURN_LIMITS["edge"][1] * size.max()
-            ):
+            size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
+            if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
                 return f"; recording {number} still turns at its end: its last turn is cut off"
             if abs(ratio - 1.0) > SCALE_TOLERANCE:
                 rate_hz = record.sample_rate_hz
@@ -362,32 +350,26 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
 
 def in_one_unit(session: Session) -> Session:
     """Return the session with each triad in one unit: that of the first recording that has the triad."""
-    gyro, accel = (_common_unit(session, rate=rate) for rate in (True, False))
-    records = tuple(
+    units = {}
+    for triad in ("gyro", "accel"):
+        with_triad = {n: r for n, r in enumerate(session.records) if getattr(r, triad) is not None}
+        stated = {n: getattr(record, f"{triad}_unit") for n, record in (with_triad or {0: session.records[0]}).items()}
+        first = next(iter(stated))
+        for number, unit in stated.items():
+            if unit != stated[first] and not (is_physical(unit) and is_physical(stated[first])):
+                raise InputError(
+                    f"recording {number}: its {triad} readings are in {unit}, those of recording {first} in {stated[first]}. Give "
+                    "all recordings one unit, or the scale of the columns."
+                )
+        units[triad] = stated[first]
+    gyro, accel = units["gyro"], units["accel"]
+    records = (
         record
         if (record.gyro_unit, record.accel_unit) == (gyro, accel)
         else replace(record.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
         for record in session.records
     )
-    return replace(session, records=records)
-
-
-def _common_unit(session: Session, *, rate: bool) -> str:
-    units = [
-        (number, record.gyro_unit if rate else record.accel_unit)
-        for number, record in enumerate(session.records)
-        if (record.gyro if rate else record.accel) is not None
-    ]
-    if not units:
-        return session.records[0].gyro_unit if rate else session.records[0].accel_unit
-    first, unit = units[0]
-    for number, other in units:
-        if other != unit and not (is_physical(other) and is_physical(unit)):
-            raise InputError(
-                f"recording {number}: wanted {'gyro' if rate else 'accel'} readings in {unit} as in recording {first}, got "
-                f"{other}; they cannot be compared: give all recordings one unit, or the scale of the columns"
-            )
-    return unit
+    return replace(session, records=tuple(records))
 
 
 def _pauses_left_out(session: Session, searches: Sequence[segments.StillSearch]) -> Iterator[Finding]:
@@ -403,14 +385,15 @@ def _pauses_left_out(session: Session, searches: Sequence[segments.StillSearch])
 
 def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     """Return stills with the face that points up, if gravity determines it."""
-    with_force = [still for still in stills if session.records[still.recording].accel is not None]
     physical = is_physical(session.records[0].accel_unit)
-    if not with_force or (not physical and len(with_force) < 5):
+    means = {
+        still: segments.still_means(accel, [still])[0]
+        for still in stills
+        if (accel := session.records[still.recording].accel) is not None
+    }
+    if not means or (not physical and len(means) < 5):
         return stills  # counts have no known zero, unless poses share a sphere
-    means = [
-        segments.still_means(np.asarray(session.records[still.recording].accel), [still])[0] for still in with_force
-    ]
-    faces = dict(zip(with_force, segments.faces_of(np.array(means), centred=physical), strict=True))
+    faces = dict(zip(means, segments.faces_of(np.array(list(means.values())), centred=physical), strict=True))
     return tuple(replace(still, face=faces.get(still)) for still in stills)
 
 

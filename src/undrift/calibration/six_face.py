@@ -30,8 +30,7 @@ from undrift.calibration.plausibility import (
     check_gravity,
     check_handedness,
     check_own_scale,
-    check_repeats,
-    check_saturation,
+    check_range,
     face_vectors,
     missing_faces,
 )
@@ -172,7 +171,7 @@ def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
             f"six faces: wanted more than {degree + 1} readings on face {still.face}, got {len(window)}; "
             "choose another stretch"
         )
-    check_saturation(window, f"accelerometer on face {still.face}")
+    check_range([window], f"accelerometer on face {still.face}")
     return window
 
 
@@ -214,8 +213,6 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     poses = face_means(
         seen.session.records, stills, window_s=settings.window_s, polynomial_degree=settings.polynomial_degree
     )
-    if len(poses.faces) > 1:
-        check_repeats(poses.reading, poses.faces)
     poses = replace(poses, creep=creep_of(seen, stills, "accel"), placement=placement)
     findings = poses.creep.findings() if poses.creep else ()
     if poses.noise is None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, mean_rounding
-from undrift.calibration.plausibility import axis_vectors, check_saturation
+from undrift.calibration.plausibility import axis_vectors, check_range
 from undrift.calibration.session import spans_of
 from undrift.errors import InputError
 from undrift.fit.gls import Prior, block_size, noise_of_means, solve
@@ -149,7 +149,7 @@ def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
     gaps = int(np.isnan(values).any(axis=1).sum())
     if gaps:
         raise InputError(f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {gaps}; shorten it")
-    check_saturation(values, f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
+    check_range([values], f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
     return dwell
 
 

@@ -2,43 +2,47 @@
 
 Over a window of some seconds, started at its first sample, with f the specific force over its median length::
 
-    kept(Q, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s Q w_k dt)         Q = 1, s = 1 for columns and unit as stated
+    kept(P, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s P w_k dt)         P = 1, s = 1 for columns and unit as stated
 
-Kept is 1 where the rotation is right, since motion that ends where it began has no mean acceleration, and less where gravity is
-smeared. All 48 signed orders Q of the axes, and scales s of rate times time, are tried in the windows where gravity moves most in
-b. What keeps more than the stated order and unit names the mistake. A rotation about the vertical shows nothing. Acceleration
+Kept is 1 if the rotation is right, since motion that ends where it began has no mean acceleration, and less if gravity is smeared.
+All 48 signed orders P of the axes, and scales s of rate times time, are tried in the windows in which gravity moves most in b. The
+order or unit that keeps more than the stated one names the mistake. A rotation about the vertical shows nothing. Acceleration
 with the opposite sign keeps as much as the right one (a point reflection): only a reference, the axis that should point up, or the
-offsets of a calibration tell it.
+offsets of a calibration determine it.
 """
 
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.plausibility import cause_by_gravity, force_words, order_text
+from undrift.calibration.plausibility import accel_order, cause_by_gravity, columns_to_mend, force_words, order_text
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
+from undrift.io.inspect import find_saturated
+from undrift.kernels.rotation import strapdown
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has but short ones
+WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has only short ones
 STEP_S = 0.02  # rotations are summed over it; a hand turns by 20 deg in it at most
 MOST_WINDOWS, FEWEST_WINDOWS = 60, {4.0: 4, 1.0: 2}
-MOVED = 0.1  # of g: gravity moves by 6 deg from one half of a window to the other
-LOOKED_AT = 200_000  # samples from the first on: 12 min at 286 Hz
-# What is kept by the better order or unit less what the stated one keeps, share of g^2. A free pendulum, the worst real case at
-# hand, loses 0.04 to a scale of 0.35: its tangential acceleration hides gravity. It gains 0.013 over no rotation at all.
-CLEAR, UNCLEAR = 0.1, 0.015
-EXPLAINED = 0.02  # what the better one keeps more than no rotation at all; a scale, also this share of what it gains
+MIN_MOVE = 0.1  # of g: gravity moves by 6 deg from one half of a window to the other
+SAMPLES = 200_000  # from the first on: 12 min at 286 Hz
+# What the better order or unit keeps more than the stated one, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
+# scale of 0.35: its tangential acceleration hides gravity. It gains 0.013 over no rotation at all.
+CLEAR_GAIN, MIN_GAIN = 0.1, 0.015
+MIN_EXPLAINED = (
+    0.02  # what the better one keeps more than no rotation at all; a scale, also this share of what it gains
+)
 SCALE_EXPLAINED = 0.6
-SURE = 5.0  # times the scatter of what the better one keeps, over the root of the number of windows
-LEAST_SCATTER = 0.01
-RIGHT = 0.9  # the better one keeps at least this share
+SIGMAS = 5.0  # times the scatter of what the better one keeps, over the root of the number of windows
+MIN_SCATTER = 0.01
+MIN_KEPT = 0.9  # the better one keeps at least this share
 SAME = 0.01  # orders that keep alike: the motion does not tell them apart
 ORDINARY = 1.25  # a ratio of scales below it is a device's own
 LARGEST_SCALE, COUNTS = 200.0, 0.12  # that is tried; below the second the unit is another, not the sample rate
@@ -46,6 +50,7 @@ LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of 
 QUIET = 0.2  # of the largest window's
 PLAUSIBLE_HZ = (4.0, 5000.0)  # of a recording that people move in; outside, the unit of time is tried too
 TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by decades
+FORCE_RANGE = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,8 +63,6 @@ class _Windows:
 
     def kept(self, order: FloatArray, scale: float) -> FloatArray:
         """Return the squared length of the mean force with the rotation undone, (W,)."""
-        from undrift.kernels.rotation import strapdown
-
         count, length, _ = self.turn.shape
         q = np.empty((count * length, 4))
         turn = np.ascontiguousarray(scale * self.turn @ order.T).reshape(-1)
@@ -68,11 +71,11 @@ class _Windows:
         return np.asarray((mean**2).sum(axis=1))
 
 
-def _windows(record: Record, unit_s: float = 1.0) -> _Windows | None:
-    """Return the windows of an SI record, with its time in units of ``unit_s``; None where too few move."""
+def _windows(record: Record, unit_s: float) -> _Windows | None:
+    """Return the windows of an SI record, with its time in units of ``unit_s``; None if too few move."""
     if record.gyro is None or record.accel is None:
         return None
-    time, gyro, accel = (values[:LOOKED_AT] for values in (record.time * unit_s, record.gyro, record.accel))
+    time, gyro, accel = (values[:SAMPLES] for values in (record.time * unit_s, record.gyro, record.accel))
     dt = float(np.median(np.diff(time)))
     for window_s in WINDOWS_S:
         step = max(1, int(STEP_S / dt))
@@ -89,39 +92,24 @@ def _windows(record: Record, unit_s: float = 1.0) -> _Windows | None:
         gravity = float(np.median(np.linalg.norm(f, axis=2)))
         halves = f.reshape(len(f), 2, -1, 3).mean(axis=2) / gravity
         moved = np.linalg.norm(halves[:, 1] - halves[:, 0], axis=1)
-        chosen = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_WINDOWS] if moved[k] > MOVED]
+        chosen = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_WINDOWS] if moved[k] > MIN_MOVE]
         if len(chosen) >= FEWEST_WINDOWS[window_s]:
             spread = w.std(axis=(1, 2)).max(axis=1)
-            rest = w[int(np.argmin(spread))].mean(axis=(0, 1))
-            offset = (
-                rest if spread.min() < QUIET * spread.max() and np.linalg.norm(rest) < LARGEST_OFFSET else np.zeros(3)
-            )
+            offset = w[int(np.argmin(spread))].mean(axis=(0, 1))
+            if spread.min() >= QUIET * spread.max() or np.linalg.norm(offset) >= LARGEST_OFFSET:
+                offset = np.zeros(3)
             return _Windows(turn=(w[chosen] - offset).sum(axis=2) * dt, force=f[chosen] / gravity, gravity=gravity)
     return None
 
 
-# ---- what may be wrong: a text, an action, and what the option of a command would be
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mistake:
-    """What would make gyroscopes and accelerometers tell of one motion."""
-
-    text: str  # "gyroscope is in deg/s, not rad/s"
-    action: str
-    sample_rate_hz: float = 0.0  # that the recording would have; 0 where that is not the matter
-    turned_ratio: float = 0.0  # rotation as stated over rotation by gravity; 0 if axes or time are wrong
-    kept: float = 0.0  # share of gravity that stands still with it
-    stated: float = 0.0  # and as stated
+# ---- checks
 
 
 def check_triads(record: Record) -> tuple[Finding, ...]:
-    """Return what speaks against the order, signs, units or time of a record's columns; raise where it is clear.
+    """Return what speaks against the order, signs, units or time of a record's columns; raise if it is clear.
 
-    Nothing is looked at where a triad is missing or in counts; none where they agree, or where the motion does not show it.
+    There is nothing if a triad is missing or in counts, if both agree, or if the motion does not show it.
     """
-    from undrift.io.inspect import find_saturated
-
     check_force(record)
     return (*find_saturated(record), *check_agreement(record))
 
@@ -131,164 +119,155 @@ def check_agreement(record: Record) -> tuple[Finding, ...]:
     conflict = find_disagreement(record)
     if conflict is not None and conflict.level == "fail":
         raise Implausible(
-            f"gyroscope and accelerometer: wanted columns, units and time that agree on one motion, got: {conflict.values['text']} "
-            f"({conflict.detail}); {conflict.action}",
+            f"gyroscope and accelerometer do not agree on one motion: {conflict.values['text']} ({conflict.detail}); "
+            f"{conflict.action}",
             **conflict.values,
         )
     return () if conflict is None else (conflict,)
-
-
-FORCE_WITHIN = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
 
 
 def check_force(record: Record) -> None:
     """Refuse specific forces that no motion explains: another unit, another column, or gravity removed."""
     if record.accel is None or not is_physical(record.accel_unit):
         return
-    sizes = {
-        name: float(np.nanmedian(np.linalg.norm(values, axis=1)))
-        for name, values in (("accel", record.accel), ("gyro", record.gyro))
-        if values is not None and np.isfinite(values).all(axis=1).any()
-    }
-    median = sizes.get("accel", STANDARD_GRAVITY) * si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY
-    if FORCE_WITHIN[0] <= median <= FORCE_WITHIN[1]:
+    lengths = np.linalg.norm(record.accel, axis=1) * si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY
+    median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 1.0
+    if FORCE_RANGE[0] <= median <= FORCE_RANGE[1]:
         return
-    spread = float(np.nanstd(np.linalg.norm(record.accel, axis=1))) / sizes["accel"] * median
-    named = (
-        force_words(median, spread) or "acceleration is in another unit, or another column is mapped as accelerometer"
-    )
-    if any(abs(sizes.get("gyro", 0.0) / size - 1.0) < 0.1 for size in (1.0, STANDARD_GRAVITY)):
-        named = "gyroscope and accelerometer columns are exchanged"
+    cause = force_words(median, float(np.nanstd(lengths)))
+    cause = cause or "acceleration is in another unit, or another column is mapped as accelerometer"
+    if record.gyro is not None and np.isfinite(record.gyro).all(axis=1).any():
+        rate = float(np.nanmedian(np.linalg.norm(record.gyro, axis=1)))
+        if any(abs(rate / size - 1.0) < 0.1 for size in (1.0, STANDARD_GRAVITY)):
+            cause = "gyroscope and accelerometer columns are exchanged"
     raise Implausible(
-        f"accelerometer: wanted a specific force of about 1 g, got a median of {median:.3g} g: {named}; correct the columns or "
+        f"accelerometer: expected a specific force of about 1 g, got a median of {median:.3g} g: {cause}; correct the columns or "
         "state their true unit in a map (units = { accel = ... }, `column_map` FILE), or in the columns' names",
-        mistake=named,
+        mistake=cause,
         median_g=median,
     )
 
 
 def find_disagreement(record: Record) -> Finding | None:
-    """Return what explains a record's readings better than its columns, units and time as stated: fail where it is clear."""
+    """Return what explains a record's readings better than its columns, units and time as stated: fail if it is clear."""
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return None
     record = record.in_si()
-    found = next((one for unit_s in _time_units(record) if (one := _mistake(record, unit_s)) is not None), None)
-    if found is None:
-        return None
-    mistake, clear = found
-    values = {name: getattr(mistake, name) for name in ("text", "action", "sample_rate_hz", "turned_ratio")}
-    shares = {"kept_percent": 100.0 * mistake.kept, "stated_percent": 100.0 * mistake.stated}
-    return finding("record.triads_disagree", "fail" if clear else "warn", **values, **shares)
+    units = [1.0]
+    if record.sample_rate_hz < PLAUSIBLE_HZ[0]:
+        units = [*(10.0**-decades for decades in TIME_UNITS), 1.0]
+    elif record.sample_rate_hz > PLAUSIBLE_HZ[1]:
+        units = [*(10.0**decades for decades in TIME_UNITS), 1.0]
+    return next((conflict for unit_s in units if (conflict := _disagreement(record, unit_s)) is not None), None)
 
 
-def _time_units(record: Record) -> Iterator[float]:
-    """Yield the units of time to try, s: where the sample rate is none that people move in, others before the second."""
-    if record.gyro is not None and record.accel is not None:
-        if record.sample_rate_hz < PLAUSIBLE_HZ[0]:
-            yield from (10.0**-decades for decades in TIME_UNITS)
-        if record.sample_rate_hz > PLAUSIBLE_HZ[1]:
-            yield from (10.0**decades for decades in TIME_UNITS)
-    yield 1.0
-
-
-def _mistake(record: Record, unit_s: float) -> tuple[Mistake, bool] | None:
-    """Return the mistake that explains the readings better than none, and whether that is clear."""
-    seen = _windows(record, unit_s)
-    if seen is None:
+def _disagreement(record: Record, unit_s: float) -> Finding | None:
+    """Return the mistake that explains the readings better than none, with time in another unit."""
+    windows = _windows(record, unit_s)
+    if windows is None:
         return None
     # A wrong unit of time is judged against time as stated, in which no window lasts as long: rotation is too fast or slow.
-    stated = seen.kept(np.eye(3), 1.0 / unit_s)
+    stated = windows.kept(np.eye(3), 1.0 / unit_s)
     # A mean is no longer than its parts, whatever the rotation.
-    longest = np.linalg.norm(seen.force, axis=2).mean(axis=1) ** 2
-    if float((longest - stated).mean()) < max(UNCLEAR, SURE * LEAST_SCATTER / np.sqrt(len(stated))):
+    longest = np.linalg.norm(windows.force, axis=2).mean(axis=1) ** 2
+    if float((longest - stated).mean()) < max(MIN_GAIN, SIGMAS * MIN_SCATTER / np.sqrt(len(stated))):
         return None
-    best = max(_candidates(seen, record, unit_s, stated), key=lambda one: float(one[1].mean()), default=None)
-    if best is None:
+    mistakes = _time_mistake(windows, unit_s) if unit_s != 1.0 else _mistakes(windows, record)
+    mistake = max(mistakes, key=lambda mistake: float(mistake.kept.mean()), default=None)
+    if mistake is None:
         return None
-    mistake, explained = best
-    gain, over_none = float((explained - stated).mean()), float((explained - seen.kept(np.eye(3), 0.0)).mean())
-    scatter = max(float(np.sqrt(((explained - 1.0) ** 2).mean())), LEAST_SCATTER)
-    least = max(EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
-    if gain < max(UNCLEAR, SURE * scatter / np.sqrt(len(explained))) or explained.mean() < RIGHT or over_none < least:
+    gain = float((mistake.kept - stated).mean())
+    explained = float((mistake.kept - windows.kept(np.eye(3), 0.0)).mean())
+    scatter = max(float(np.sqrt(((mistake.kept - 1.0) ** 2).mean())), MIN_SCATTER)
+    least = max(MIN_EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
+    significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(stated)))
+    if not significant or mistake.kept.mean() < MIN_KEPT or explained < least:
         return None
-    ordinary = abs(seen.gravity / STANDARD_GRAVITY - 1.0) < 0.1 and len(explained) >= FEWEST_WINDOWS[WINDOWS_S[0]]
-    made = replace(mistake, kept=float(np.sqrt(explained.mean())), stated=float(np.sqrt(stated.mean())))
-    return made, bool(gain >= CLEAR and ordinary)
-
-
-def _candidates(
-    seen: _Windows, record: Record, unit_s: float, stated: FloatArray
-) -> Iterator[tuple[Mistake, FloatArray]]:
-    """Yield mistakes with what each keeps."""
-    if unit_s != 1.0:
-        name = TIME_UNITS[round(abs(math.log10(unit_s)))]
-        text = f"time is in {name}, not seconds" if unit_s < 1.0 else f"time is in seconds, not {name}"
-        yield (
-            Mistake(text=text, action="correct the unit of time in the map or the column's name"),
-            seen.kept(np.eye(3), 1.0),
-        )
-        return
-    orders = [(order, seen.kept(order, 1.0)) for order in _orders()]
-    most = max(float(explained.mean()) for _, explained in orders)
-    alike = [(order, explained) for order, explained in orders if explained.mean() > most - SAME]
-    order, explained = min(alike, key=lambda one: _changes(one[0]))
-    if not np.array_equal(order, np.eye(3)):
-        reads = order.T  # forward: column i reads + for a turn about +j
-        others = (
-            f", or one of {len(alike) - 1} other orders that this motion does not tell apart" if len(alike) > 1 else ""
-        )
-        text = (
-            f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{others})"
-        )
-        yield Mistake(text=text, action="correct the order or the sign of the columns"), explained
-    yield from _scales(seen, record)
-
-
-def _orders() -> Iterator[FloatArray]:
-    """Yield the 48 matrices that exchange and reverse axes."""
-    for places, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)):
-        yield np.eye(3)[list(places)] * np.array(signs)[:, None]
-
-
-def _changes(order: FloatArray) -> int:
-    """Return how many columns of one triad, the gyroscope's or the accelerometer's, would have to be mended."""
-    return min(
-        6 - int(2 * np.trace(one > 0.5)) - int((np.diag(one) < -0.5).sum())
-        for one in (order, np.linalg.det(order) * order)
+    ordinary = abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1 and len(stated) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    return finding(
+        "record.triads_disagree",
+        "fail" if gain >= CLEAR_GAIN and ordinary else "warn",
+        text=mistake.text,
+        action=mistake.action,
+        sample_rate_hz=mistake.sample_rate_hz,
+        turned_ratio=mistake.turned_ratio,
+        kept_percent=100.0 * np.sqrt(mistake.kept.mean()),
+        stated_percent=100.0 * np.sqrt(stated.mean()),
     )
 
 
-def _scales(seen: _Windows, record: Record) -> Iterator[tuple[Mistake, FloatArray]]:
-    """Yield units of the gyroscope and other sample rates."""
+# ---- mistakes that are tried
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mistake:
+    """A mistake that would make gyroscopes and accelerometers tell of one motion."""
+
+    text: str  # "gyroscope is in deg/s, not rad/s"
+    action: str
+    kept: FloatArray  # (W,), with the mistake undone
+    sample_rate_hz: float = 0.0  # that the recording would have; 0 if the rate is not the mistake
+    turned_ratio: float = 0.0  # rotation as stated over rotation by gravity; 0 if axes or time are wrong
+
+
+def _time_mistake(windows: _Windows, unit_s: float) -> Iterator[Mistake]:
+    name = TIME_UNITS[round(abs(math.log10(unit_s)))]
+    text = f"time is in {name}, not seconds" if unit_s < 1.0 else f"time is in seconds, not {name}"
+    action = "correct the unit of time in the map or the column's name"
+    yield Mistake(text=text, action=action, kept=windows.kept(np.eye(3), 1.0))
+
+
+def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
+    """Yield the best order of the axes, if it is another, and the best scale of rate times time."""
+    places, signs = itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)
+    orders = [np.eye(3)[list(place)] * np.array(sign)[:, None] for place, sign in itertools.product(places, signs)]
+    kept = [windows.kept(order, 1.0) for order in orders]
+    most = max(float(values.mean()) for values in kept)
+    alike = [k for k, values in enumerate(kept) if values.mean() > most - SAME]
+    best = min(alike, key=lambda k: _changes(orders[k].T))
+    reads = orders[best].T  # forward: column i reads + for a turn about +j
+    if not np.array_equal(reads, np.eye(3)):
+        others = f", or one of {len(alike) - 1} other orders that this motion does not tell apart" if alike[1:] else ""
+        text = (
+            f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{others})"
+        )
+        yield Mistake(text=text, action="correct the order or the sign of the columns", kept=kept[best])
+    yield from _scale_mistake(windows, record)
+
+
+def _changes(order: FloatArray) -> int:
+    """Return how much of one triad's columns, the gyroscope's or the accelerometer's, would have to be mended."""
+    accel = accel_order(order)
+    return min(columns_to_mend(order), 6 if accel is None else columns_to_mend(accel))
+
+
+def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
+    """Yield the unit of the gyroscope, or the sample rate, that the best scale of rate times time means."""
     grid = np.geomspace(1.0 / LARGEST_SCALE, LARGEST_SCALE, 161)
-    means = np.array([seen.kept(np.eye(3), float(scale)).mean() for scale in grid])
-    at = int(means.argmax())
-    scale = float(grid[at])
-    if 0 < at < len(grid) - 1:  # the vertex of the parabola through three points
-        low, mid, high = means[at - 1 : at + 2]
+    means = np.array([windows.kept(np.eye(3), float(scale)).mean() for scale in grid])
+    best = int(means.argmax())
+    scale, ratio_text, rate_hz = float(grid[best]), "", 0.0
+    if 0 < best < len(grid) - 1:  # the vertex of the parabola through three points
+        low, mid, high = means[best - 1 : best + 2]
         scale *= float((grid[1] / grid[0]) ** (0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)))
-    for unit, text in (
-        (RADIAN_PER_DEGREE, "gyroscope is in deg/s, not rad/s"),
-        (1.0 / RADIAN_PER_DEGREE, "gyroscope is in rad/s, not deg/s"),
-    ):
-        if max(scale / unit, unit / scale) < ORDINARY:
-            action = "correct the unit of the gyroscope in the map or the columns' names"
-            yield Mistake(text=text, action=action, turned_ratio=1.0 / unit), seen.kept(np.eye(3), unit)
-            return
-    if max(scale, 1.0 / scale) > ORDINARY:
-        rate = record.sample_rate_hz / scale
-        text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
-        if scale < COUNTS:  # No person mistakes a sample rate by as much
-            text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
-            yield (
-                Mistake(text=text, action="state the sensitivity: unit count and its scale", turned_ratio=1.0 / scale),
-                seen.kept(np.eye(3), scale),
-            )
-            return
-        text += (
-            f"the file has {rate:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
-            "another"
+    if max(scale, 1.0 / scale) <= ORDINARY:
+        return
+    ratio_text = f"turns {1.0 / scale:.3g} times as large as gravity shows"
+    if max(scale / RADIAN_PER_DEGREE, RADIAN_PER_DEGREE / scale) < ORDINARY:
+        scale, text = RADIAN_PER_DEGREE, "gyroscope is in deg/s, not rad/s"
+        action = "correct the unit of the gyroscope in the map or the columns' names"
+    elif max(scale * RADIAN_PER_DEGREE, 1.0 / scale / RADIAN_PER_DEGREE) < ORDINARY:
+        scale, text = 1.0 / RADIAN_PER_DEGREE, "gyroscope is in rad/s, not deg/s"
+        action = "correct the unit of the gyroscope in the map or the columns' names"
+    elif scale < COUNTS:  # no person mistakes a sample rate by as much
+        text = f"{ratio_text}: gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
+        action = "state the sensitivity: unit count and its scale"
+    else:
+        rate_hz = record.sample_rate_hz / scale
+        text = (
+            f"{ratio_text}: the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the "
+            "gyroscope's range is another"
         )
         action = "state the true sample rate, unit of time or sensitivity"
-        found = Mistake(text=text, action=action, sample_rate_hz=rate, turned_ratio=1.0 / scale)
-        yield found, seen.kept(np.eye(3), scale)
+    kept = windows.kept(np.eye(3), scale)
+    yield Mistake(text=text, action=action, kept=kept, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)

@@ -110,36 +110,16 @@ class DriftRangeWarning(UserWarning):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """A corrected record, and where the calibration did not cover it.
+    """A corrected record, and where the calibration did not cover it."""
 
-    Parameters
-    ----------
-    record : Record
-        rad/s and m/s2 in frame b, state corrected.
-    outside : array, shape (N,)
-        True where the temperature lay outside a tuning table.
-    extrapolated : array, shape (N,)
-        True where it lay inside, at nodes that no data were near.
-    missing : array, shape (N,)
-        True without a temperature that a tuning table needs: the result is NaN there, whatever the policy.
-    findings : tuple of Finding
-        Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
-    reach : Reach
-        Samples and seconds of each mask, and the span of temperature and rate.
-    carry : Carry
-        State for the next chunk of a stream.
-    rest : RestOffset, MotionOffset or None
-        The offset that was subtracted, with its uncertainty.
-    """
-
-    record: Record
-    outside: BoolArray
-    extrapolated: BoolArray
-    missing: BoolArray
-    findings: tuple[Finding, ...]
-    reach: coverage.Reach
-    carry: Carry
-    rest: OffsetLeft | None = None
+    record: Record  # rad/s and m/s2 in frame b, state corrected
+    outside: BoolArray  # (N,), True if the temperature lay outside a tuning table
+    extrapolated: BoolArray  # (N,), True if it lay inside, at nodes that no data were near
+    missing: BoolArray  # (N,), True without a temperature that a table needs: the result is NaN, whatever the policy
+    findings: tuple[Finding, ...]  # readings beyond the calibration (warn), and errors that it does not correct (info)
+    reach: coverage.Reach  # samples and seconds of each mask, and the span of temperature and rate
+    carry: Carry  # state for the next chunk of a stream
+    rest: OffsetLeft | None = None  # the offset that was subtracted, with its uncertainty
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -166,13 +146,10 @@ def correct(
 
     Parameters
     ----------
-    record : Record
+    record, calibration : Record, Calibration
         Raw readings, in the calibration's unit or another physical one; temperatures if the calibration has tables.
-    calibration : Calibration
-        The device's model.
     policy : str
-        For samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan". Samples without a
-        temperature are always gaps.
+        For samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan".
     out : tuple of two arrays, shape (N, 3), optional
         Where to write rate and specific force; the record then refers to these arrays.
     power_on_s : float, optional
@@ -191,13 +168,9 @@ def correct(
 
     Raises
     ------
-    InputError
-        Readings corrected already, in a unit that the calibration does not know, or without the temperatures it needs; a
-        negative power_on_s; no rest if one is asked for.
-    DriftRangeError
-        Temperatures outside a table under policy "raise".
-    Implausible
-        Columns, units or a sample rate that are clearly wrong.
+    InputError, DriftRangeError, Implausible
+        Readings that the calibration is not for, or no rest if one is asked for; temperatures outside a table under policy
+        "raise"; columns, units or a sample rate that are clearly wrong.
 
     Examples
     --------
@@ -211,7 +184,7 @@ def correct(
     ('rad/s', 'm/s2', 'b')
     """
     done = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
-    suspicions = plausibility_findings(done, calibration, record) if check else ()
+    suspicions = _suspicions(done, calibration, record) if check else ()
     for text in (*(item.text for item in suspicions), *done.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return done.record
@@ -231,24 +204,12 @@ def correct_checked(
 
     Parameters
     ----------
-    record, calibration, policy
-        As for ``correct``.
+    record, calibration, policy, power_on_s, offset
+        As for ``correct``, which also says what is raised.
     reference_span_c : float
         Without a table, warn if the temperature departs from the reference by more than this, degC.
     threads : int, optional
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
-    power_on_s, offset
-        As for ``correct``.
-
-    Returns
-    -------
-    Corrected
-        The record, the masks and the findings.
-
-    Raises
-    ------
-    InputError, DriftRangeError, Implausible
-        As for ``correct``.
 
     Examples
     --------
@@ -263,10 +224,10 @@ def correct_checked(
     """
     options = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
     done = correct_whole(record, calibration, power_on_s, offset, **options)
-    return replace(done, findings=(*plausibility_findings(done, calibration, record), *done.findings))
+    return replace(done, findings=(*_suspicions(done, calibration, record), *done.findings))
 
 
-def plausibility_findings(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
+def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
     """Return findings about a record and its calibration. Still phases that step 7 found are not searched again."""
     return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
 
@@ -416,14 +377,8 @@ class Corrector:
 
     Parameters
     ----------
-    calibration : Calibration
-        The device's model.
-    policy : str
-        "raise", "hold" or "nan", as for ``correct``.
-    reference_span_c : float
-        As for ``correct_checked``, degC.
-    power_on_s : float, optional
-        Time since power-on at the first sample of the stream, s, as for ``correct``.
+    calibration, policy, reference_span_c, power_on_s
+        As for ``correct_checked``.
     offset : RestOffset or MotionOffset, optional
         Subtracted from every chunk. ``find_rest_offset_in`` finds a RestOffset in the first corrected chunks.
 
@@ -468,22 +423,9 @@ class Corrector:
         return coverage.coverage_findings(self.state.reach, self._calibration, self._span)
 
     def push(self, chunk: Record) -> Record:
-        """Correct the next chunk.
+        """Return the next chunk, raw readings that follow the last one, corrected.
 
-        Parameters
-        ----------
-        chunk : Record
-            Raw readings that follow the last chunk.
-
-        Returns
-        -------
-        Record
-            The same samples, corrected.
-
-        Raises
-        ------
-        InputError, DriftRangeError
-            As for ``correct``, or for a chunk that does not follow the last one in time; the state is as before.
+        It raises as ``correct`` does, and for a chunk that does not follow the last one in time; the state is then as before.
         """
         done = self.push_checked(chunk)
         for text in done.warnings:

@@ -20,7 +20,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.plan import Carry, LookupTable, Plans, has_tables
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding
-from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, StaticDrift, TriadModel, seen_span
+from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, seen_span
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -86,7 +86,8 @@ def find_outside(
         return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if drift.static is not None and not allowed:
-        data = _data_span(drift.static)
+        marks = drift.static.gyro_extrapolated  # of the gyroscopes if both triads have marks
+        data = seen_span(drift.static.temp_c, drift.static.accel_extrapolated if marks is None else marks)
         beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)  # subtracting a lag makes a thermometer noisier
         low, high = max(low, data[0] - beyond), min(high, data[1] + beyond)
     least, greatest = extremes(temp_c)
@@ -114,45 +115,35 @@ def _other_unit(least: float, greatest: float, table: Span) -> str:
     return ""
 
 
-def _data_span(static: StaticDrift) -> Span:
-    """Return the first and last node that data were near; of the gyroscopes if both triads have marks."""
-    marks = static.gyro_extrapolated if static.gyro_extrapolated is not None else static.accel_extrapolated
-    return seen_span(static.temp_c, marks)
-
-
 def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray]) -> BoolArray | None:
     """Find the samples whose correction draws on nodes that no data were near, None without such; corrected (N, 3), SI."""
     mask: BoolArray | None = None
     for plan, rates in zip(plans, corrected, strict=True):
-        if plan is None:
-            continue
-        for table in plan.constants.tables:
-            if (weight := _weight_of_marks(table, temp_c, rates)) is not None:
+        for table in () if plan is None else plan.constants.tables:
+            if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
                 drawn = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
                 mask = drawn if mask is None else mask | drawn
     return mask
 
 
 def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray | None:
-    """Return the weight (N,) that a table's extrapolated nodes have in its values; None if no sample is near such a node."""
-    if table.extrapolated is None or not (marks := table.extrapolated[_near(table.temp.nodes, temp_c)]).any():
+    """Return the weight (N,) that extrapolated nodes have in a table's values, by interpolation; None if none is near."""
+    nodes, marks = table.temp.nodes, table.extrapolated
+    least, greatest = extremes(temp_c)
+    if (
+        marks is None
+        or not marks[max(int(nodes.searchsorted(least, "right")) - 1, 0) : nodes.searchsorted(greatest) + 1].any()
+    ):
         return None
     if table.turn_rate is None:
-        return np.interp(temp_c, table.temp.nodes, table.extrapolated)
-    nodes = table.turn_rate.nodes
-    if not marks[:, _near(nodes, rates)].any():
-        return None
+        return np.interp(temp_c, nodes, marks)
     from scipy.interpolate import RegularGridInterpolator
 
-    weight = RegularGridInterpolator((table.temp.nodes, nodes), table.extrapolated.astype(float), bounds_error=False)
-    held = np.clip(rates, nodes[0], nodes[-1])
-    return np.asarray(np.fmax.reduce([weight((temp_c, rate)) for rate in held.T]))
-
-
-def _near(nodes: FloatArray, values: FloatArray) -> slice:
-    """Return the nodes that a table draws on over the span of values."""
-    least, greatest = extremes(values)
-    return slice(max(int(nodes.searchsorted(least, "right")) - 1, 0), int(nodes.searchsorted(greatest)) + 1)
+    rate_nodes = table.turn_rate.nodes
+    weight = RegularGridInterpolator((nodes, rate_nodes), marks.astype(float), bounds_error=False)
+    return np.asarray(
+        np.fmax.reduce([weight((temp_c, rate)) for rate in np.clip(rates, rate_nodes[0], rate_nodes[-1]).T])
+    )
 
 
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> tuple[Span, float]:
@@ -212,14 +203,10 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
         findings.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
     gyro, warm_up = calibration.gyro, calibration.triad("gyro").warm_up
     if record.gyro is not None and gyro is not None and warm_up is not None and carry.power_on_time is None:
-        largest, end = _largest_dps(gyro, warm_up.gyro_offset), warm_up.power_on_s[-1]
-        findings.append(finding("correct.warm_up", "info", largest_dps=largest, end_s=end))
+        rates = warm_up.gyro_offset @ gyro.matrix.T * si_factor(gyro.unit_out, "rate")
+        largest_dps, end_s = np.degrees(np.abs(rates).max()), warm_up.power_on_s[-1]
+        findings.append(finding("correct.warm_up", "info", largest_dps=largest_dps, end_s=end_s))
     return tuple(findings)
-
-
-def _largest_dps(model: TriadModel, offset: FloatArray) -> float:
-    """Return the largest rate that offsets (..., 3) cause, deg/s."""
-    return float(np.degrees(np.abs(offset @ model.matrix.T * si_factor(model.unit_out, "rate")).max()))
 
 
 # ---- corrected readings beyond the inputs of the fit of a triad

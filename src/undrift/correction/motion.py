@@ -16,11 +16,11 @@ within the tolerances of data sheets: b answers that in part, and its uncertaint
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray, Shape, freeze
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset, moved_by
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
@@ -48,21 +48,19 @@ _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 class MotionOffset:
     """The offset that motion shows, in the middle of each stretch."""
 
-    time: FloatArray  # (S,), s
-    rate: FloatArray  # (S, 3), rad/s, frame b
-    covariance: FloatArray  # (S, 3, 3), (rad/s)^2
-    prior: FloatArray  # (3,), standard deviation of what was known before, rad/s
+    time: Annotated[FloatArray, Shape("s")]  # s
+    rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
+    covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # (rad/s)^2
+    prior: Annotated[FloatArray, Shape(3)]  # standard deviation of what was known before, rad/s
     acceleration: float  # left in a mean, rms, m/s2
     rest: RestOffset | None  # None if the device never rested
-    vertical: FloatArray  # (3,), specific force at rest in the attitude of the first sample, m/s2, frame b there
-    vertical_covariance: FloatArray  # (3, 3), (m/s2)^2
+    vertical: Annotated[
+        FloatArray, Shape(3)
+    ]  # specific force at rest in the attitude of the first sample, m/s2, frame b there
+    vertical_covariance: Annotated[FloatArray, Shape(3, 3)]  # (m/s2)^2
 
     def __post_init__(self) -> None:
-        count = len(self.time)
-        shapes = {"time": (count,), "rate": (count, 3), "covariance": (count, 3, 3), "prior": (3,)}
-        shapes |= {"vertical": (3,), "vertical_covariance": (3, 3)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"MotionOffset.{name}"))
+        freeze(self)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the offset (N, 3) at times (N,), linear between stretches."""

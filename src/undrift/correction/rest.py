@@ -7,30 +7,29 @@ Re-zero a gyroscope at a rest: what the calibration leaves there is subtracted f
     w'(t) = w(t) - r        r = mean of w over the rest        var r = var of the mean, with the correlation between samples
 
 It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn. It removes
-no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase of the corrected
-readings, or a named stretch: here, in orientation.py and in validation/trial.py alike. It is looked for in the first ten minutes,
-and in twice as much until one ends there: a stream that is read in chunks finds the one that the whole recording shows.
+no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase in the first half hour
+of the corrected readings, or a named stretch: here, in orientation.py, in validation/trial.py and in a stream alike.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import MOVING_NAMES, TriadModel
-from undrift.record import ForceUncertainty, Record, Still, joined
+from undrift.record import Record, Still, joined
 from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
 NAMED_NONE: Stretch = (None, None)
-FOUND_IN_S = 600.0
+FOUND_IN_S = 1800.0  # a stream that is read in chunks finds the rest that the whole recording shows
 LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and what is left of the offset
 FEWEST = 10  # samples: below it their scatter says nothing
 # rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
@@ -46,14 +45,13 @@ class RestOffset:
 
     start_s: float  # First sample of the rest, on the recording's clock
     stop_s: float  # Last sample of it
-    rate: FloatArray  # (3,), mean, rad/s, frame b
-    covariance: FloatArray  # (3, 3), of the mean by the scatter of the readings, (rad/s)^2
+    rate: Annotated[FloatArray, Shape(3)]  # mean, rad/s, frame b
+    covariance: Annotated[FloatArray, Shape(3, 3)]  # of the mean by the scatter of the readings, (rad/s)^2
     stills: tuple[Still, ...] | None = None  # all that were found where it was looked for; None for a named stretch
     moved: float = math.sqrt(3.0) * MOVED  # rad/s, standard uncertainty of the change in motion, all axes together
 
     def __post_init__(self) -> None:
-        for name, shape in (("rate", (3,)), ("covariance", (3, 3))):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape, f"RestOffset.{name}"))
+        freeze(self)
 
     @property
     def rest_s(self) -> tuple[float, float]:
@@ -156,75 +154,54 @@ def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffs
 
 def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:
     """Return what a calibration leaves at the first rest of a corrected record, or at a named stretch."""
-    return _found(lambda span_s: (_head(record, span_s), len(record)), stretch)
+    if record.gyro is None:
+        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
+    if (still := named_rest(record, stretch)) is not None:
+        return rest_offset(record, still)
+    stills = _first_rests(record, "correct")
+    return replace(rest_offset(record, stills[0]), stills=stills)
 
 
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
-    head, stills = _first(lambda span_s: (_head(record, span_s), len(record)), what)
-    whole = stills if len(head) == len(record) else find_still(record).stills
-    return stills[0], *(one for one in whole if one.start >= stills[0].stop)
+    stills = _first_rests(record, what)
+    whole = stills if len(_head(record)) == len(record) else find_still(record).stills
+    return stills[0], *(still for still in whole if still.start >= stills[0].stop)
 
 
 def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
     """Return the same from corrected chunks, reading no more of them than needed."""
-    held: list[Record] = []
-
-    def extended(span_s: float) -> tuple[Record, int]:
-        while not held or held[-1].time[-1] < held[0].time[0] + span_s:
-            following = next(chunks, None)
-            if following is None:
-                break
-            held.append(following)
-        if not held:
-            raise InputError("rest: wanted a recording, got no samples; check the file")
-        held[:] = [joined(held)]
-        return _head(held[0], span_s), len(held[0])
-
-    return _found(extended, stretch)
+    start_s, stop_s = stretch
+    named = start_s is not None and stop_s is not None and start_s < stop_s
+    head: list[Record] = []
+    for chunk in chunks:
+        head.append(chunk)
+        search_end = head[0].time[0] + FOUND_IN_S if stretch == NAMED_NONE else stop_s if named else np.inf
+        if chunk.time[-1] >= search_end:
+            break
+    if not head:
+        raise InputError("rest: wanted a recording, got no samples; check the file")
+    return find_rest_offset(joined(head), stretch)
 
 
-def _found(extended: Callable[[float], tuple[Record, int]], stretch: Stretch) -> RestOffset:
-    """Look in a head of the recording, and in longer ones; ``extended`` gives a head and how many samples are known of."""
-    head, _ = extended(FOUND_IN_S)
-    if head.gyro is None:
-        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
-    if stretch != NAMED_NONE:  # read as far as the stretch, or everything to say where it could be
-        start_s, stop_s = stretch
-        ordered = start_s is not None and stop_s is not None and start_s < stop_s
-        head, _ = extended(max(stop_s - float(head.time[0]) + 1.0, FOUND_IN_S) if ordered and stop_s else np.inf)
-    if (still := named_rest(head, stretch)) is not None:
-        return rest_offset(head, still)
-    head, stills = _first(extended, "correct")
-    return replace(rest_offset(head, stills[0]), stills=stills)
+def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
+    """Return the still phases of the head of a record; raise if there are none."""
+    head = unpadded(_head(record))
+    first = int(record.time.searchsorted(head.time[0]))
+    search = find_still(head)
+    if not search.stills:
+        raise InputError(
+            f"{what}: wanted a still phase, got none: {search.reason.removeprefix('no still phase: ')}; name a stretch at rest "
+            "(`rest_s`), use `offset` motion, or record with a pause",
+            missing="rest",
+        )
+    return tuple(replace(still, start=still.start + first, stop=still.stop + first) for still in search.stills)
 
 
-def _first(extended: Callable[[float], tuple[Record, int]], what: str) -> tuple[Record, tuple[Still, ...]]:
-    """Return a head of the recording with a still phase that ends in it, and all still phases of that head."""
-    span_s = FOUND_IN_S
-    while True:
-        head, known = extended(span_s)
-        whole = len(head) == known  # nothing comes after it
-        inner = unpadded(head)
-        first = int(head.time.searchsorted(inner.time[0]))
-        inner = inner if whole else head.part(first, len(head))
-        found = find_still(inner)
-        stills = tuple(replace(one, start=one.start + first, stop=one.stop + first) for one in found.stills)
-        if stills and (whole or stills[0].stop < len(head)):
-            return head, stills
-        if whole:
-            raise InputError(
-                f"{what}: wanted a still phase, got none: {found.reason.removeprefix('no still phase: ')}; name a stretch at rest "
-                "(`rest_s`), use `offset` motion, or record with a pause",
-                missing="rest",
-            )
-        span_s *= 2.0
-
-
-def _head(record: Record, span_s: float) -> Record:
-    """Return what begins less than a span after the first sample."""
+def _head(record: Record) -> Record:
+    """Return the part of a record in which a rest is looked for."""
     first = float(record.time[0])
-    return record if record.time[-1] < first + span_s else record.between(first, first + span_s)
+    return record if record.time[-1] < first + FOUND_IN_S else record.between(first, first + FOUND_IN_S)
 
 
 # ---- What is uncertain of the mean specific force at a rest, a covariance (3, 3), (m/s2)^2, by source
@@ -263,30 +240,16 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
         return covariances
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
     felt = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
-    offset, scale = by_temperature(error, temp_c)
+    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
     steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
     return covariances | {
         "calibration": felt @ error.covariance @ felt.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
-        "ageing": np.eye(3) * ageing(error.calibrated, float(record.time[still.start])) ** 2,
+        "ageing": np.eye(3)
+        * (TURN_ON**2 + AGEING**2 * _years_between(error.calibrated, float(record.time[still.start]))),
         "codes": np.diag((error.step * steady) ** 2 / 12.0),
     }
-
-
-def by_temperature(error: ForceUncertainty, temp_c: float) -> tuple[float, float]:
-    """Return the standard uncertainty of offset, m/s2, and of scale factor at a temperature beyond those of tables or constants."""
-    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
-    return float(offset), float(scale)
-
-
-def ageing(calibrated: str, recorded_s: float) -> float:
-    """Return the standard uncertainty of an accelerometer's offset, m/s2, from its calibration (ISO 8601) to the recording.
-
-    A recording has a date if its clock counts seconds since 1970. If recording or calibration states no date, the age of the
-    calibration is taken as one year.
-    """
-    return math.hypot(TURN_ON, AGEING * math.sqrt(_years_between(calibrated, recorded_s)))
 
 
 def _beyond(temp_c: float, span: FloatArray) -> float:
@@ -296,7 +259,7 @@ def _beyond(temp_c: float, span: FloatArray) -> float:
 
 
 def _years_between(date: str, recorded_s: float) -> float:
-    """Return the years from a date, ISO 8601, to a moment of a recording."""
+    """Return the years from a date, ISO 8601, to a moment of a recording, whose clock counts seconds since 1970."""
     try:
         when = datetime.fromisoformat(date)
     except ValueError:

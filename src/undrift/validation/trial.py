@@ -29,7 +29,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
-from undrift.calibration.codes import identify_record_adc
+from undrift.calibration.codes import device_adc
 from undrift.calibration.triads import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
 from undrift.correction.coverage import find_beyond
@@ -782,7 +782,7 @@ def _corrected(
     whole, record = record, unpadded(record)
     padded = padding(whole, record)
     if calibration is None:
-        adc = identify_record_adc(record) if settings.adc == "auto" and record.state == "raw" else None
+        adc = device_adc([record]) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
             return record.in_si(), (*padded, *check_triads(record))
         done = correct_whole(record, nominal_calibration(record, adc))
