@@ -174,7 +174,9 @@ def test_exchanged_columns_are_named_and_not_taken_for_reversed_turns():
     stated = replace(
         exchanged, angle=exchanged.angle * np.array([-1.0, -1.0, 1.0])
     )  # as the advice on signs was followed
-    with pytest.raises(Implausible, match=r"got -y, -x, \+z: columns x and y exchanged, and x and y reversed"):
+    with pytest.raises(
+        Implausible, match=r"-y, -x, \+z as stated: columns x and y are exchanged, and x and y reversed"
+    ):
         fit_known_rotation(stated, gravity=G)
 
 

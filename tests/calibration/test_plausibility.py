@@ -190,7 +190,7 @@ def test_the_order_as_it_should_be_passes():
     [
         (rows("+x", "-y", "+z"), "gyroscope column y is reversed"),
         (rows("-x", "-y", "+z"), "accelerometer column z is reversed, or gyroscope columns x and y are reversed"),
-        (rows("-x", "-y", "-z"), "gyroscope columns x, y and z are reversed, or the same two columns of both triads"),
+        (rows("-x", "-y", "-z"), "all gyroscope columns are reversed, or the same two columns of both triads"),
         (rows("+y", "+x", "+z"), "gyroscope columns x and y are exchanged"),
         (rows("-y", "-x", "-z"), "accelerometer columns x and y are exchanged, or gyroscope columns x and y are"),
         (rows("+y", "+z", "+x"), "gyroscope columns x, y and z are exchanged in a ring, or accelerometer columns x, y"),

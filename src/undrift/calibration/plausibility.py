@@ -99,11 +99,11 @@ def accel_order(order: FloatArray) -> FloatArray | None:
 
 def cause_by_gravity(order: FloatArray) -> str:
     """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order."""
+    if np.array_equal(order, -np.eye(3)):
+        return "all gyroscope columns are reversed, or the same two columns of both triads are exchanged"
     causes = [(columns_to_mend(order), f"gyroscope {columns_text(order)}")]
     if (accel := accel_order(order)) is not None:
         causes.append((columns_to_mend(accel), f"accelerometer {columns_text(accel)}"))
-    elif np.array_equal(order, -np.eye(3)):
-        causes.append((6, "the same two columns of both triads are exchanged"))
     return ", or ".join(cause for _, cause in sorted(causes, key=lambda pair: pair[0]))
 
 
@@ -223,11 +223,12 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     for label, face in zip(faces, read, strict=True):
         shown.setdefault(label, set()).add(face)
         order[AXES.index(face[1]), AXES.index(label[1])] += 1.0 if face[0] == label[0] else -1.0
-    wrong = [label for label in shown if shown[label] != {label}]
-    alike = next((pair for pair in itertools.combinations(shown, 2) if shown[pair[0]] & shown[pair[1]]), None)
+    labels = [face for face in FACES if face in shown]
+    wrong = [label for label in labels if shown[label] != {label}]
+    alike = next((pair for pair in itertools.combinations(labels, 2) if shown[pair[0]] & shown[pair[1]]), None)
     nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
     if any(len(faces_read) > 1 for faces_read in shown.values()):
-        label = next(label for label in shown if len(shown[label]) > 1)
+        label = next(label for label in labels if len(shown[label]) > 1)
         missing = missing_faces(faces)
         cause = f"face {label} is stated twice{f', and {_listed(missing)} is missing' if missing else ''}"
     elif alike:

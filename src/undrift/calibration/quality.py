@@ -130,13 +130,20 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
     text, tilts = "a tilt of {value} from its first to its last third", np.full(len(stills), np.nan)
-    if is_physical(session.records[0].accel_unit):  # counts have no known zero
-        for number, still in enumerate(stills):
-            accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
-            first = mean_reading(accel, still.start, still.start + third)
-            last = mean_reading(accel, still.stop - third, still.stop)
-            tilts[number] = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE
-    return _Figure(text=text, values=tilts, limit=TILT_LIMIT_DEG, unit="deg")
+    centre, limit = np.zeros(3), TILT_LIMIT_DEG
+    if not is_physical(session.records[0].accel_unit):  # counts: about the centre of a sphere through enough rests
+        means = np.array([mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in stills])
+        if len(means) < 6 or not np.isfinite(means).all():
+            return _Figure(text=text, values=tilts, limit=limit, unit="deg")
+        centre, radius = segments.sphere_of(means)
+        step = float(np.nan_to_num(code_steps(session.records, rate=False)).max())
+        limit += 2.0 * step / radius / RADIAN_PER_DEGREE
+    for number, still in enumerate(stills):
+        accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
+        first = mean_reading(accel, still.start, still.start + third) - centre
+        last = mean_reading(accel, still.stop - third, still.stop) - centre
+        tilts[number] = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE
+    return _Figure(text=text, values=tilts, limit=limit, unit="deg")
 
 
 def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
