@@ -65,11 +65,13 @@ class Record(Shown):
     time : array, shape (N,)
         s, strictly increasing.
     gyro, accel : array, shape (N, 3), or None
-        Readings of rate in ``gyro_unit`` (rad/s, dps, count, v) and of specific force in ``accel_unit`` (m/s2, g, mg, count, v).
+        Readings of rate and of specific force; None if the file has no such triad.
     temp_c : array, shape (N,), or None
         Temperature at the sensor, degC.
     mag_ut : array, shape (N, 3), or None
         Magnetic field, uT.
+    gyro_unit, accel_unit : str
+        rad/s, dps, count or v; m/s2, g, mg, count or v.
     frame, state : str
         "s" for sensor axes, "b" for the device case; "raw" or "corrected".
     device : str
@@ -379,12 +381,12 @@ class Still:
 
     Parameters
     ----------
-    start, stop, recording : int
-        Samples [start, stop) of a record of the session.
+    start, stop : int
+        Samples [start, stop).
     face : str or None
         Axis that points up; None for a free pose.
-    temp_c : float or None
-        Chamber set-point, degC, if there is no temperature column.
+    recording, temp_c : int, float or None
+        Number of the record in the session; chamber set-point, degC, if there is no temperature column.
 
     Examples
     --------
@@ -409,14 +411,14 @@ class Turn:
 
     Parameters
     ----------
-    start, stop, recording : int
-        Samples [start, stop) of a record of the session.
+    start, stop : int
+        Samples [start, stop).
     axis : str or None
         Case axis of the turn; None for a free rotation.
     turn_rate, angle : float or None
         Achieved steady rate about +axis, rad/s (rate table); angle turned about +axis, rad (known rotation).
-    temp_c : float or None
-        Chamber set-point, degC.
+    recording, temp_c : int, float or None
+        Number of the record in the session; chamber set-point, degC.
 
     Examples
     --------
@@ -508,8 +510,8 @@ class Session:
     ----------
     kind : str
         calibration, thermal or static; set-points if each row of the records is a mean over a set-point.
-    serial : str
-        Device serial number.
+    serial, gravity_m_s2 : str, float
+        Device serial number; local gravity, m/s2.
     records : tuple of Record
         One or more recordings.
     stills, turns : tuple of Still, tuple of Turn
@@ -518,8 +520,8 @@ class Session:
         File name and sha256 of every file that was read.
     file_map : FileMap or None
         How its files are read, if they need a map.
-    gravity_m_s2, gravity_source : float, str
-        Local gravity, m/s2: "stated", from "latitude and height" (WGS 84), or "standard" gravity, assumed.
+    gravity_source : str
+        "stated", from "latitude and height" (WGS 84), or "standard" gravity, assumed.
     sensitivity, rate_table : TemperatureSensitivity, RateTable
         How far the device may follow temperature; how good the rate table and the mounting on it are.
     mounting : str or None

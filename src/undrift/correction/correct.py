@@ -110,16 +110,31 @@ class DriftRangeWarning(UserWarning):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """A corrected record, and where the calibration did not cover it."""
+    """A corrected record, and where the calibration did not cover it.
 
-    record: Record  # rad/s and m/s2 in frame b, state corrected
-    outside: BoolArray  # (N,), True if the temperature lay outside a tuning table
-    extrapolated: BoolArray  # (N,), True if it lay inside, at nodes that no data were near
-    missing: BoolArray  # (N,), True without a temperature that a table needs: the result is NaN, whatever the policy
-    findings: tuple[Finding, ...]  # readings beyond the calibration (warn), and errors that it does not correct (info)
-    reach: coverage.Reach  # samples and seconds of each mask, and the span of temperature and rate
-    carry: Carry  # state for the next chunk of a stream
-    rest: OffsetLeft | None = None  # the offset that was subtracted, with its uncertainty
+    Parameters
+    ----------
+    record : Record
+        rad/s and m/s2 in frame b, state corrected.
+    outside, extrapolated, missing : array, shape (N,)
+        True if the temperature lay outside a tuning table; inside, at nodes that no data were near; or was not recorded though a
+        table needs it: the result is then NaN, whatever the policy.
+    findings : tuple of Finding
+        Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
+    reach, carry : Reach, Carry
+        Samples and seconds of each mask with the span of temperature and rate; the state for the next chunk of a stream.
+    rest : RestOffset, MotionOffset or None
+        The offset that was subtracted, with its uncertainty.
+    """
+
+    record: Record
+    outside: BoolArray
+    extrapolated: BoolArray
+    missing: BoolArray
+    findings: tuple[Finding, ...]
+    reach: coverage.Reach
+    carry: Carry
+    rest: OffsetLeft | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -204,12 +219,14 @@ def correct_checked(
 
     Parameters
     ----------
-    record, calibration, policy, power_on_s, offset
+    record, calibration, policy
         As for ``correct``, which also says what is raised.
     reference_span_c : float
         Without a table, warn if the temperature departs from the reference by more than this, degC.
     threads : int, optional
         Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
+    power_on_s, offset
+        As for ``correct``.
 
     Examples
     --------
