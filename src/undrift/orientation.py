@@ -27,7 +27,7 @@ the rest (6D), or relative to magnetic east where it takes the magnetometer (9D)
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
@@ -152,7 +152,7 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
 
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
     """Refuse a rate (N, 3) with gaps: no orientation can be carried over one."""
-    gap: BoolArray = ~np.isfinite(gyro_b).all(axis=1)
+    gap = np.asarray(~np.isfinite(gyro_b).all(axis=1))
     if gap.any():
         start, stop = runs(gap)[0]
         raise InputError(
@@ -214,7 +214,10 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
     ways: list[Face] = [face for face in FACES if face[1] == axis]
     spans = [np.degrees(np.nanpercentile(sagittal_pitch(q_nb, forward=way, up=upward), (0, 100))) for way in ways]
     choices = " or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True))
-    values = {"stated": f"forward {forward} and up {up}", "where": "on average" if rest is None else "at rest"}
+    values: dict[str, Any] = {
+        "stated": f"forward {forward} and up {up}",
+        "where": "on average" if rest is None else "at rest",
+    }
     values |= {"off_deg": off_deg, "up": upward, "forward": ways, "choices": choices}
     return (finding("orient.pitch_axes", "warn", **values),)
 

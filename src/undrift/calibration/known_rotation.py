@@ -424,7 +424,9 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
 
     The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
     """
-    rate, force = ((v - m.offset) @ m.matrix.T for v, m in ((record.gyro, gyro), (record.accel, accel)))
+    rate, force = (
+        (v - m.offset) @ m.matrix.T for v, m in ((np.asarray(record.gyro), gyro), (np.asarray(record.accel), accel))
+    )
     conflict = find_disagreement(replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2"))
     if conflict is None:
         return ()

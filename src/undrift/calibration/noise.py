@@ -328,7 +328,7 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
         size = np.linalg.norm(rows, axis=0)
         squares = nnls(rows / size, measured / (model * np.sqrt(2.0 * own + departure)))[0] / size
         model = np.maximum(shapes @ squares, 1e-3 * measured)
-        departure = excess_variance(measured / model - 1.0, own, len(measured) - np.count_nonzero(squares))
+        departure = excess_variance(measured / model - 1.0, own, float(len(measured) - np.count_nonzero(squares)))
     errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # with all terms free
     observable = squares > OBSERVABLE * errors
     value = np.where(observable, np.sqrt(squares), np.nan)

@@ -72,10 +72,10 @@ def _stated(seen: Observed, session: Session, calibration: Calibration | None) -
             why = "another temperature"
         elif calibration is not None and _method(calibration.accel) == "six-face" and still.face is None:
             why = "no face up"
-        yield _piece(still, still.recording, still.face or "", why)
+        yield _piece(still, still.recording, str(still.face or ""), why)
     for number, turn in enumerate(session.turns):
         method = "" if calibration is None else _method(calibration.gyro)
-        label, why = turn.axis or "", ""
+        label, why = str(turn.axis or ""), ""
         if turn.turn_rate is not None:
             label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
         elif turn.angle is not None:

@@ -129,8 +129,10 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
-    text, tilts = "a tilt of {value} from its first to its last third", np.full(len(stills), np.nan)
-    centre, limit = np.zeros(3), TILT_LIMIT_DEG
+    text = "a tilt of {value} from its first to its last third"
+    tilts: FloatArray = np.full(len(stills), np.nan)
+    centre: FloatArray = np.zeros(3)
+    limit = TILT_LIMIT_DEG
     if not is_physical(session.records[0].accel_unit):  # counts: about the centre of a sphere through enough rests
         means = np.array([mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in stills])
         if len(means) < 6 or not np.isfinite(means).all():
@@ -204,7 +206,7 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
         if turn.angle is not None:
             edge = float(rate[[0, -1]].max())
             what = f"it is cut off: at its start or end it still turns at {100.0 * edge:.3g} % of its largest rate"
-            shares = ((edge, EDGE_LIMITS, what),)
+            shares = [(edge, EDGE_LIMITS, what)]
         else:
             least = STOP_S * session.records[turn.recording].sample_rate_hz
             lengths = np.diff(runs(rate < STOPPED_SHARE))
@@ -213,10 +215,10 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
             what = (
                 f"it overlaps a stop: in {100.0 * stop:.3g} % of it the device turned at less than a fifth of its rate"
             )
-            shares = (
+            shares = [
                 (stop, STOP_LIMITS, what),
                 (spread, SPREAD_LIMITS, f"its rate varies by {100.0 * spread:.3g} % rms"),
-            )
+            ]
         faults += [(share > fail, share, number, what) for share, (warn, fail), what in shares if share > warn]
     if faults:
         fail, share, number, what = max(faults)

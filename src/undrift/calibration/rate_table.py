@@ -392,7 +392,8 @@ def _rest_means(
     records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
     if accel is None:
         rests = [rest for rest in rests if rest.face is not None]
-    parts = [records[piece.recording].part(piece.start, piece.stop) for piece in (*turning, *rests)]
+    pieces: list[Turn | Still] = [*turning, *rests]
+    parts = [records[piece.recording].part(piece.start, piece.stop) for piece in pieces]
     windows = [np.asarray(part.gyro, float) for part in parts[len(turning) :]]
     lacking = accel is not None and any(part.accel is None for part in parts)
     if not windows or not turning or lacking or any(np.isnan(window).any() for window in windows):

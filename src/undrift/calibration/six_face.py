@@ -18,7 +18,7 @@ cosine takes along gravity is added to the covariance for a tilt of the estimate
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -84,7 +84,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affin
     _check(poses, gravity, mode)
     inputs, gls = gravity * face_vectors(poses.faces), _solve(poses, gravity)
     tilt = float(np.sqrt(gls.excess.get("level", np.nan)))
-    names = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
+    names: dict[str, Any] = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     findings = list[Finding]()
     if poses.rounding is not None and poses.noise is not None:
         findings += limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)

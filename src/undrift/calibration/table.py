@@ -235,13 +235,15 @@ def table_axes(
     wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
     columns = list[FloatArray]()
     for number in sorted(set(mounting.tolist())):
-        rows = np.flatnonzero(mounting == number)
+        rows: list[int] = np.flatnonzero(mounting == number).tolist()
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
         across = [(k + 1) % 3, (k + 2) % 3]
         root: FloatArray = np.tile(table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2), (len(rows), 1, 1))
         if accel is not None and abs(gravity) == gravity_m_s2:
             felt = [_felt(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows]
-            parts = [part[:, [0, 1, 2 + across[0], 2 + across[1]]] / [1.0, 1.0, gravity, gravity] for part in felt]
+            parts: list[FloatArray] = [
+                part[:, [0, 1, 2 + across[0], 2 + across[1]]] / np.array([1.0, 1.0, gravity, gravity]) for part in felt
+            ]
             if all(len(part) for part in parts):
                 tilt, root = _tilt_by_gravity(
                     parts, dwells.turn_rate[rows], [turns[n].recording for n in rows], table, gravity
@@ -288,7 +290,7 @@ def _azimuths(
             continue
         k, whole = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
         scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
-        angle = cumulative_trapezoid((record.gyro[whole, k] - offset) / scale, record.time[whole], initial=0.0)
+        angle = cumulative_trapezoid((record.gyro[whole, k] - offset) / scale, record.time[whole], initial=0)
         for n in rows:
             azimuths[n][whole] = angle
     return azimuths

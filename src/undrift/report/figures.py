@@ -497,7 +497,8 @@ def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation")
 
 def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None:
     """Draw the deviations of one axis and the band of their intervals."""
-    curve, style = axis.curve, {"color": AXIS_COLOURS[k], "linewidth": 0.0}
+    curve = axis.curve
+    style: dict[str, Any] = {"color": AXIS_COLOURS[k], "linewidth": 0.0}
     panel.fill_between(curve.taus_s, curve.lower, curve.upper, alpha=0.18, **style)
     panel.plot(
         curve.taus_s, curve.deviation, marker=AXIS_MARKERS[k], markersize=3.5, label=f"{name} {axis.axis}", **style
