@@ -175,15 +175,29 @@ class AxisNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseFit(Shown):
-    """Noise of a device at rest."""
+    """Noise of a device at rest.
 
-    gyro: tuple[AxisNoise, ...]  # three axes; empty if the record has no such triad
+    Parameters
+    ----------
+    gyro, accel : tuple of AxisNoise
+        Three axes; empty if the record has no such triad.
+    gyro_unit, accel_unit : str
+        rad/s and m/s2, or the unit of the readings if it is not a physical one.
+    duration_s : float
+        Length of the record, s.
+    confidence : float
+        Probability of the intervals.
+    verdict : Verdict
+        Which terms are not observable, and how long to record.
+    """
+
+    gyro: tuple[AxisNoise, ...]
     accel: tuple[AxisNoise, ...]
-    gyro_unit: str  # rad/s, or the unit of the readings if it is not a physical one
-    accel_unit: str  # m/s2, or the unit of the readings
-    duration_s: float  # length of the record, s
-    confidence: float  # probability of the intervals
-    verdict: Verdict  # which terms are not observable, and how long to record
+    gyro_unit: str
+    accel_unit: str
+    duration_s: float
+    confidence: float
+    verdict: Verdict
 
     def _rows(self) -> dict[str, str]:
         rows = {"record": f"{self.duration_s:.4g} s"}
