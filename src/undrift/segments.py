@@ -379,13 +379,14 @@ def _why_none(
     over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
     if over:
         why = f"too restless: a device at rest varies less than {' and '.join(over)}"
-        if len(over) == 1 < len(thresholds) and over[0].endswith(" rad/s"):
-            why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
     elif all(t.basis == "none" for t in thresholds):
         usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
         why = f"no gap separates rest from motion; too restless: half of the windows vary by more than {usual}"
     else:
         why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s; too short: the longest lasts {longest_s:.2g} s"
+    rests = [m.floor < m.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT) for m in triads if not m.is_gyro]
+    if rests == [True] and triads[0].unit == "rad/s" and triads[0].floor > BENCH_RATE_LIMIT:
+        why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
     return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
 
 

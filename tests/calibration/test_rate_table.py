@@ -173,7 +173,7 @@ def test_a_left_handed_or_misstated_gyroscope_is_refused():
         fit_rate_table(degrees)
 
 
-def record(noise=0.0, seconds=3.0, settle=True):
+def record(noise=1e-5, seconds=3.0, settle=True):
     rng = np.random.default_rng(8)
     n = int(100 * seconds)
     pieces = []
