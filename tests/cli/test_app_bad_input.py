@@ -221,7 +221,7 @@ def test_a_session_in_a_wrong_unit_is_not_calibrated(undrift, tmp_path, channel,
         f'units = {{ gyro = "{units["gyro"]}", accel = "{units["accel"]}" }}\n'
     )
     before = contents(tmp_path)
-    assert "wanted" in undrift.refused("calibrate", tmp_path, "-o", tmp_path / "c.json")
+    assert "expected" in undrift.refused("calibrate", tmp_path, "-o", tmp_path / "c.json")
     assert contents(tmp_path) == before
 
 

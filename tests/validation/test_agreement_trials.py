@@ -58,7 +58,7 @@ def test_calls_that_cannot_be_are_refused(pairs):
         validate_trials(pairs, calibrations=(None, None))
     with pytest.raises(InputError, match="got 3 recordings, 1 calibrations, 1 names"):
         validate_trials(pairs, names=("a",))
-    with pytest.raises(InputError, match="wanted two recordings of a device or more, got 1"):
+    with pytest.raises(InputError, match="two recordings of a device or more are needed, got 1"):
         validate_leave_one_out(pairs[:1])
 
 

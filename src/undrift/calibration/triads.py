@@ -50,6 +50,10 @@ LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of 
 QUIET = 0.2  # of the largest window's
 PLAUSIBLE_HZ = (4.0, 5000.0)  # of a recording that people move in; outside, the unit of time is tried too
 TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by decades
+UNITS = {
+    RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
+    1.0 / RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
+}
 FORCE_RANGE = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
 
 
@@ -177,13 +181,16 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     if mistake is None:
         return None
     gain = float((mistake.kept - stated).mean())
-    explained = float((mistake.kept - windows.kept(np.eye(3), 0.0)).mean())
+    unturned = windows.kept(np.eye(3), 0.0)
+    explained = float((mistake.kept - unturned).mean())
+    contradicted = float((unturned - stated).mean()) > CLEAR_GAIN  # rotation as stated is worse than none at all
     scatter = max(float(np.sqrt(((mistake.kept - 1.0) ** 2).mean())), MIN_SCATTER)
     least = max(MIN_EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
     significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(stated)))
-    if not significant or mistake.kept.mean() < MIN_KEPT or explained < least:
+    if not significant or mistake.kept.mean() < MIN_KEPT or (explained < least and not contradicted):
         return None
-    ordinary = abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1 and len(stated) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    enough = contradicted or len(stated) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    ordinary = enough and abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1
     return finding(
         "record.triads_disagree",
         "fail" if gain >= CLEAR_GAIN and ordinary else "warn",
@@ -246,27 +253,27 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
     grid = np.geomspace(1.0 / LARGEST_SCALE, LARGEST_SCALE, 161)
     means = np.array([windows.kept(np.eye(3), float(scale)).mean() for scale in grid])
     best = int(means.argmax())
-    scale, ratio_text, rate_hz = float(grid[best]), "", 0.0
+    scale, rate_hz = float(grid[best]), 0.0
     if 0 < best < len(grid) - 1:  # the vertex of the parabola through three points
         low, mid, high = means[best - 1 : best + 2]
         scale *= float((grid[1] / grid[0]) ** (0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)))
     if max(scale, 1.0 / scale) <= ORDINARY:
         return
-    ratio_text = f"turns {1.0 / scale:.3g} times as large as gravity shows"
-    if max(scale / RADIAN_PER_DEGREE, RADIAN_PER_DEGREE / scale) < ORDINARY:
-        scale, text = RADIAN_PER_DEGREE, "gyroscope is in deg/s, not rad/s"
-        action = "correct the unit of the gyroscope in the map or the columns' names"
-    elif max(scale * RADIAN_PER_DEGREE, 1.0 / scale / RADIAN_PER_DEGREE) < ORDINARY:
-        scale, text = 1.0 / RADIAN_PER_DEGREE, "gyroscope is in rad/s, not deg/s"
-        action = "correct the unit of the gyroscope in the map or the columns' names"
-    elif scale < COUNTS:  # no person mistakes a sample rate by as much
-        text = f"{ratio_text}: gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
+    for unit, text in UNITS.items():
+        kept = windows.kept(np.eye(3), unit)
+        if max(scale / unit, unit / scale) < ORDINARY or kept.mean() > means[best] - SAME:
+            action = "correct the unit of the gyroscope in the map or the columns' names"
+            yield Mistake(text=text, action=action, kept=kept, turned_ratio=1.0 / unit)
+            return
+    text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
+    if scale < COUNTS:  # no person mistakes a sample rate by as much
+        text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
         action = "state the sensitivity: unit count and its scale"
     else:
         rate_hz = record.sample_rate_hz / scale
-        text = (
-            f"{ratio_text}: the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the "
-            "gyroscope's range is another"
+        text += (
+            f"the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
+            "another"
         )
         action = "state the true sample rate, unit of time or sensitivity"
     kept = windows.kept(np.eye(3), scale)
