@@ -266,7 +266,8 @@ def _threshold(triad: _Moments, settings: StillSettings) -> StillThreshold:
     ):
         threshold = replace(threshold, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
     limit = triad.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
-    return replace(threshold, value=limit, basis="limit") if threshold.value > limit else threshold
+    rests = np.isfinite(limit) and threshold.basis == "none" and triad.floor <= _ALL_NOISE * triad.white
+    return replace(threshold, value=limit, basis="limit") if rests or threshold.value > limit else threshold
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
