@@ -105,7 +105,9 @@ class StillSearch:
     reason: str = ""  # why there is none; "" if there is one or more
 
 
-def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
+def find_still(
+    record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0, over_noise: bool = False
+) -> StillSearch:
     """Find the stretches in which the device did not move.
 
     A sample is still when the window centred at it is quiet in every triad and the mean rate reading is that of the
@@ -119,6 +121,9 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
         Window and thresholds; by default a window of 1 s, and the threshold that the data show.
     recording : int
         Number of the record in its session, written into each Still.
+    over_noise : bool
+        If no gap separates rest from motion and the quietest windows contain white noise alone, take what varies less than on a
+        bench. A rest of a second shows an offset less well than it seems.
 
     Returns
     -------
@@ -139,7 +144,7 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     >>> [(still.start, still.stop) for still in undrift.find_still(record).stills]
     [(0, 446), (1054, 1500)]
     """
-    return _find(record, _moments(record, settings), settings, recording)
+    return _find(record, _moments(record, settings), settings, recording, over_noise=over_noise)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,9 +213,11 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
     return tuple(triads)
 
 
-def _find(record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int) -> StillSearch:
+def _find(
+    record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int, *, over_noise: bool = False
+) -> StillSearch:
     quiet = np.ones(len(triads[0].spread) if triads else 0, bool)
-    thresholds = [_threshold(triad, settings) for triad in triads]
+    thresholds = [_threshold(triad, settings, over_noise=over_noise) for triad in triads]
     for triad, threshold in zip(triads, thresholds, strict=True):
         if threshold.basis != "none":
             quiet &= triad.spread <= threshold.value
@@ -244,7 +251,7 @@ def sample_count(seconds: float, sample_rate_hz: float) -> int:
     return max(2, round(seconds * sample_rate_hz))
 
 
-def _threshold(triad: _Moments, settings: StillSettings) -> StillThreshold:
+def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) -> StillThreshold:
     threshold = StillThreshold(
         channel="gyro" if triad.is_gyro else "accel",
         value=np.nan,
@@ -266,7 +273,7 @@ def _threshold(triad: _Moments, settings: StillSettings) -> StillThreshold:
     ):
         threshold = replace(threshold, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
     limit = triad.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
-    rests = np.isfinite(limit) and threshold.basis == "none" and triad.floor <= _ALL_NOISE * triad.white
+    rests = over_noise and threshold.basis == "none" and triad.floor <= _ALL_NOISE * triad.white
     return replace(threshold, value=limit, basis="limit") if rests or threshold.value > limit else threshold
 
 

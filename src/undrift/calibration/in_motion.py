@@ -304,7 +304,7 @@ def _units(records: Sequence[Record], field_size: float | None) -> list[_Unit]:
     units = []
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
-        still = find_still(record).stills
+        still = find_still(record).stills or find_still(record, over_noise=True).stills
         rest = _Rest.of(gyro[still[0].start : still[0].stop], record.sample_rate_hz) if still else None
         moving = np.ones(len(record))
         for one in still:

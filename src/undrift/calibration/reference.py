@@ -169,10 +169,10 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
         for still in find_still(record).stills[:1]:
             rows = (record.time >= record.time[still.start]) & (record.time < record.time[still.stop - 1])
-        if not rows.any():
-            return np.full(3, np.nan), np.zeros(3), np.zeros(3)
     readings = aligned.gyro[rows & np.isfinite(aligned.gyro).all(axis=1)]
     count = int(len(readings) / (REST_BLOCK_S * record.sample_rate_hz))
+    if count < 2 and not span.rested:
+        return np.full(3, np.nan), np.zeros(3), np.zeros(3)
     if count < 2:
         raise InputError(
             "reference: the rest before the motion has less than a second of readings. Record 3 s of rest."
