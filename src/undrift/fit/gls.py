@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.errors import NotObservable
 
 MAX_ITERATIONS, MOST_HALVINGS = 100, 30
@@ -257,23 +257,32 @@ class _Rows:
 #
 #     s+ = argmin_{x >= 0} (x - s)' I (x - s) / 2 - g' (x - s)
 #
-# and no farther than the likelihood rises: two shapes that are nearly alike would exchange their variances without end.
+# and no farther than the likelihood rises: two shapes that are nearly alike would exchange their variances without end. The
+# likelihood may have several maxima. The descent therefore begins at the one kind that by itself is the likeliest.
 
 
 def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them."""
-    variances: FloatArray = np.zeros(len(rows.shapes))
-    state = rows.solve(variances)
+    start = np.zeros(len(rows.shapes)), rows.solve(np.zeros(len(rows.shapes)))
     # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
-    kept = [(_trace(state.projector, shape), _trace(state.inverse, shape)) for shape in rows.shapes]
-    shown = np.array([projected > SHOWN * whole for projected, whole in kept], bool)
-    for _ in range(MAX_ITERATIONS if shown.any() else 0):
-        products = [_product(state.projector, shape) for shape in rows.shapes]
-        square = [float(state.weighted @ _product(state.weighted, shape)) for shape in rows.shapes]
+    kept = [(_trace(start[1].projector, shape), _trace(start[1].inverse, shape)) for shape in rows.shapes]
+    shown = np.array([k for k, (projected, whole) in enumerate(kept) if projected > SHOWN * whole], int)
+    if len(shown) > 1:
+        start = min((_climb(rows, *start, shown[[n]]) for n in range(len(shown))), key=lambda found: found[1].deviance)
+    return _climb(rows, *start, shown)
+
+
+def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray) -> tuple[FloatArray, _State]:
+    """Return the nearest maximum of the likelihood over the variances of some shapes, and the solution there."""
+    shapes = [rows.shapes[k] for k in free]
+    for _ in range(MAX_ITERATIONS if shapes else 0):
+        products = [_product(state.projector, shape) for shape in shapes]
+        square = [float(state.weighted @ _product(state.weighted, shape)) for shape in shapes]
         score = np.array(square) - [np.trace(product) for product in products]
         information = np.array([[float((a * b.T).sum()) for b in products] for a in products])
-        step = _bounded_step(variances, score, information, shown)
-        if score @ step <= 2.0 * TOLERANCE**2:
+        step = np.zeros(len(variances))
+        step[free] = _bounded_step(variances[free], score, information)
+        if score @ step[free] <= 2.0 * TOLERANCE**2:
             break
         for halvings in range(MOST_HALVINGS):
             ahead = variances + 0.5**halvings * step
@@ -290,18 +299,16 @@ def _trace(matrix: FloatArray, shape: FloatArray) -> float:
     return float(np.diag(matrix) @ shape if shape.ndim == 1 else (matrix * shape).sum())
 
 
-def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray, free: BoolArray) -> FloatArray:
-    """Return the step to s+; variances that are not free stay."""
+def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
+    """Return the step to s+."""
     from scipy.optimize import nnls
 
-    length = np.sqrt(np.diag(information)[free])
-    scaled = information[np.ix_(free, free)] / np.outer(length, length)
-    target = scaled @ (variances[free] * length) + score[free] / length
+    length = np.sqrt(np.diag(information))
+    scaled = information / np.outer(length, length)
     size, vectors = np.linalg.eigh(scaled)
     root = np.sqrt(size.clip(RANK * size[-1]))  # scaled = R' R, R = diag(root) vectors'
-    step = np.zeros(len(variances))
-    step[free] = nnls(root[:, None] * vectors.T, vectors.T @ target / root)[0] / length - variances[free]
-    return step
+    target = scaled @ (variances * length) + score / length
+    return np.asarray(nnls(root[:, None] * vectors.T, vectors.T @ target / root)[0] / length - variances)
 
 
 def _degrees(product: FloatArray) -> float:
