@@ -19,6 +19,9 @@ the sensors feel it. Errors of the readings would make M too small if the readin
 projection s^ on the known columns (f, a, 1) takes their place, and what is left of them is carried by M as it is known:
 
     M s^ - c - G a = f - M (s - s^) + e
+
+A prior of G is one of the g-sensitivity as read, M^-1 G. Otherwise it would pull a scale that no input determines towards zero. With
+M_0 and H of the fit before, G - (M - M_0) H takes the place of G in it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,6 +38,7 @@ TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at w
 ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
 ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
 RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
+EXCITED = 0.03  # of the rms of the largest input: a smaller one is a tilt of the others, and its scale keeps its prior
 RANK = 1e-9  # of the largest singular value of known columns
 SHOWN = 1e-6  # share of a shape that the residuals must keep
 NORMAL_95 = 1.959963984540054
@@ -151,10 +155,11 @@ def solve_inverse(
 ) -> GlsFit:
     """Fit M, c and G to readings (E, 3) of known inputs (E, 3), and of a specific force (E, 3); ``matrix`` is a first M.
 
-    The parameters are M row by row, c, and G row by row. Rows of the sources and shapes are those of the readings, 3 E in all.
+    ``prior`` is that of M, c and G, in which G is independent of the others. The parameters are M row by row, c, and G row by row. Rows of the sources and shapes are those of the readings, 3 E in all.
     """
     count, forces = len(reading), [] if force is None else [force]
-    known = np.hstack([value, np.ones((count, 1)), *forces])
+    length = np.linalg.norm(value, axis=0)
+    known = np.hstack([value[:, length > EXCITED * length.max()], np.ones((count, 1)), *forces])
     left, singular, _ = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), full_matrices=False)
     left = left[:, singular > RANK * singular[0]]
     smooth = left @ (left.T @ reading)
@@ -163,12 +168,26 @@ def solve_inverse(
     ]
     design, away = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
     smallest = float(np.sqrt(np.diag(np.sum([_matrix(part) for part in sources.values()], axis=0)).min()))
-    for _ in range(ROUNDS):
-        fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=prior)
+    known_g = force is not None and prior is not None
+    slope: FloatArray = np.zeros((3, 3))  # H
+    for number in range(ROUNDS):
+        as_read = prior if prior is None or not known_g else _prior_as_read(prior, matrix, slope)
+        fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=as_read)
         change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
-        if np.abs(away @ change.T).max() <= CONVERGED * smallest:
+        if np.abs(away @ change.T).max() <= CONVERGED * smallest and not (known_g and number == 0):
             break
+        if known_g:
+            slope = np.linalg.solve(matrix, fit.theta[12:].reshape(3, 3))
     return fit
+
+
+def _prior_as_read(prior: Prior, matrix: FloatArray, slope: FloatArray) -> Prior:
+    """Return the prior of M, c and G (21) with G - (M - M_0) H in place of G, for M_0 ``matrix`` and H ``slope``."""
+    to_read = np.eye(21)
+    to_read[12:, :9] = -np.kron(np.eye(3), slope.T)
+    shift = np.append(np.zeros(12), matrix @ slope)
+    mean = np.linalg.solve(to_read, prior.mean - shift)
+    return Prior(mean=mean, precision=to_read.T @ prior.precision @ to_read)
 
 
 def _matrix(covariance: FloatArray) -> FloatArray:
