@@ -101,7 +101,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
         device = white_device(rng, g_sensitivity=True)
         model = fitted(device, rng)
         tally.add(parameters(model) - reported(truth(device)), bound(device), model.standard_uncertainty)
-    tally.check(devices)
+    tally.check(devices, most=0.98)  # the fit states flicker of the offset, which these devices do not have
 
 
 @pytest.mark.slow

@@ -97,10 +97,11 @@ class Tally:
         """The same ratio of the parameter that does worst."""
         return float(np.sqrt(np.mean(np.square(self.by_bound), axis=0)).max())
 
-    def check(self, devices: int) -> None:
-        """Show the figures and hold them to the promise."""
+    def check(self, devices: int, *, most: float = 0.0) -> None:
+        """Show the figures and hold them to the promise; ``most`` is a larger limit of the share of intervals that hold."""
         errors = np.size(self.by_bound)
         low, high = share_limits(errors)
+        high = max(high, most)
         show(f"{self.name}: RMSE over Cramer-Rao bound", f"{self.ratio:.4f}", ratio_limit(errors))
         show(f"{self.name}: worst parameter", f"{self.worst_ratio:.4f}")
         show(f"{self.name}: coverage of 95 % intervals", f"{self.coverage:.4f}", (low, high))

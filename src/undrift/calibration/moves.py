@@ -40,6 +40,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # ---- free poses
 
 FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
+ALIKE = 0.01  # of their length: mean readings that differ by less are those of one pose
 
 
 def fit_poses(
@@ -61,8 +62,10 @@ def fit_poses(
             "map the accelerometer columns and their unit"
         )
     reading, variances = _pose_means(records, stills)
-    if len(stills) < (FEWEST_POSES if cross_axis_prior else len(NAMES)) or not np.ptp(reading, axis=0).any():
+    if len(stills) < (FEWEST_POSES if cross_axis_prior else len(NAMES)):
         check_count(reading, len(NAMES))
+    elif np.ptp(reading, axis=0).max() <= ALIKE * np.linalg.norm(reading, axis=1).mean():
+        check_count(reading[:1], len(NAMES))
     check_range(
         [np.asarray(records[s.recording].accel)[s.start : s.stop] for s in stills], "accelerometer in still poses"
     )

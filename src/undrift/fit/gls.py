@@ -20,8 +20,8 @@ projection s^ on the known columns (f, a, 1) takes their place, and what is left
 
     M s^ - c - G a = f - M (s - s^) + e
 
-A prior of G is one of the g-sensitivity as read, M^-1 G. Otherwise it would pull a scale that no input determines towards zero. With
-M_0 and H of the fit before, G - (M - M_0) H takes the place of G in it.
+A prior of G is one of the g-sensitivity as read, H = M^-1 G. Otherwise it would pull a scale that no input determines towards
+zero. With M_0 and H of the previous step, it is the prior of G - (M - M_0) H.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,7 +38,6 @@ TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at w
 ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
 ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
 RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
-EXCITED = 0.03  # of the rms of the largest input: a smaller one is a tilt of the others, and its scale keeps its prior
 RANK = 1e-9  # of the largest singular value of known columns
 SHOWN = 1e-6  # share of a shape that the residuals must keep
 NORMAL_95 = 1.959963984540054
@@ -155,11 +154,13 @@ def solve_inverse(
 ) -> GlsFit:
     """Fit M, c and G to readings (E, 3) of known inputs (E, 3), and of a specific force (E, 3); ``matrix`` is a first M.
 
-    ``prior`` is that of M, c and G, in which G is independent of the others. The parameters are M row by row, c, and G row by row. Rows of the sources and shapes are those of the readings, 3 E in all.
+    ``prior`` is that of M, c and G, in which G is independent of the others. The parameters are M row by row, c, and G row by row.
+    Rows of the sources and shapes are those of the readings, 3 E in all.
     """
     count, forces = len(reading), [] if force is None else [force]
-    length = np.linalg.norm(value, axis=0)
-    known = np.hstack([value[:, length > EXCITED * length.max()], np.ones((count, 1)), *forces])
+    # inputs along an axis with a prior are a small tilt of the others, and their noise would pull its scale towards zero
+    turned = np.full(3, True) if prior is None else np.diag(prior.precision)[:9:4] == 0.0
+    known = np.hstack([value[:, turned], np.ones((count, 1)), *forces])
     left, singular, _ = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), full_matrices=False)
     left = left[:, singular > RANK * singular[0]]
     smooth = left @ (left.T @ reading)
@@ -282,7 +283,8 @@ class _Rows:
 
 def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them."""
-    start = np.zeros(len(rows.shapes)), rows.solve(np.zeros(len(rows.shapes)))
+    zero: FloatArray = np.zeros(len(rows.shapes))
+    start = zero, rows.solve(zero)
     # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
     kept = [(_trace(start[1].projector, shape), _trace(start[1].inverse, shape)) for shape in rows.shapes]
     shown = np.array([k for k, (projected, whole) in enumerate(kept) if projected > SHOWN * whole], int)
