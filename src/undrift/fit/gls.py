@@ -34,6 +34,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import NotObservable
 
 MAX_ITERATIONS, MOST_HALVINGS = 100, 30
+FIRST_STEPS = 5  # for one excess variance by itself: enough to compare their likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
 ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
@@ -289,14 +290,15 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     kept = [(_trace(start[1].projector, shape), _trace(start[1].inverse, shape)) for shape in rows.shapes]
     shown = np.array([k for k, (projected, whole) in enumerate(kept) if projected > SHOWN * whole], int)
     if len(shown) > 1:
-        start = min((_climb(rows, *start, shown[[n]]) for n in range(len(shown))), key=lambda found: found[1].deviance)
-    return _climb(rows, *start, shown)
+        alone = (_climb(rows, *start, shown[[n]], FIRST_STEPS) for n in range(len(shown)))
+        start = min(alone, key=lambda found: found[1].deviance)
+    return _climb(rows, *start, shown, MAX_ITERATIONS)
 
 
-def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray) -> tuple[FloatArray, _State]:
-    """Return the nearest maximum of the likelihood over the variances of some shapes, and the solution there."""
+def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
+    """Return the variances and the solution after some steps towards a maximum over the variances of some shapes."""
     shapes = [rows.shapes[k] for k in free]
-    for _ in range(MAX_ITERATIONS if shapes else 0):
+    for _ in range(steps if shapes else 0):
         products = [_product(state.projector, shape) for shape in shapes]
         square = [float(state.weighted @ _product(state.weighted, shape)) for shape in shapes]
         score = np.array(square) - [np.trace(product) for product in products]
