@@ -437,7 +437,7 @@ def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
     return poses if np.isfinite(q_nb[poses.valid]).all() else replace(poses, q_nb=q_nb)
 
 
-# ---- motion between the first and the last rest: the author's mark of the reference, otherwise the still phases of the record
+# ---- motion: the part that the reference marks as motion; without marks, the part between the first and the last rest
 
 LEAST_REST_S, LEAST_MOTION_S = 3.0, 1.0
 

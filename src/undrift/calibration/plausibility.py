@@ -71,7 +71,7 @@ def order_text(order: FloatArray) -> str:
 
 
 def columns_text(order: FloatArray) -> str:
-    """Return which columns would have to be exchanged or reversed to give an order."""
+    """Describe the exchange or reversal of columns that explains an order of the axes."""
     negative = [AXES[i] for i in range(3) if order[i].min() < 0.0]
     moved = [AXES[i] for i in range(3) if order[i, i] == 0.0]
     if not moved:
@@ -98,7 +98,7 @@ def accel_order(order: FloatArray) -> FloatArray | None:
 
 
 def cause_by_gravity(order: FloatArray) -> str:
-    """Return which columns, of gyroscope or accelerometer, would have to be exchanged or reversed to give an order."""
+    """Describe the exchange or reversal of columns, of either triad, that explains an order of the axes."""
     if np.array_equal(order, -np.eye(3)):
         return "all gyroscope columns are reversed, or the same two columns of both triads are exchanged"
     causes = [(columns_to_mend(order), f"gyroscope {columns_text(order)}")]
@@ -122,7 +122,7 @@ class Stuck(NamedTuple):
 
 
 def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
-    """Return the axis that sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    """Return the first saturated axis, or None. All windows (n_i, 3) are judged together."""
     for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
         limits = [limit for limit, _ in saturated_runs(column)]
         values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
@@ -139,7 +139,7 @@ def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
 
 
 def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
-    """Return for each window (n_i, 3) whether it contains readings at an end of the range."""
+    """Return True for each window (n_i, 3) that has saturated readings."""
     saturated = np.zeros(len(windows), dtype=bool)
     while stuck := stuck_axis([window for window, skip in zip(windows, saturated, strict=True) if not skip]):
         saturated |= [bool((window[:, stuck.axis] == stuck.reading).any()) for window in windows]
@@ -147,7 +147,7 @@ def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
 
 
 def check_range(windows: Sequence[FloatArray], what: str) -> None:
-    """Raise if a triad sticks at its largest or smallest reading, over all windows (n_i, 3) together."""
+    """Raise Implausible if an axis is saturated. All windows (n_i, 3) are judged together."""
     if stuck := stuck_axis(windows):
         raise Implausible(
             f"{what}: {stuck.samples} samples of {AXES[stuck.axis]} are stuck at {stuck.reading:g}, the end of the range. Choose a "

@@ -299,7 +299,7 @@ class _Parameters:
 
 
 def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None) -> ReferenceFit:
-    """Fit a device by windows that grow."""
+    """Fit a device to short windows, then to longer and longer ones, each fit starting from the one before."""
     parameters = _start(recordings, settings, unit, adc)
     solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
     for length_s in _lengths(settings.longest_window_s):
@@ -430,12 +430,9 @@ def _result(
         base = np.mean([r.rest for r in rested], axis=0) + sign * codes
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
     apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
-    # from M, d, c, and the error of the mean at rest, which d takes back, to M, o, d, c
-    free, covariance, jacobian = (
-        parameters.free[parameters.free < 15],
-        np.diag(np.append(np.zeros(15), spread**2)),
-        np.eye(18),
-    )
+    # The fit has M, d and c. The offset o is the mean at rest, so its error moves o, and d by as much the other way.
+    free, jacobian = parameters.free[parameters.free < 15], np.eye(18)
+    covariance = np.diag(np.append(np.zeros(15), spread**2))
     covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
     motion_offset, to_offset = offset_of(matrix, moving, 12)
     jacobian[9:, 9:] = 0.0
@@ -479,7 +476,7 @@ def _result(
 
 
 def _findings(model: TriadModel, nominal: FloatArray, recordings: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield the elements that keep their prior, in the axes of the device, and what is uncertain."""
+    """Yield findings: matrix elements that keep their prior, else a large uncertainty; rests that differ between recordings."""
     size = float(np.linalg.norm(nominal, 2))
     to_device = np.kron(nominal.T, np.eye(3)) / size**2
     spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T))

@@ -158,7 +158,7 @@ def solve(
 
 
 def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
-    """Return the number of the block of each window, all recordings together."""
+    """Return the block that each window belongs to. Blocks are numbered through all recordings."""
     for length in (2 * reach, reach):
         place = np.concatenate([1_000_000 * number + w.first // length for number, w in enumerate(windows)])
         blocks: IntArray = np.unique(place, return_inverse=True)[1]

@@ -225,10 +225,8 @@ def table_axes(
     ``turns`` (N,) are those of the dwells, and ``mounting`` (N,) is the number of the mounting of each.
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
-    up, stretches = (
-        np.broadcast_to(dwells.up, count),
-        [(t.recording, int(m)) for t, m in zip(turns, mounting, strict=True)],
-    )
+    up = np.broadcast_to(dwells.up, count)
+    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
     azimuths = _azimuths(records, turns, stretches, dwells)
     direction: FloatArray = np.eye(3)[axis]
     by_accel: FloatArray = np.zeros((count, 3, 12))

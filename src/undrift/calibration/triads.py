@@ -4,7 +4,8 @@ Over a window of some seconds, started at its first sample, with f the specific 
 
     kept(P, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s P w_k dt)         P = 1, s = 1 for columns and unit as stated
 
-Kept is 1 if the rotation is right, since motion that ends where it began has no mean acceleration, and less if gravity is smeared.
+``kept`` is 1 if the rotation is right: motion that ends where it began has no mean acceleration. A wrong rotation smears gravity,
+and ``kept`` is smaller.
 All 48 signed orders P of the axes, and scales s of rate times time, are tried in the windows in which gravity moves most in b. The
 order or unit that keeps more than the stated one names the mistake. A rotation about the vertical shows nothing. Acceleration
 with the opposite sign keeps as much as the right one (a point reflection): only a reference, the axis that should point up, or the

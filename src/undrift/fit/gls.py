@@ -296,7 +296,7 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
 
 
 def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
-    """Return the variances and the solution after some steps towards a maximum over the variances of some shapes."""
+    """Improve the variances of the free shapes by at most ``steps`` steps of Fisher scoring; return them and their solution."""
     shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
         products = [_product(state.projector, shape) for shape in shapes]
@@ -323,7 +323,7 @@ def _trace(matrix: FloatArray, shape: FloatArray) -> float:
 
 
 def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
-    """Return the step to s+."""
+    """Return s+ - s, the step of Fisher scoring that keeps every variance at zero or above."""
     from scipy.optimize import nnls
 
     length = np.sqrt(np.diag(information))

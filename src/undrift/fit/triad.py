@@ -140,7 +140,7 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
 
 
 def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: Any) -> TriadFit:
-    """Return the note's calibration matrix, which has no offset column, of inputs and readings (N, 3).
+    """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
     C = L S' (S S')^-1 (note, eqs. 3 and 6). Errors e of the rows, (N, 3) in the unit of the inputs, move it by -e' S' (S S')^-1.
     ``fit`` is the fit of M, c and G to the same rows: it states their covariances, and the offset c that the matrix leaves out.

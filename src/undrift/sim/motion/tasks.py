@@ -443,7 +443,7 @@ def draw_task(
 
 
 def with_six_rests(task: Task) -> Task:
-    """Return a task after which the device is turned about its x and y to rest for 3 s on each of its six sides."""
+    """Return the task, followed by rests of 3 s on each of the six sides of the device."""
     half_turns = {"roll": (0.5, 0.5, 0.5, 0.5, 0.0, 0.0, 0.0), "pitch": (0.0, 0.0, 0.0, 0.0, 0.5, -1.0, 0.5)}
     steps = {
         name: tuple(Step(task.duration_s + 6.0 * k, 3.0, math.pi * turn) for k, turn in enumerate(turns) if turn)
