@@ -144,6 +144,17 @@ def test_short_gaps_are_bridged_and_long_ones_stay():
     assert np.isnan(found.temp_c[-5:]).all()
 
 
+@pytest.mark.parametrize(("step", "noise"), [(0.0, 0.05), (0.1, 0.0), (0.5, 0.02)])
+def test_a_soak_before_a_pause_does_not_reach_the_soak_after_it(step, noise):
+    # One minute at each of four set-points, 15 degC and six minutes apart, in one recording.
+    time = np.concatenate([400.0 * k + np.arange(0.0, 60.0, 0.1) for k in range(4)])
+    soaks = np.repeat(18.0 + 15.0 * np.arange(4), 600)
+    raw = soaks + noise * np.random.default_rng(0).normal(size=len(soaks))
+    raw = np.round(raw / step) * step if step else raw
+    found = trusted_temperature(session(raw, time=time), 0)
+    assert np.abs(found.temp_c - soaks).max() < 0.1  # near an end of a piece the mean is over two seconds
+
+
 def test_a_column_that_denies_its_set_point_is_implausible():
     still = (Still(start=20000, stop=24000, temp_c=20.0),)
     seen_in(WARM_UP, "drift.temperature_off_set_point", set_point_c=20.0, stills=still)

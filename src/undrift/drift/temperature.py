@@ -144,7 +144,11 @@ def _from_column(
     stale = _stale(np.where(spikes, np.nan, readings), time, step)
     used = finite & ~spikes & ~stale
     noise = noise_of(readings[used], step)
-    course = _course(readings[used], time[used], step, noise)
+    known_c, known_s = readings[used], time[used]
+    longest_s = max(LONGEST_GAP_S, 3.0 * float(np.median(np.diff(known_s))))
+    parts = np.split(np.arange(len(known_s)), np.flatnonzero(np.diff(known_s) > longest_s) + 1)
+    # each side of a long pause by itself: the soak before it does not reach the soak after it
+    course = np.concatenate([_course(known_c[rows], known_s[rows], step, noise) for rows in parts])
     temp_c = np.full(len(time), np.nan)
     temp_c[used] = course
     gone = np.flatnonzero(~used)
