@@ -105,6 +105,12 @@ def test_a_session_that_determines_everything_is_hardly_changed_by_the_prior() -
     assert with_prior.accel.model.rank == 9
 
 
+def test_no_cross_axis_term_is_less_certain_than_its_prior() -> None:
+    for prior in (PRIOR, PRIOR / 4.0):
+        fit, _ = fitted(0, cross_axis_prior=prior)
+        assert fit.accel.model.standard_uncertainty[[1, 2, 5]].max() < prior
+
+
 def test_one_pose_between_two_faces_shows_its_term_and_the_prior_stands_for_the_others_alone() -> None:
     rng, script = np.random.default_rng(7), Script(SETTINGS.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
     ups = [unit_vector(face) for face in FACES] * 2

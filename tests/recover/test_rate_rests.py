@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from testkit.cohorts import COHORTS, ratio_limit, share_limits
+from testkit.cohorts import COHORTS, first_and_long, ratio_limit, share_limits
 from testkit.cramer_rao import (
     Array,
     carried,
@@ -204,10 +204,9 @@ def monte_carlo(walk: float, gravity: bool, devices: int) -> Errors:
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("gravity", [True, False])
+@pytest.mark.parametrize("gravity", first_and_long((True, False)))
 def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_noise(gravity: bool) -> None:
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         device = white_device(rng, g_sensitivity=gravity).without_noise()
         found = calibrate(simulate_session("bench", device, rng=rng, settings=SHORT)).gyro
