@@ -27,7 +27,7 @@ from undrift.calibration.codes import code_steps, code_variance, limited_by_code
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
-from undrift.calibration.sources import Creep, creep_of, flicker_of_means, walk_about_mean
+from undrift.calibration.sources import Creep, creep_of, flicker_of_means, slip_covariance, walk_about_mean
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, solve
@@ -117,6 +117,12 @@ class Moves:
     def duration_s(self) -> FloatArray:
         """Length of each move (J,), s."""
         return np.asarray(self.time[self.last] - self.time[self.first])
+
+    @property
+    def slip(self) -> FloatArray:
+        """Covariance (J, 3, 3) of the integral of the readings over each move by jitter of its time stamps, (raw unit s)^2."""
+        windows = (slice(first, last + 1) for first, last in zip(self.first, self.last, strict=True))
+        return np.array([slip_covariance(self.time[window], self.gyro[window]) for window in windows])
 
     @property
     def spans(self) -> FloatArray:
@@ -489,8 +495,12 @@ def _sources(problem: _Problem, missed: _Missed, theta: FloatArray) -> dict[str,
     ):
         by_g = column[:, None] * np.repeat(problem.felt, 2, axis=0)
         drift += np.outer(column, column) * np.kron(of_drift, np.ones((2, 2))) + by_g @ of_g @ by_g.T
+    turned = missed.tangent.transpose(0, 2, 1) @ cross_matrix(unit[moves.before + 1]) @ theta[:9].reshape(3, 3)
+    clock = np.zeros((count, 2, count, 2))
+    clock[each, :, each] = turned @ moves.slip @ turned.transpose(0, 2, 1)
     sources = {
         "noise": stills + np.diag(readings + _LEAST_ANGLE**2),
+        "clock": clock.reshape(2 * count, 2 * count),
         "accelerometer": by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T,
         "offset": drift,
     }

@@ -77,6 +77,17 @@ def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
     return {f"instability {axis}": np.kron(walk, np.diag(np.eye(3)[k])) for k, axis in enumerate(AXES)}
 
 
+# ---- jitter of the clock
+#
+# A sum of readings u_k (t_k - t_(k-1)) changes by d_k (u_k - u_(k+1)) if stamp k is off by d_k. Steps have twice the variance of d.
+
+
+def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) of the integral of readings (N, 3) by the scatter of their time stamps, (unit s)^2."""
+    change = np.diff(reading, axis=0)
+    return np.asarray(0.5 * np.diff(time).var() * change.T @ change)
+
+
 # ---- drift of the gyroscopes' rest offsets between start and end of a session
 #
 #     m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r; T from the first to the last
