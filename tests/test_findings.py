@@ -21,7 +21,7 @@ COUNTS = {
     "study.too_few_for_agreement",
 }
 # "over 5 K"; spans that are no limits
-NO_VALUE = {"recording.temperature_jumps", "drift.accel_one_pose", "orient.pitch_axes"}
+NO_VALUE = {"drift.accel_one_pose", "orient.pitch_axes"}
 
 
 def fields_of(text):

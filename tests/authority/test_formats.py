@@ -152,7 +152,7 @@ def test_the_dirty_logs_read_and_their_wrong_scale_is_named(name, rows, temps, g
     assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx(temps, abs=0.05)
     assert np.median(size(record.accel)) == pytest.approx(g, abs=0.0005)
     found = {item.code: item.values for item in describe(path, columns).findings}
-    assert found["recording.rows_dropped"] == {"count": built.dropped_rows}
+    assert found["recording.rows_left_out"]["count"] == built.dropped_rows
     assert found["recording.gravity"]["median_g"] == pytest.approx(g, abs=0.0005)
     assert found["recording.gravity"]["direction"] == "small"
     with pytest.raises(FileFormatError, match="set drop_bad_rows = true in a map"):
@@ -186,7 +186,7 @@ def test_the_warm_up_reads_in_spite_of_its_drop_outs():
     assert steps.max() == pytest.approx(2.8, abs=0.05)
     assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((10.38, 28.94), abs=0.005)
     assert np.median(record.temp_c - board.temp_c) == pytest.approx(0.95, abs=0.06)
-    (lost,) = (item for item in describe(path, die).findings if item.code == "recording.dropouts")
+    (lost,) = (item for item in describe(path, die).findings if item.code == "recording.uneven_sampling")
     assert lost.values["count"] == 378
     assert lost.values["longest_s"] == pytest.approx(2.835, abs=0.0005)
 
@@ -238,7 +238,7 @@ def test_the_actigraph_is_warmer_than_a_room_and_that_is_said():
     assert record.gyro.mean(axis=0) == pytest.approx((-0.772, 0.245, 0.108), abs=0.001)
     assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((51.6, 54.7), abs=0.05)
     (warm,) = (item for item in describe(path).findings if item.code != "recording.how_read")
-    assert warm.code == "recording.temperature_range"
+    assert warm.code == "recording.temperature"
     assert (warm.values["low_c"], warm.values["high_c"]) == pytest.approx((51.6, 54.7), abs=0.05)
 
 

@@ -120,11 +120,12 @@ def test_info_says_so_with_the_numbers_and_with_the_fitted_clock_what_was_done(t
     assert found.level == "warn"
     assert found.values["sample_rate_hz"] == pytest.approx(RATE, rel=1e-3)
     assert found.action == "read it with clock = 'regular' in a map"
-    assert "recording.dropouts" not in codes(find_symptoms(made.record))  # of bursts they would be thousands
+    assert "recording.uneven_sampling" not in codes(find_symptoms(made.record))  # of bursts they would be thousands
     after = describe(tmp_path / "host.csv", settings=ReadSettings(clock="regular"))
-    fitted = only(after.findings, "recording.clock_fitted")
-    assert (fitted.level, fitted.values["by"]) == ("info", "steps of the stamps")
-    assert only(after.findings, "recording.dropouts").values["count"] == fitted.values["gaps"]
+    fitted = only(after.findings, "recording.how_read")
+    gaps = only(after.findings, "recording.uneven_sampling").values["count"]
+    assert f"in {gaps} gaps" in fitted.text
+    assert "steps of the stamps" in fitted.text
     assert after.usual_rate_hz == pytest.approx(RATE, rel=1e-3)
 
 

@@ -111,15 +111,16 @@ def _temperature(record: Record) -> Iterator[Finding]:
         return
     temp = record.temp_c[np.isfinite(record.temp_c)]
     if not len(temp):
-        yield finding("recording.no_temperature", "info")
+        yield finding("recording.temperature", "info", what="its column is empty")
         return
     low, high = float(temp.min()), float(temp.max())
     if low > ROOM_C[1] or high < ROOM_C[0]:
-        yield finding("recording.temperature_range", "warn", low_c=low, high_c=high)
+        what = f"{low:.1f} to {high:.1f} degC is not room temperature: processor, chamber, or wrong scale"
+        yield finding("recording.temperature", "warn", what=what, low_c=low, high_c=high)
     jumps = np.flatnonzero(np.abs(np.diff(temp)) > JUMP_C)
     if len(jumps):
-        first = jumps[0]
-        yield finding("recording.temperature_jumps", "warn", count=len(jumps), limit_k=JUMP_C, first_sample=first)
+        what = f"it jumps by over {JUMP_C:g} K between samples, {len(jumps)} times, first after sample {jumps[0]}"
+        yield finding("recording.temperature", "warn", what=what, count=len(jumps), first_sample=jumps[0])
 
 
 def _sampling(time: FloatArray) -> Iterator[Finding]:
@@ -131,17 +132,15 @@ def _sampling(time: FloatArray) -> Iterator[Finding]:
     steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
-        yield finding("recording.uneven_sampling", "warn", low_ms=1e3 * low, high_ms=1e3 * high)
+        numbers = f"half of the steps lie outside {1e3 * low:.4g} to {1e3 * high:.4g} ms"
+        yield finding("recording.uneven_sampling", "warn", what="Uneven sampling", numbers=numbers)
     lost = steps > 1.5 * middle
     if lost.any():
+        count, longest_s, at_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
+        numbers = f"{count}, the longest {longest_s:.4g} s at {at_s:.6g} s"
+        numbers += f" (median step {1e3 * middle:.4g} ms, mean rate {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz)"
         yield finding(
-            "recording.dropouts",
-            "warn",
-            count=lost.sum(),
-            longest_s=steps.max(),
-            at_s=time[int(steps.argmax())],
-            step_ms=1e3 * middle,
-            mean_rate_hz=(len(time) - 1) / (time[-1] - time[0]),
+            "recording.uneven_sampling", "warn", what="Drop-outs", numbers=numbers, count=count, longest_s=longest_s
         )
 
 
@@ -296,7 +295,8 @@ def describe(
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in found.columns)
         if unread:
-            left = finding("recording.other_columns", "info", names=unread[:12])
+            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}; map them with `column_map`"
+            left = finding("recording.how_read", "info", what=what)
             found = replace(found, findings=(*found.findings, left))
     return found
 
@@ -305,13 +305,16 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
     """Return what a record holds."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
     left_out = [finding("recording.how_read", "info", what=note) for note in read.notes]
-    left_out += [finding("recording.rows_dropped", "warn", count=read.dropped_rows)] if read.dropped_rows else []
-    if read.repaired_rows:
-        left_out.append(finding("recording.rows_repaired", "warn", count=read.repaired_rows))
+    for count, why in (
+        (read.dropped_rows, "they did not parse"),
+        (read.repaired_rows, "their time did not go forward"),
+    ):
+        left_out += [finding("recording.rows_left_out", "warn", count=count, why=why)] if count else []
     if read.clock is not None:
-        by = "the device's counter" if read.clock.counted else "steps of the stamps"
-        found = {**_clock_values(read.clock), "jitter_ms": 1e3 * read.clock.jitter_s, "by": by}
-        left_out.append(finding("recording.clock_fitted", "info", **found))
+        clock, by = read.clock, "the device's counter" if read.clock.counted else "steps of the stamps"
+        what = f"Regular clock of {clock.sample_rate_hz:.6g} Hz: stamps up to {1e3 * clock.jitter_s:.3g} ms late; "
+        what += f"{clock.missing} samples missing in {clock.gaps} gaps of up to {clock.longest_step_s:.3g} s, by {by}"
+        left_out.append(finding("recording.how_read", "info", what=what))
     rate = f"{mean:.6g} Hz"
     if abs(mean / usual - 1.0) >= _REGULAR:
         rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
@@ -458,13 +461,15 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         findings.append(finding("recording.up_axis", "warn"))
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
-    findings += [finding("recording.markers_never_seen", "warn", labels=never)] if never else []
-    findings += [finding("recording.short_rows", "warn", count=markers.short_rows)] if markers.short_rows else []
+    if markers.short_rows:
+        why = "they end before the last marker, which is read as lost"
+        findings.append(finding("recording.rows_left_out", "warn", count=markers.short_rows, why=why))
+    of_them = f" ({', '.join(never)} never seen)" if never else ""
     return Description(
         path=str(path),
         kind="markers",
         format=name,
-        summary=f"{len(markers.labels)} markers, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
+        summary=f"{len(markers.labels)} markers{of_them}, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
         columns=markers.labels,
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
