@@ -115,12 +115,15 @@ def find_mounting(
     tracks = [_track(record) for record in records]
     stance = _up(tracks, posture, named)
     if stance is None:
-        return MountFit(mounting=None, basis=(), verdict=Verdict.of(finding("mount.no_up", "fail", least_s=POSTURE_S)))
+        why = f"no upright posture of {POSTURE_S:g} s"
+        missing = finding("mount.not_determined", "fail", direction="Up", why=why)
+        return MountFit(mounting=None, basis=(), verdict=Verdict.of(missing))
     up, variances, basis = stance
     pieces, (spread, shared, fewest) = _pieces(tracks, up, place, movement)
     direction = _direction(pieces, up, spread) if len(pieces) >= fewest else None
     if direction is None:
-        missing = finding("mount.no_forward", "fail", count=len(pieces), place=place, movement=movement)
+        why = f"{movement} at the {place}: {len(pieces)} pieces were found, which have no common direction"
+        missing = finding("mount.not_determined", "fail", direction="Forward", why=why)
         return MountFit(mounting=None, basis=(basis,), verdict=Verdict.of(missing))
     forward, scatter = direction
     way = f"forward by {len(pieces)} {'walks between postures' if movement == 'walk' else 'repetitions'}"
@@ -134,7 +137,12 @@ def find_mounting(
     ahead, upward = (
         f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
     )
-    look = finding("mount.look", "info", forward=ahead, up=upward)
+    look = finding(
+        "mount.look",
+        "info",
+        what=f"its side {ahead} points forward, its side {upward} up",
+        why="where they do not, accelerometer columns are exchanged or of the opposite sign, which a walk does not show",
+    )
     uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
     verdict = Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ()))
     return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)

@@ -8,7 +8,7 @@ import pytest
 from undrift.findings import Verdict, finding
 from undrift.io.store import read_calibration, write_calibration
 
-BAD = finding("correct.gravity", "fail", median_g=0.5)
+BAD = finding("mount.uncertain", "fail", degrees=9.0, limit=5.0)
 
 
 @pytest.fixture

@@ -273,7 +273,7 @@ def test_a_rate_beyond_the_dynamic_table_is_reported_on_each_axis_and_side(axis,
     c = device(g=False, gyro=model, drift=tables(static=None))
     still = np.full(4, 25.0)  # the reference temperature
     done = correct_checked(record(4, gyro=gyro, accel=None, temp_c=still), c)
-    assert [found.code for found in done.findings] == ["correct.turn_rate"]
+    assert [found.code for found in done.findings] == ["correct.outside"]
     values = done.findings[0].values
     assert (values["least_dps"], values["greatest_dps"]) == pytest.approx(
         (min(sign * 100.0, 0.0), max(sign * 100.0, 0.0))

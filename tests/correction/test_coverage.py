@@ -75,7 +75,7 @@ def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
         inside = (r.temp_c >= 18.0) & (r.temp_c <= 75.0)
         # the marks of the accelerometers run the other way: below 23 and above 63 degC
         np.testing.assert_array_equal(done.extrapolated, inside & ((r.temp_c < 30.0) | (r.temp_c > 63.0)))
-        assert [found.code for found in done.findings] == ["correct.outside", "correct.extrapolated"]
+        assert [found.code for found in done.findings] == ["correct.outside", "correct.outside"]
         assert done.warnings[0].startswith(f"{done.outside.sum() * 0.01:.1f} s outside the drift table: 1")
         assert done.warnings[1].startswith(f"{done.extrapolated.sum() * 0.01:.1f} s where the drift table is extrapol")
 

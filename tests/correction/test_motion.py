@@ -136,7 +136,7 @@ def test_orient_states_what_motion_shows_and_drifts_less() -> None:
     later = np.where(record.time > 8.0, 0.03 * RADIAN_PER_DEGREE, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
     record = replace(record, gyro=np.asarray(record.gyro) + later)
     rest, moved = (orient(record, settings=OrientSettings(offset=offset)) for offset in ("rest", "motion"))
-    assert "correct.motion_offset" in [one.code for one in moved.findings]
+    assert "correct.offset_subtracted" in [one.code for one in moved.findings]
     found = float((moved.offset - rest.offset)[0]) / RADIAN_PER_DEGREE
     show("offset about x that came after the rest, deg/s", found, "0.03")
     assert found == pytest.approx(0.03, abs=0.015)

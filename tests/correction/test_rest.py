@@ -60,7 +60,7 @@ def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stat
     np.testing.assert_allclose(plain.gyro - done.record.gyro, np.tile(done.rest.rate, (len(record), 1)), atol=1e-15)
     np.testing.assert_array_equal(done.record.accel, plain.accel)
     np.testing.assert_allclose(done.rest.rate, LEFT, atol=5.0 * 1e-3 / np.sqrt(15.0 * FS))
-    (note,) = (item for item in done.findings if item.code == "correct.rest_offset")
+    (note,) = (item for item in done.findings if item.code == "correct.offset_subtracted")
     assert note.level == "info"
     assert note.values["offset_dps"] == pytest.approx(np.degrees(done.rest.rate))
     assert "the calibration left" in note.text

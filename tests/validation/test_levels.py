@@ -151,14 +151,6 @@ def test_a_mounting_turns_the_readings():
     np.testing.assert_allclose(mounted, plain, rtol=1e-6)
 
 
-def test_a_warning_keeps_its_recording():
-    one = trial(1, calibration=None)
-    holes = np.array(one.record.gyro)
-    holes[100:103] = np.nan
-    table = judge_levels([replace(one, record=replace(one.record, gyro=holes))])
-    assert ("1 sit_to_stand", "validate.gaps_before") in [(name, item.code) for name, item in table.errors[0].findings]
-
-
 def test_a_trial_without_a_rest_is_named():
     device = Device(forward=np.diag([1.03, 0.98, 1.01]), offset=np.array([0.004, -0.003, 0.002]), noise=1e-3)
     record, reference = make_recording(np.random.default_rng(4), device, turn_s=40.0, optics_noise=5e-4)

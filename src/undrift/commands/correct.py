@@ -409,15 +409,12 @@ def _provenance(
 def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":
     """Return signs that other columns or another unit were read than meant."""
     from undrift.findings import finding
-    from undrift.io.inspect import GRAVITY_RANGE, median_accel_g
+    from undrift.io.inspect import check_gravity
 
     named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     suspicions = [
-        finding("correct.no_sensor", "warn", sensor=what)
+        finding("correct.sensors_differ", "warn", what=f"no {what} in the recording; check the names of the columns")
         for what, triad, values in named
         if triad is not None and values is None
     ]
-    median = median_accel_g(done)
-    if median < GRAVITY_RANGE[0] or median > GRAVITY_RANGE[1]:
-        suspicions.append(finding("correct.gravity", "warn", median_g=median))
-    return tuple(suspicions)
+    return (*suspicions, *check_gravity(done))

@@ -140,5 +140,6 @@ def _turned(worn: "BodyMounting", before: "BodyMounting | None") -> "Verdict":
     ways = ("upside down", "left and right swapped", "front and back swapped")
     how = ", ".join(way for way, cosine in zip(ways, turn.diagonal()[::-1], strict=True) if cosine < -0.7) or "turned"
     against = "+x forward and +z up" if before is None else "the mounting before"
-    one = finding("mount.turned", "warn" if before else "info", how=how.capitalize(), degrees=degrees, against=against)
-    return Verdict.of(*((one,) if degrees > 45.0 else ()))
+    what, why = f"{how}, {degrees:.0f} deg off {against}", "if it was not meant so, turn it and record again"
+    look = finding("mount.look", "warn" if before else "info", what=what, why=why)
+    return Verdict.of(*((look,) if degrees > 45.0 else ()))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from undrift.record import Still
 
 NORMAL_95 = 1.96  # standard uncertainties that hold 95 % of errors of one angle
-_SHOWN = ("correct.motion_offset", "orient.north", "orient.mounting")  # on a terminal, though no warnings
+_SHOWN = ("correct.offset_subtracted", "orient.north")  # on a terminal, though no warnings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -189,7 +189,10 @@ def orient(
             earlier += (finding("orient.field", "warn"),)
         if worn := settings.mounting:
             degrees = math.degrees(worn.uncertainty)
-            earlier += (finding("orient.mounting", "info", place=worn.place, degrees=degrees, basis=worn.basis),)
+            notes = (
+                *notes,
+                f"Pitch of the {worn.place} by the calibration's mounting, uncertain by {degrees:.1f} deg; {worn.basis}.",
+            )
         rest = named_rest(readings, named.stretch)
         found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))

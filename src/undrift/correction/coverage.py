@@ -19,7 +19,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray
 from undrift.correction.plan import Carry, LookupTable, Plans, has_tables
 from undrift.errors import DriftRangeError
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, told_apart
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, seen_span
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -177,17 +177,24 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
         findings.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
-        findings.append(finding("correct.outside", "warn", seconds=seconds, low_c=low, high_c=high, lag_s=lag_s))
-    if reach.seconds_extrapolated > 0.0:
-        findings.append(finding("correct.extrapolated", "warn", seconds=reach.seconds_extrapolated))
+        what = f"{seconds:.1f} s outside the drift table"
+        numbers = f"{low:.1f} to {high:.1f} degC were recorded (thermometer lag subtracted: {lag_s:g} s)"
+        findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
+    if (seconds := reach.seconds_extrapolated) > 0.0:
+        what = f"{seconds:.1f} s where the drift table is extrapolated"
+        numbers = "no data were recorded near these temperatures and rates"
+        findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
     if (away := reach.departure_c) > reference_span_c:
         at, span = calibration.reference_temp_c, reference_span_c
         findings.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
+        numbers = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s; the table ends at "
+        numbers += f"{told_apart(first, '.1f', least)} and {told_apart(last, '.1f', greatest)} deg/s and is held there"
+        what = "Turn rate outside the dynamic drift table"
         findings.append(
-            finding("correct.turn_rate", "warn", least_dps=least, greatest_dps=greatest, first_dps=first, last_dps=last)
+            finding("correct.outside", "warn", what=what, numbers=numbers, least_dps=least, greatest_dps=greatest)
         )
     return tuple(findings)
 
@@ -195,7 +202,9 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return what the calibration leaves uncorrected, and names of device that differ."""
     findings = [
-        finding("correct.no_model", "info", sensor=triad.sensor)
+        finding(
+            "correct.sensors_differ", "info", what=f"{triad.sensor} is not calibrated: nominal values were passed on"
+        )
         for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True)
         if values is not None and triad.model is None
     ]

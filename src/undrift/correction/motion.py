@@ -100,9 +100,13 @@ class MotionOffset:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The offset that was subtracted, and the axes whose offset the motion does not determine."""
-        values = {name: value for name, value in self.figures.items() if name != "rest_s"}
-        values["uncertainty_dps"] = values.pop("offset_uncertainty_dps")
-        subtracted = finding("correct.motion_offset", "info", **values)
+        rate, uncertainty, prior = (
+            ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
+            for values, digits in ((self.rate.mean(axis=0), 3), (self.deviation, 2), (self.prior, 2))
+        )
+        numbers = f"{rate} deg/s subtracted, +- {uncertainty} deg/s, known to +- {prior} before; "
+        numbers += f"acceleration leaves {self.acceleration:.2g} m/s2 in a mean over 5 s"
+        subtracted = finding("correct.offset_subtracted", "info", what="Offset found from the motion", numbers=numbers)
         kept = self.deviation > _KEPT * self.prior
         if self.rest is not None or not kept.any():
             return (subtracted,)

@@ -77,8 +77,10 @@ class RestOffset:
     def findings(self) -> tuple[Finding, ...]:
         """The offset that was subtracted, in words."""
         rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
-        span = {"start_s": self.start_s, "stop_s": self.stop_s}
-        return (finding("correct.rest_offset", "info", **span, offset_dps=rate, uncertainty_dps=uncertainty),)
+        numbers = f"{', '.join(f'{axis:.3g}' for axis in rate)} deg/s at {self.start_s:.1f} to {self.stop_s:.1f} s, which the "
+        numbers += f"calibration left; +- {uncertainty:.2g} deg/s in motion"
+        what = "Offset of a rest subtracted"
+        return (finding("correct.offset_subtracted", "info", what=what, numbers=numbers, offset_dps=rate),)
 
 
 def moved_by(model: TriadModel | None) -> float:

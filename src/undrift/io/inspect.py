@@ -55,7 +55,7 @@ STUCK = 8  # samples in a row at the largest reading
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
     """Return what looks wrong with a recording."""
-    found = [*_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
+    found = [*check_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
             found += _axes(name, getattr(record, name))
@@ -79,7 +79,8 @@ def median_accel_g(record: Record) -> float:
     return float(np.nanmedian(size)) if np.isfinite(size).any() else float("nan")
 
 
-def _gravity(record: Record) -> Iterator[Finding]:
+def check_gravity(record: Record) -> Iterator[Finding]:
+    """Yield a finding if the specific force is far from 1 g at its median."""
     median = median_accel_g(record)
     if not np.isnan(median) and not GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
         small = 0.0 < median < 1.0
@@ -295,7 +296,7 @@ def describe(
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in found.columns)
         if unread:
-            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}; map them with `column_map`"
+            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}; a column map reads them"
             left = finding("recording.how_read", "info", what=what)
             found = replace(found, findings=(*found.findings, left))
     return found

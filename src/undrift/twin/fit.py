@@ -5,9 +5,10 @@
     codes             step and rounding (``calibration.codes``)
     white noise       N = s / sqrt(sample rate), with s^2 the median variance within quarter seconds of rest, minus step^2 / 12
 
-Every parameter has a standard error, or a finding that names why these recordings do not identify it.
+Every parameter has a standard error, or a reason why these recordings do not identify it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,6 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, identify_adc
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
 from undrift.errors import CalibrationError, InputError
-from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.model import AXES, MATRIX_NAMES, AdcModel, TriadModel
 from undrift.record import Record, Reference
@@ -46,17 +46,12 @@ class TwinParameter:
     value: float | str  # NaN if it is not identified
     standard_error: float  # same unit
     unit: str  # "1" for a ratio, "" for a word
-    finding: Finding | None = None  # reason why the recordings do not identify it
+    reason: str = ""  # why the recordings do not identify it; empty if they do
 
     @property
     def identifiable(self) -> bool:
         """True if the recordings identify it."""
-        return self.finding is None
-
-    @property
-    def reason(self) -> str:
-        """Text of the finding; empty if the recordings identify it."""
-        return "" if self.finding is None else self.finding.text
+        return isinstance(self.value, str) or not math.isnan(self.value)
 
 
 def known(name: str, value: float | str, error: float, unit: str) -> TwinParameter:
@@ -64,9 +59,9 @@ def known(name: str, value: float | str, error: float, unit: str) -> TwinParamet
     return TwinParameter(name=name, value=value, standard_error=float(error), unit=unit)
 
 
-def unknown(name: str, unit: str, why: Finding) -> TwinParameter:
+def unknown(name: str, unit: str, reason: str) -> TwinParameter:
     """Return a parameter that the recordings do not identify."""
-    return TwinParameter(name=name, value=float("nan"), standard_error=float("nan"), unit=unit, finding=why)
+    return TwinParameter(name=name, value=float("nan"), standard_error=float("nan"), unit=unit, reason=reason)
 
 
 def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, unit: str) -> list[TwinParameter]:
@@ -301,7 +296,10 @@ def _gyro_parameters(fit: ReferenceFit) -> list[TwinParameter]:
     rows = [known("gyro_delay", *mean_with_error(fit.lags_s, fit.lag_uncertainties_s), "s")]
     rows += triad_parameters("gyro", model, model.covariance, "rad/s")
     if not np.isfinite(fit.rest_offsets).all(axis=1).any():
-        return [*rows, unknown("gyro_motion_offset", "rad/s", finding("twin.never_rests", "info"))]
+        return [
+            *rows,
+            unknown("gyro_motion_offset", "rad/s", "the recordings have no rest: the offset is that in motion"),
+        ]
     errors = np.sqrt(np.maximum(np.diag(model.covariance)[9:12], 0.0))
     moved = zip(AXES, fit.motion_offset.tolist(), errors.tolist(), strict=True)
     return rows + [known(f"gyro_motion_offset_{axis}", value, error, "rad/s") for axis, value, error in moved]
@@ -309,8 +307,7 @@ def _gyro_parameters(fit: ReferenceFit) -> list[TwinParameter]:
 
 def _accel_parameters(gyro: ReferenceFit, fit: AccelFit | None, refused: str) -> list[TwinParameter]:
     if fit is None:
-        why = finding("twin.not_fitted", "warn", error=refused)
-        return [unknown("accel_matrix", "1", why), unknown("lever_arm", "m", why)]
+        return [unknown("accel_matrix", "1", refused), unknown("lever_arm", "m", refused)]
     sigma = np.sqrt(np.diag(fit.covariance))
     delay, error = mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s)
     rows = [known("accel_delay", delay + fit.delay, float(np.hypot(sigma[15], error)), "s")]
@@ -323,7 +320,7 @@ def _accel_parameters(gyro: ReferenceFit, fit: AccelFit | None, refused: str) ->
 def _noise_parameters(prefix: str, unit: str, noise: RestNoise | None) -> list[TwinParameter]:
     name, unit = f"{prefix}_random_walk", f"{unit}/sqrt(Hz)"
     if noise is None:
-        return [unknown(name, unit, finding("twin.no_rest", "info", seconds=MIN_REST_S))]
+        return [unknown(name, unit, f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes")]
     rows = zip(AXES, noise.random_walk.tolist(), noise.random_walk_error.tolist(), strict=True)
     return [known(f"{name}_{axis}", value, error, unit) for axis, value, error in rows]
 
@@ -337,13 +334,12 @@ def _adc_parameters(record: Record, adc: AdcModel | None) -> tuple[dict[str, flo
             continue
         codes = identify_adc(readings)
         if codes.lsb is None:
-            rows.append(unknown(f"{name}_lsb", unit, finding("twin.not_fitted", "info", error=codes.reason)))
+            rows.append(unknown(f"{name}_lsb", unit, codes.reason))
             continue
         steps[name] = float(codes.lsb.mean())
         rows.append(known(f"{name}_lsb", steps[name], float(codes.lsb.std()), unit))
         of_device = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
         rounding = of_device or codes.rounding
         word = f"{name}_rounding"
-        reason = finding("twin.not_fitted", "info", error=codes.reason)
-        rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", reason))
+        rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", codes.reason))
     return steps, rows

@@ -564,9 +564,6 @@ def validate_trial(
     poses, reference = (seen_poses(done, each, lag) for each in (poses, reference))
     findings += (*of_clocks, *check_reference(_worn(done, settings), poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    before = gaps[done.time < motion.start_s - LEAD_S]  # after the rest, a gap is refused
-    if before.any():
-        findings += (finding("validate.gaps_before", "warn", gaps=int(before.sum()), samples=len(before)),)
     done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
     done, mounting = _aligned(_worn(done, settings), poses, (lag, motion), settings)
     shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
@@ -633,7 +630,8 @@ def _track(
         track = track_from_reference(record, poses, motion, shift_s=shift_s)
     if motion.rested:
         return track, ()
-    return track, (finding("validate.no_rest", "info", start_s=float(track[0][0]), over_s=START_S),)
+    what = f"orientation starts at {float(track[0][0]):.1f} s from the reference, over {START_S:g} s; end errors are those of the "
+    return track, (finding("validate.no_rest", "info", what=what + "last seconds of the motion"),)
 
 
 def _mean_inclinations(sensor: FloatArray, reference: FloatArray) -> tuple[float, float]:
@@ -786,11 +784,7 @@ def _corrected(
         if adc is None:
             return record.in_si(), (*padded, *check_triads(record))
         done = correct_whole(record, nominal_calibration(record, adc))
-        return done.record, (
-            *padded,
-            *check_triads(record),
-            finding("validate.adc", "info", rounding=adc.gyro_rounding.replace("_", " ")),
-        )
+        return done.record, (*padded, *check_triads(record))
     if settings.adc == "none":
         gyro = calibration.gyro
         calibration = replace(calibration, adc=None, gyro=None if gyro is None else replace(gyro, code_offset=None))
@@ -823,9 +817,11 @@ def _re_zeroed(
     except InputError:
         if motion.rested:
             rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S))
-            more = (finding("validate.no_still_phase", "warn", start_s=rest.start_s, stop_s=rest.stop_s),)
+            what = f"the mean rate from {rest.start_s:.1f} to {rest.stop_s:.1f} s, which is not still, was subtracted; correct and "
+            more = (finding("validate.no_rest", "warn", what=what + "orient refuse the offset rest here"),)
         elif settings.offset == "rest":
-            return record, None, (finding("validate.no_rest_offset", "warn"),)
+            what = "the offset of the gyroscopes is not removed; it can be found from motion"
+            return record, None, (finding("validate.no_rest", "warn", what=what),)
     remainder = offset_left(record, settings.offset, rest, model)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
 
