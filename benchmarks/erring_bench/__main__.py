@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import itertools
 import pkgutil
 import sys
 
@@ -16,11 +17,20 @@ def main() -> int:
     parser.add_argument("--devices", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", nargs="+", choices=names, default=names)
+    parser.add_argument(
+        "--case", nargs="+", metavar="WORDS", help="only cases with one of these words, of fits that have named cases"
+    )
     given = parser.parse_args()
     print(HEAD)
     failed = 0
     for name in given.only:
-        for row in importlib.import_module(f"benchmarks.erring_bench.{name}").rows(given.devices, given.seed):
+        module = importlib.import_module(f"benchmarks.erring_bench.{name}")
+        if given.case:
+            chosen = [case for case in module.CASES if any(words in case for words in given.case)]
+            rows = itertools.chain.from_iterable(module.rows_of(case, given.devices, given.seed) for case in chosen)
+        else:
+            rows = module.rows(given.devices, given.seed)
+        for row in rows:
             failed += not row.holds
             print(
                 f"{row.fit:22} {row.case:44} {row.group:11} {row.devices:4} {row.inside_percent:6.1f}% {row.rmse:9.2e} "

@@ -53,23 +53,28 @@ CASES = {
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield the rows of the gyroscopes and of the accelerometers."""
-    for name, case in CASES.items():
-        rng = np.random.default_rng(seed)
-        gyro, accel = (Tally(f"reference, {triad}", name) for triad in ("gyroscope", "accelerometer"))
-        for _ in range(devices):
-            device = random_device(rng, grade=case.grade)
-            device = _erring(device, rng) if case.errs else device
-            fits = _fits(device, rng, case)
-            truth = true_calibration(device)
-            for tally, fit, true in zip((gyro, accel), fits, (truth.gyro, truth.accel), strict=True):
-                if true is not None and fit is not None:
-                    groups = _groups(fit, true)
-                    tally.add(
-                        fit.verdict, **(groups if tally is accel else {k: groups[k] for k in ("scale", "cross-axis")})
-                    )
-        yield from gyro.rows()
-        yield from accel.rows()
+    for name in CASES:
+        yield from rows_of(name, devices, seed)
     yield from moving_rows(devices, seed)
+
+
+def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
+    """Yield the rows of one bench."""
+    case, rng = CASES[name], np.random.default_rng(seed)
+    gyro, accel = (Tally(f"reference, {triad}", name) for triad in ("gyroscope", "accelerometer"))
+    for _ in range(devices):
+        device = random_device(rng, grade=case.grade)
+        device = _erring(device, rng) if case.errs else device
+        fits = _fits(device, rng, case)
+        truth = true_calibration(device)
+        for tally, fit, true in zip((gyro, accel), fits, (truth.gyro, truth.accel), strict=True):
+            if true is not None and fit is not None:
+                groups = _groups(fit, true)
+                tally.add(
+                    fit.verdict, **(groups if tally is accel else {k: groups[k] for k in ("scale", "cross-axis")})
+                )
+    yield from gyro.rows()
+    yield from accel.rows()
 
 
 def moving_rows(devices: int, seed: int) -> Iterator[Row]:
