@@ -70,7 +70,7 @@ def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):
     words = ("--worn", "lower-back", "--calibration", worn / "bare.json", "-o", tmp_path / "no.json")
     answer = undrift("mount", tmp_path / "stand.parquet", *words)
     assert answer.code == 1
-    assert "Forward is not determined by walk at the lower-back" in answer.out
+    assert "Forward is not determined" in answer.out
     assert not (tmp_path / "no.json").exists()
 
 
@@ -81,7 +81,7 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
     write_calibration(replace(model, mounting=turned), tmp_path / "before.json")
     words = ("--worn", "lower-back", "--calibration", tmp_path / "before.json")
     said = undrift.good("mount", worn / "walk.parquet", *words).out
-    assert "Left and right swapped, front and back swapped: worn" in said
+    assert "left and right swapped, front and back swapped, 180 deg off" in said
     assert "No mounting was written" in said
 
 

@@ -114,7 +114,6 @@ def test_the_range_is_that_of_the_temperature_without_lag_and_the_warning_states
         correct_checked(r, c)
     done = correct_checked(r, c, policy="hold")
     assert done.reach.seconds_outside == pytest.approx(0.06, abs=0.011)  # 0.94 degC above 75; one sample at each end
-    assert done.findings[0].values["lag_s"] == 0.5
     assert "degC were recorded (thermometer lag subtracted: 0.5 s)" in done.warnings[0]
 
 
