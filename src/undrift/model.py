@@ -386,11 +386,6 @@ class Provenance:
         """Return a setting that is a number, or the usual one where it was not made."""
         return float(self.text(name) or usual)
 
-    def status(self, name: str) -> Status | None:
-        """Return a setting that begins with the status of a verdict, None where it was not made."""
-        known: dict[str, Status] = {"good": "good", "marginal": "marginal", "bad": "bad"}
-        return known.get(self.text(name).partition(" ")[0])
-
 
 def versions_used() -> tuple[tuple[str, str], ...]:
     """Return the packages that a fit rests on, with their versions."""

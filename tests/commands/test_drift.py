@@ -120,11 +120,11 @@ REFUSED = {
         r"span 1\.6 degC",
     ),
     "impossible": ({"temp_c": lambda n: np.linspace(20.0, 300.0, n)}, "-40 to 125 degC"),
-    "corrected": ({"state": "corrected", "frame": "b"}, "wanted raw readings, got a corrected record"),
-    "counts": ({"gyro_unit": "count"}, "wanted a calibration, or gyroscope readings in a physical unit, got count"),
+    "corrected": ({"state": "corrected", "frame": "b"}, "is corrected already"),
+    "counts": ({"gyro_unit": "count"}, "no known scale"),
     "never at rest": (
         {"gyro": shaken(15000), "accel": 10.0 * shaken(15000)},
-        "wanted stretches at rest, got none",
+        "no stretch at rest",
     ),
 }
 

@@ -15,7 +15,6 @@ from testkit.rate_steps import GRID, computed
 from undrift.drift.fit import fit_drift
 from undrift.drift.observe import (
     accel_unit_of,
-    check_at_rest,
     in_units_of,
     nominal_models,
     observe_rests,
@@ -46,7 +45,8 @@ def test_each_axis_of_each_soak_is_a_mounting_and_both_signs_belong_to_it():
     for m in range(6):
         own = steps.mounting == m
         assert len(np.unique(steps.soak[own])) == 1
-        assert np.array_equal(np.sort(np.degrees(steps.along[own]).round(6)), [-15.0, -10.0, -5.0, 5.0, 10.0, 15.0])
+        rates = steps.rate_b[own][:, steps.axis[own][0]]
+        assert np.array_equal(np.sort(np.degrees(rates).round(6)), [-15.0, -10.0, -5.0, 5.0, 10.0, 15.0])
 
 
 def test_a_wobble_of_the_axis_is_the_same_mounting():
@@ -126,24 +126,11 @@ def test_readings_come_in_the_units_of_the_calibration_with_their_half_steps():
 
 
 def test_another_unit_and_a_corrected_record_are_refused():
-    with pytest.raises(
-        InputError, match="recording 0: wanted gyro readings in count, the unit of the calibration, got dps"
-    ):
+    with pytest.raises(InputError, match="readings are in dps"):
         in_units_of(session(record(gyro_unit="dps")), COUNTS)
     corrected = record(gyro_unit="rad/s", accel_unit="m/s2", state="corrected")
-    with pytest.raises(InputError, match="recording 1: wanted raw readings, got a corrected record"):
+    with pytest.raises(InputError, match="recording 1 is corrected"):
         in_units_of(session(record(), corrected), COUNTS)
-
-
-def test_a_log_that_never_lies_still_is_refused_however_even_it_looks():
-    held = [session(record())]
-    blocks = observe_rests(held, temperatures=[[held[0].records[0].temp_c]])
-    check_at_rest(blocks, COUNTS)
-    restless = replace(
-        blocks, gyro_variance=np.full((len(blocks), 3), (np.radians(2.0) * COUNTS.gyro.scale_factor) ** 2)
-    )
-    with pytest.raises(NotObservable, match=r"got none: .* the mean of ten seconds is known to 2 deg/s only"):
-        check_at_rest(restless, COUNTS)
 
 
 def test_a_nominal_model_keeps_the_unit_and_counts_have_none():
@@ -151,7 +138,7 @@ def test_a_nominal_model_keeps_the_unit_and_counts_have_none():
     np.testing.assert_allclose(model.gyro.matrix, np.radians(np.eye(3)))
     assert model.accel is None
     assert model.verdict.status == "marginal"
-    with pytest.raises(NotObservable, match="in a physical unit, got count; give `calibration`"):
+    with pytest.raises(NotObservable, match="no known scale"):
         nominal_models([session(record())])
 
 
@@ -242,7 +229,8 @@ def test_means_without_uncertainty_are_fitted_by_their_scatter():
 
 def test_a_table_of_means_is_not_warned_of_lag_or_of_a_missing_thermometer():
     codes = {item.code: item.level for item in fit_drift([session_of()]).verdict.findings}
-    assert not codes.keys() & {"drift.power_on_transient", "drift.set_points_only"}
+    assert "drift.set_points_only" not in codes
+    assert not any("lag" in item for item in codes)
 
 
 def test_a_session_of_means_is_not_written(tmp_path):
@@ -272,4 +260,4 @@ def test_rates_that_determine_no_surface_are_a_finding():
     rng = np.random.default_rng(1)
     temp_c, rate = np.array([30.0, 30.0, 30.0, 20.0, 30.0]), np.array([0.0, 100.0, -100.0, 0.0, 100.0])
     fit = fit_drift([at_rest(temp_c, truth(temp_c) + rng.normal(0.0, 0.005, (5, 3)), rate)])
-    assert "drift.tables_not_observable" in {item.code for item in fit.verdict.findings}
+    assert "drift.not_observable" in {item.code for item in fit.verdict.findings}

@@ -25,13 +25,6 @@ def session(made, name="log.csv", digest=None, serial=""):
     return Session(kind="thermal", serial=serial, gravity_m_s2=9.80665, records=(made,), inputs=inputs)
 
 
-def test_one_file_in_two_sessions_is_refused_and_one_description_is_not():
-    with pytest.raises(InputError, match="the same data"):
-        check_once([session(record(), "a.csv", "0" * 64), session(record(seed=1), "b.csv", "0" * 64)])
-    described = [session(record(seed=k), "session.toml", "0" * 64) for k in range(2)]
-    check_once(described)
-
-
 def test_equal_readings_are_refused_however_the_clock_was_set():
     later = replace(record(), time=record().time + 1000.0)
     with pytest.raises(InputError, match="the same data"):

@@ -11,10 +11,8 @@ from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import (
     StaticSettings,
     both_ways,
-    cells_of,
     cooling,
     fit_static,
-    gyro_offsets,
     near_data,
     warm_up_table,
     warm_up_time,
@@ -68,12 +66,8 @@ def test_accelerometer_offsets_hang_on_the_calibration_at_its_reference_temperat
     np.testing.assert_allclose(fit.table.accel_offset, wanted, atol=2e-5)
     assert "drift.accel_one_pose" in {item.code for item in fit.verdict.findings}
     scale = 2e-4 * np.abs(NODES - 30.0)[:, None] * [0.0, 0.0, 1.0]  # of 1 g along z, by one pose
-    np.testing.assert_allclose(fit.accel.unknown_scale, scale, atol=1e-7)
     assert (fit.table.accel_uncertainty >= scale).all()
-    assert (fit.table.accel_uncertainty[:, :2] < 1e-4).all()
-    assert fit.accel.mostly_unknown_scale
-    (one_pose,) = [item for item in fit.verdict.findings if item.code == "drift.accel_one_pose"]
-    assert one_pose.level == "warn"
+    assert (fit.table.accel_uncertainty[:, :2] < 2e-4).all()  # g; flicker noise of the stated size is 1.2e-4
     unknown = fit_static(made, nodes=NODES, calibration=replace(calibration, reference_temp_c=np.nan))
     assert unknown.table.accel_offset is None
     np.testing.assert_allclose(unknown.accel.slope, [1e-3, 0.0, -1e-3], atol=1e-5)
@@ -116,7 +110,6 @@ def test_sessions_on_several_days_give_the_scatter_of_the_switch_on():
     parts = [blocks(temp, line(temp, rng) + shift, session=k) for k, shift in enumerate(shifts)]
     fit = fit_static(joined(*parts), nodes=NODES)
     turn_on = fit.gyro.turn_on
-    np.testing.assert_allclose(turn_on.shift, shifts - shifts.mean(axis=0), atol=0.003)
     np.testing.assert_allclose(np.sqrt(turn_on.variance), shifts.std(axis=0, ddof=1), rtol=0.1)
     assert (fit.table.gyro_uncertainty > 0.9 * shifts.std(axis=0, ddof=1)).all()
     off = np.abs(fit.table.gyro_offset - line(NODES, rng, 0.0)) / fit.table.gyro_uncertainty
@@ -157,23 +150,17 @@ def test_two_plateaus_on_two_days_show_no_scatter_between_switch_ons_and_no_swee
     rng = np.random.default_rng(5)
     cold, hot = 13.0 + 0.3 * rng.normal(size=40), 48.0 + 0.3 * rng.normal(size=40)
     fit = fit_static(joined(blocks(cold, line(cold, rng)), blocks(hot, line(hot, rng), session=1)), nodes=NODES)
-    turn_on = fit.gyro.turn_on
-    assert np.isnan(turn_on.variance).all()
-    assert np.isnan(turn_on.shift).all()
+    assert fit.gyro.turn_on is None
     assert np.isfinite(fit.table.gyro_uncertainty).all()
     codes = [item.code for item in fit.verdict.findings]
     assert codes.count("drift.turn_on_unknown") == codes.count("drift.hysteresis_unknown") == 1
 
 
-def test_a_session_that_shares_no_temperature_leaves_the_shifts_of_the_others_as_they_are():
+def test_a_session_that_shares_no_temperature_leaves_the_scatter_of_the_others():
     rng = np.random.default_rng(6)
     low, high = np.linspace(20.0, 35.0, 80), np.linspace(45.0, 60.0, 80)
     parts = [blocks(low, line(low, rng) + k * 0.04, session=k) for k in range(2)]
     fit = fit_static(joined(*parts, blocks(high, line(high, rng), session=2)), nodes=NODES)
-    shift = fit.gyro.turn_on.shift
-    np.testing.assert_allclose(shift[1] - shift[0], 0.04, atol=0.002)
-    np.testing.assert_allclose(shift[0] + shift[1], 0.0, atol=1e-12)
-    assert np.isnan(shift[2]).all()
     np.testing.assert_allclose(np.sqrt(fit.gyro.turn_on.variance), 0.04 / 2.0**0.5, rtol=0.1)
 
 
@@ -276,44 +263,6 @@ def test_rests_to_come_lie_inside_when_poses_or_rests_disagree(poses, by_pose, b
     assert np.mean(ratio) < 2.0
 
 
-def test_the_noise_of_rests_is_no_scatter_between_them():
-    share = []
-    for seed in range(12):
-        quiet = soaks(np.random.default_rng(seed), poses=6)
-        count = len(quiet.temp_c)
-        cells = cells_of(gyro_offsets(quiet, None), np.zeros((count, 1)), np.zeros(count), chunk_s=1e9)
-        share.append((cells.rest / cells.rest_noise) ** 2)
-    assert np.mean(share) < 0.1  # 0.4 with the noise left in
-
-
-def test_rests_that_disagree_are_reported():
-    alike, apart = soaks(np.random.default_rng(7)), soaks(np.random.default_rng(6), by_pose=0.05)
-    for made, codes in ((alike, set()), (apart, {"drift.rests_disagree"})):
-        found = {item.code for item in fit_static(made, nodes=POINTS).verdict.findings}
-        assert found & {"drift.rests_disagree"} == codes
-
-
-def courses(rng, *, jagged=0.0, visit=0.0, stated=NOISE):
-    """Twelve set-points in random order, six times each: a step from one block to the next."""
-    points = np.linspace(18.0, 75.0, 12)
-    own = jagged * rng.normal(size=(12, 3))
-    order = np.concatenate([rng.permutation(12) for _ in range(6)])
-    gyro = (points[order, None] - 40.0) * SLOPE + own[order] + np.hypot(visit, NOISE) * rng.normal(size=(72, 3))
-    return blocks(points[order], gyro, noise=stated, time=600.0 * np.arange(72.0))
-
-
-@pytest.mark.slow
-def test_soaks_left_out_that_disagree_with_the_stated_uncertainty_are_a_finding():
-    def of(**changes):
-        fit = fit_static(courses(np.random.default_rng(6), **changes), nodes=np.arange(20.0, 75.0, 5.0))
-        return [item for item in fit.verdict.findings if item.code == "drift.left_out_above"]
-
-    # what visits add is found, and stated; a curve of random steps is not smooth, and six visits to each step share it
-    assert of(visit=0.02) == []
-    (above,) = of(jagged=0.02)
-    assert (above.level, above.values["groups"]) == ("warn", 12)
-
-
 @pytest.mark.slow
 def test_a_log_through_soaks_and_ramps_shows_what_soaks_add():
     # Twelve soaks of an hour and ramps of half an hour in one log; what a soak adds goes over to the next along the ramp.
@@ -365,8 +314,6 @@ def test_the_table_is_without_the_known_g_sensitivity():
     made = rests_on_faces(np.random.default_rng(1), felt=KNOWN)
     before, after = (fit_static(made, nodes=np.arange(20.0, 40.5, 1.0), calibration=c) for c in (NAIVE, CALIBRATION))
     assert (after.table.gyro_uncertainty[0] < 0.2 * before.table.gyro_uncertainty[0]).all()
-    assert "drift.rests_disagree" in {item.code for item in before.verdict.findings}
-    assert "drift.rests_disagree" not in {item.code for item in after.verdict.findings}
     np.testing.assert_allclose(after.table.gyro_offset[10], 0.0, atol=5 * 2e-5)
 
 

@@ -81,10 +81,7 @@ def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
     scale = truth.scale.gyro_matrix[:, 0, 0]
     # The other columns come back up to the product of two cross-axis terms, 1e-4, and the missing sensitivity, 10 %.
     assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix)[:, [0, 2], [0, 2]].max() < 1e-4 * scale.max()
-    assert any(
-        item.code == "drift.scale_not_observable" and item.values == {"axis": "y", "soaks": 0}
-        for item in fit.verdict.findings
-    )
+    assert any("Scale factor y" in item.text for item in fit.verdict.findings if item.code == "drift.not_observable")
     assert fit.verdict.status == "marginal"
 
 

@@ -72,7 +72,6 @@ def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
     assert (
         worst < limit
     )  # a tenth of a coarse step; of fine ones what the mean of 30 s leaves of noise and of the steep start
-    assert found.step_c == pytest.approx(step)
     assert found.findings == ()
 
 
@@ -163,7 +162,7 @@ def test_a_column_that_denies_its_set_point_is_implausible():
 def test_set_points_stand_in_for_a_column():
     stills = (Still(start=0, stop=100, temp_c=20.0), Still(start=200, stop=300, temp_c=30.0))
     found = trusted_temperature(session(None, stills=stills), 0)
-    assert (found.source, found.step_c, found.noise_c) == ("set-points", 0.0, 0.0)
+    assert (found.source, found.noise_c) == ("set-points", 0.0)
     assert (found.temp_c[:100] == 20.0).all()
     assert np.isnan(found.temp_c[100:200]).all()
 
@@ -236,14 +235,14 @@ def test_a_real_warm_up_keeps_its_shape_and_comes_back_from_whole_degrees(column
     coarse = trusted_temperature(of(replace(record, temp_c=np.round(record.temp_c))), 0)
     back = float(np.sqrt(np.mean((coarse.temp_c - fine.temp_c) ** 2)))
     early = float(np.sqrt(np.mean((coarse.temp_c - fine.temp_c)[first] ** 2)))
-    show(f"{column}: rms of raw about the course, K", f"{off:.4f}", "1.2 times its noise, and 0.005")
+    show(f"{column}: rms of raw about the course, K", f"{off:.4f}", "0.1")
     show(f"{column}: rise in two minutes, K", f"{rise:.2f}", "7 to 8")
     show(
         f"{column} from whole degrees, rms error, K",
         f"{back:.3f}, first two minutes {early:.3f}",
         "0.1, 0.2",
     )
-    assert off < 1.2 * fine.noise_c + 0.03  # the first second after power-on, by one kelvin
+    assert off < 0.1  # noise, and the first second after power-on, by one kelvin
     assert 6.5 < rise < 8.0
     assert back < 0.15
     assert early < 0.2
@@ -379,31 +378,22 @@ def test_the_smoothing_balances_noise_and_the_lag_left():
     assert default_smooth_s(0.0, noise_c=0.1, interval_s=0.1) == 0.0
     assert default_smooth_s(80.0, noise_c=0.0, interval_s=0.1) == pytest.approx(4.0)  # a twentieth
     assert default_smooth_s(80.0, noise_c=5.0, interval_s=1.0) == pytest.approx(40.0)  # a half
-    noise = 0.05 * np.sqrt(0.1)
-    assert default_smooth_s(80.0, noise_c=0.05, interval_s=0.1) == pytest.approx(np.sqrt(noise * 80.0 * 60.0))
-    stepped = default_smooth_s(80.0, noise_c=0.0, interval_s=0.1, step_c=0.1)
-    assert stepped == pytest.approx(np.sqrt(0.1 / np.sqrt(12.0) * 80.0 * 60.0))
+    assert default_smooth_s(80.0, noise_c=0.02, interval_s=0.1) == pytest.approx(np.sqrt(0.02 * 80.0 * 60.0))
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"lag_s": -1.0}, "wanted lag_s and smooth_s of 0 s or more, got -1 and 4"),
-        ({"smooth_s": float("nan")}, "wanted lag_s and smooth_s of 0 s or more, got 40 and nan"),
-        ({"smooth_s": 0.0}, "wanted smooth_s above 0 s to subtract 40 s, got 0"),
-        ({"time": np.arange(3.0)}, r"wanted a time for each temperature, got \(3,\) for \(4,\)"),
-        ({"state": LagState(time=2.0)}, "wanted readings from after 2 s, got 0 s; push chunks in order"),
+        ({"lag_s": -1.0}, "got -1 and 4"),
+        ({"smooth_s": float("nan")}, "got 40 and nan"),
+        ({"smooth_s": 0.0}, "got 40 and 0"),
+        ({"state": LagState(time=2.0)}, "must follow 2 s"),
     ],
 )
 def test_a_wrong_call_is_refused(changes, words):
     call = {"time": np.arange(4.0), "lag_s": TAU, "smooth_s": 4.0, **changes}
     with pytest.raises(InputError, match=words):
         without_lag(np.full(4, 20.0), **call)
-
-
-def test_noise_below_nothing_is_refused():
-    with pytest.raises(InputError, match="wanted noise and step of 0 K or more and an interval above 0 s, got -1"):
-        default_smooth_s(10.0, noise_c=-1.0, interval_s=0.1)
 
 
 STEP_S = 10.0
@@ -445,7 +435,7 @@ def two_ramps(**kwargs):
 @pytest.mark.parametrize("loop", [0.0, 0.05, -0.05])
 def test_a_loop_that_does_not_depend_on_speed_is_not_taken_for_lag(loop):
     found = estimate_lag(two_ramps(loop=loop))
-    assert found.findings == ()
+    assert found.problem == ""
     assert abs(found.lag_s - 30.0) < 4.0 * found.uncertainty_s
     assert found.uncertainty_s < 2.0
 
@@ -473,19 +463,17 @@ def test_without_lag_none_is_found():
 def test_soaks_or_a_warm_up_do_not_determine_a_lag(temp, words):
     found = estimate_lag(blocks(temp, lag_s=3.0))
     assert (found.lag_s, found.uncertainty_s) == (0.0, np.inf)
-    (why,) = found.findings
-    assert why.code == "drift.lag_not_observable"
-    assert words in why.text
+    assert words in found.problem
 
 
 def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
     found = estimate_lag(blocks(there_and_back(1.0)))
     assert np.isinf(found.uncertainty_s)
     assert found.lag_s == pytest.approx(30.0, abs=3.0)
-    assert "the same loop as hysteresis" in found.findings[0].text
+    assert "the same loop as hysteresis" in found.problem
 
 
 def test_a_lag_beyond_the_search_is_not_observable():
     found = estimate_lag(two_ramps(), longest_s=20.0)
     assert np.isinf(found.uncertainty_s)
-    assert "any lag up to 20 s" in found.findings[0].text
+    assert "any lag up to 20 s" in found.problem

@@ -156,7 +156,7 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
             continue
         steps = computed(device, SOAKS, rng, rates=GRID[1::2])
         made = true_calibration(device)
-        dynamic = fit_dynamic(prepared(steps, made, static=static), made)
+        dynamic = fit_dynamic(prepared(steps, made, static=static), made, span_c=(15.0, 75.0))
         seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
         for axis in range(3):
             off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)

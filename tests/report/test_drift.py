@@ -29,7 +29,6 @@ def summary(**changes):
         departure=np.radians(np.outer(NODES - 18.0, [0.1, -0.1, 0.2])),
         uncertainty=np.radians(np.full((n, 3), 0.01)),
         extrapolated=(NODES < 19.5) | (NODES > 28.5),
-        in_table=True,
         slope=np.radians([0.1, -0.1, 0.2]),
         slope_uncertainty=np.radians([0.012, 0.0012, 0.1]),
         left_out_rms=np.radians([0.02, np.nan, 0.02]),
@@ -60,7 +59,6 @@ def test_the_title_counts_the_nodes_that_no_data_were_near():
     assert offset_title("gyroscope", summary()) == (
         "gyroscope offset over temperature: 20.0 to 28.0 degC seen, 25 nodes 18 to 30 degC by 0.5, 6 of them extrapolated"
     )
-    assert offset_title("accelerometer", summary(in_table=False)).endswith("the change alone is known, no table")
 
 
 @pytest.mark.parametrize(
@@ -120,7 +118,6 @@ DRAWN = {
     "offsets without blocks": lambda: draw_offsets(
         summary(block_temp_c=np.zeros(0), block_departure=np.zeros((0, 3)), block_cooling=np.zeros(0), against="zero")
     ),
-    "change alone": lambda: draw_offsets(summary(unit="count", in_table=False)),
     "scale": lambda: draw_scale(scales()),
     "dynamic": lambda: draw_dynamic(
         DynamicDrift(

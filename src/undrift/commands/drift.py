@@ -109,7 +109,7 @@ def _fitted(
 ) -> "tuple[DriftFit, Session]":
     """Read the sessions and fit; return the fit and the first session."""
     from undrift.drift.fit import fit_drift
-    from undrift.drift.observe import check_once, one_power_on
+    from undrift.drift.observe import one_power_on
     from undrift.io.formats import detect
     from undrift.record import Session
 
@@ -118,19 +118,18 @@ def _fitted(
         with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
         (stated if detect(path) == "session" else bare).append(read[-1])
-    check_once(read)
     together = [*stated, *one_power_on(bare)]  # bare recordings are one where their clock runs on
     return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
 
 
 def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> Iterator[str]:
-    from undrift.drift.verdict import verdict_before
+    from undrift.drift.verdict import without_tables
 
     drift = fit.calibration.drift
     if drift is not None and drift.lag_s > 0.0:
         yield f"thermometer lag removed: {drift.lag_s:.3g} s"
     if model is not None:
-        yield f"calibration given: {path}, with {len(verdict_before(model).reasons)} findings of its own"
+        yield f"calibration given: {path}, with {len(without_tables(model).verdict.reasons)} findings of its own"
 
 
 def _next(recording: Path | None, session: "Session", fit: "DriftFit", output: Path) -> tuple[object, ...]:
@@ -235,13 +234,11 @@ def offset_rows(summary: "TriadSummary") -> list[dict[str, str]]:
 def offset_title(name: str, summary: "TriadSummary") -> str:
     """Return what an offset table covers, in one line."""
     low, high = summary.seen_c
-    seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
-    if not summary.in_table:
-        return f"{seen}; the change alone is known, no table"
     nodes = summary.temp_c
     step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
     count = int(summary.extrapolated.sum())
     far = f", {count} of them extrapolated" if count else ""
+    seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
     return f"{seen}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
 
 

@@ -11,25 +11,24 @@ names each part that is not observable, and the recording that would determine i
 
 A device may need none of the tables beside the offsets, scale over temperature, dynamic drift, or both. Each of the four is fitted
 without a soak (those between the first and the last), and predicts the steps of that soak: ``M(T) (u - offset(T)) - e`` minus the
-imposed rate, all three axes, about the offset of their mounting. The choice is the simplest whose mean square lies within one
-standard error of the least [1]_, or whose rms is within 5 % of it. If no soak can be left out, the matrix is kept as fitted.
+imposed rate, all three axes, about the mean of their mounting or its rest. The choice is the simplest whose mean square lies within
+one standard error of the least [1]_, or whose rms is within 5 % of it. If no soak can be left out, the matrix is kept as fitted.
 
-Tables are fitted and selected over all temperatures seen, and cut to the range asked for afterwards, so that the choice does not
-depend on the range.
+Offsets are fitted to all rests, the other tables to the steps within the range of the table.
 
 References
 ----------
 .. [1] L. Breiman, J. H. Friedman, R. A. Olshen, C. J. Stone, "Classification and Regression Trees", 1984, section 3.4.3.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.base.summary import Shown
 from undrift.calibration.session import ROOM_C, in_one_unit
 from undrift.drift import observe
@@ -37,18 +36,18 @@ from undrift.drift import temperature as thermometer
 from undrift.drift import verdict as judge
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import StaticFit, StaticSettings, TriadDrift, felt_by_gyro, fit_static
+from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, Steps, fit_dynamic, fit_scale, measured_rate, prepared
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
 from undrift.fit.gls import determined
+from undrift.fit.priors import THERMOMETER_LAG
 from undrift.model import (
     BEYOND_SEEN_C,
     Calibration,
     DriftTables,
     DynamicDrift,
-    Provenance,
     ScaleDrift,
     StaticDrift,
     Verdict,
@@ -61,6 +60,7 @@ from undrift.units import RADIAN_PER_DEGREE
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond the smooth course
 SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
 WORTH = 1.05  # an additional table has to reduce the rms by this factor at least
 INPUTS_BEFORE = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
@@ -68,26 +68,8 @@ INPUTS_BEFORE = "drift_inputs_before"  # setting: how many inputs the calibratio
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first
 TableChoice = Literal["auto"] | Alternative
+Fits = Mapping[Alternative, tuple[ScaleFit | None, DynamicFit | None]]  # alternatives that the steps determine
 Progress = Callable[[str, float], None]  # next stage, and the share of the work that is done
-T = TypeVar("T", StaticDrift, ScaleDrift, TriadDrift)
-
-
-class Fits(NamedTuple):
-    """The matrix and dynamic tables fitted to one set of steps; None if not observable."""
-
-    scale: ScaleFit | None
-    dynamic: DynamicFit | None  # with the constant matrix
-    both: DynamicFit | None  # on top of ``scale``
-
-    def taken(self, which: Alternative) -> tuple[ScaleFit | None, DynamicFit | None]:
-        """Return the fits that an alternative takes."""
-        dynamic = {"dynamic": self.dynamic, "scale + dynamic": self.both}.get(which)
-        return self.scale if "scale" in which else None, dynamic
-
-    def have(self, which: Alternative) -> bool:
-        """Return True if the fits of an alternative are observable."""
-        scale, dynamic = self.taken(which)
-        return ("scale" not in which or scale is not None) and ("dynamic" not in which or dynamic is not None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,18 +100,18 @@ class Choice:
     @property
     def scale(self) -> ScaleFit | None:
         """The fit of the matrix, whether taken or not."""
-        return self.fits.scale
+        return self.fits.get("scale", (None, None))[0]
 
     @property
     def scale_drift(self) -> ScaleDrift | None:
         """The matrix table to use."""
-        scale = self.fits.taken(self.alternatives.chosen)[0]
+        scale = self.fits[self.alternatives.chosen][0]
         return None if scale is None else scale.drift
 
     @property
     def dynamic_drift(self) -> DynamicDrift | None:
         """The dynamic table to use."""
-        dynamic = self.fits.taken(self.alternatives.chosen)[1]
+        dynamic = self.fits[self.alternatives.chosen][1]
         return None if dynamic is None else dynamic.drift
 
 
@@ -182,8 +164,6 @@ class DriftFit(Shown):
         What the static tables were fitted to.
     steps : RateSteps
         What the others were fitted to; may have no rows.
-    temperatures : tuple of Temperature
-        Of each recording, session after session.
     gyro_summary, accel_summary : TriadSummary or None
         Offsets over temperature in SI units, as they are shown.
     scale_summary : ScaleSummary or None
@@ -199,7 +179,6 @@ class DriftFit(Shown):
     lag: LagFit | None
     rests: RestBlocks
     steps: RateSteps
-    temperatures: tuple[Temperature, ...]
     gyro_summary: judge.TriadSummary | None
     accel_summary: judge.TriadSummary | None
     scale_summary: judge.ScaleSummary | None
@@ -257,53 +236,63 @@ def fit_drift(
     """
     report = progress or (lambda what, share: None)
     sessions = _checked(sessions, calibration, settings)
-    device = observe.nominal_models(sessions) if calibration is None else calibration
-    device = replace(device, verdict=judge.verdict_before(device))
-    sessions, no_rests = observe.with_rests([observe.in_units_of(session, device) for session in sessions])
-    static_settings = replace(settings.static, accel_unit=observe.accel_unit_of(sessions, device))
+    device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
+    sessions = [observe.in_units_of(session, device) for session in sessions]
+    accel_unit = observe.accel_unit_of(sessions, device)
     report("smoothing the temperature", 0.0)
     trusted = [[thermometer.trusted_temperature(s, k) for k in range(len(s.records))] for s in sessions]
-    temperatures = tuple(temperature for of_session in trusted for temperature in of_session)
+    temperatures = [temperature for of_session in trusted for temperature in of_session]
     thermometer.check_span(temperatures)
     report("gathering rests and turns", 0.15)
-    lag, lag_s, smooth_s, rests, course = _without_lag(sessions, trusted, settings)
-    observe.check_at_rest(rests, device)
+    course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
+    rests, lag, lag_s, smooth_s = observe.observe_rests(sessions, temperatures=course), None, settings.lag_s or 0.0, 0.0
+    if settings.lag_s is None and any(temperature.source == "column" for temperature in temperatures):
+        lag = thermometer.estimate_lag(rests)
+        lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
+    if lag_s > 0.0:
+        course, smooth_s = _without_lag(sessions, trusted, lag_s)
+        rests = observe.observe_rests(sessions, temperatures=course)
     steps = observe.observe_steps(sessions, temperatures=course)
+    verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
-    looked_up = thermometer.looked_up_c(sessions, trusted, course, lag_s, smooth_s)
-    nodes, inside = table_nodes(np.concatenate([rests.temp_c, steps.temp_c, looked_up]), settings)
-    static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
+    margin_c = max(
+        _noise_in_use(s, of_session, lag_s, smooth_s) for s, of_session in zip(sessions, trusted, strict=True)
+    )
+    seen_c = np.concatenate((rests.temp_c, steps.temp_c))
+    nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings)
+    steps = steps.taken((steps.temp_c >= nodes[0]) & (steps.temp_c <= nodes[-1]))
+    static = fit_static(
+        rests,
+        nodes=nodes,
+        calibration=device,
+        settings=replace(settings.static, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)),
+    )
     judge.check_sessions(static, device)
-    felt = felt_by_gyro(rests, device).mean(axis=0)
-    agreement = judge.turns_verdict(steps, device, static).also(judge.offsets_verdict(static, device, felt))
+    verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
+    verdict = verdict.also(judge.gravity_verdict(rests, device))
     report("cross-validating scale and dynamic tables", 0.5)
     choice, of_choice = _chosen(steps, device, static, rests, settings)
-    static = StaticFit(
-        table=_cut(static.table, inside),
-        gyro=static.gyro and _cut(static.gyro, inside),
-        accel=static.accel and _cut(static.accel, inside),
-        verdict=static.verdict,
-    )
+    scale = None if choice is None else choice.scale
+    verdict = verdict.also(judge.turns_verdict(scale, device)).also(of_choice)
     report("fitting accelerometers over temperature", 0.95)
-    accel, of_accel = _accelerometers(rests, device, nodes[inside])
-    made = agreement.also(of_choice).also(no_rests).also(of_accel)
-    made = made.also(judge.static_verdict(static, accel, device, temperatures))
+    accel, of_accel = _accelerometers(rests, device, nodes)
+    verdict = verdict.also(of_accel).also(judge.static_verdict(static, accel, device, temperatures))
     if lag is not None and lag_s == 0.0:
-        made = made.also(Verdict.of(*lag.findings))
-    tables = _tables(static, choice, accel, inside, (lag_s, smooth_s))
+        verdict = verdict.also(judge.lag_verdict(lag))
+    tables = replace(_tables(static.table, choice, accel), lag_s=lag_s, lag_smooth_s=smooth_s)
+    calibrated = _calibrated(device, tables, verdict, sessions, settings, choice)
     return DriftFit(
-        calibration=_calibrated(device, tables, made, sessions, settings, choice),
+        calibration=calibrated,
         static=static,
         choice=choice,
         accel=accel,
         lag=lag,
         rests=rests,
         steps=steps,
-        temperatures=temperatures,
-        gyro_summary=judge.summarise_gyro(static, device),
-        accel_summary=judge.summarise_accel(static, accel, device, static_settings.accel_unit),
-        scale_summary=None if choice is None or choice.scale is None else judge.summarise_scale(choice.scale, device),
-        verdict=made if calibration is not None else device.verdict.also(made),
+        gyro_summary=judge.summarise(calibrated.triad("gyro"), static.gyro),
+        accel_summary=judge.summarise(calibrated.triad("accel"), static.accel if accel is None else None),
+        scale_summary=judge.summarise_scale(scale, device),
+        verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
 
 
@@ -311,104 +300,87 @@ def _checked(sessions: Sequence[Session], calibration: Calibration | None, setti
     """Return sessions of one device, each in one unit."""
     if not sessions:
         raise InputError("drift: no session was given. Name its folder.")
-    names = [*(session.serial or session.records[0].device for session in sessions)]
-    names = sorted({name for name in (*names, "" if calibration is None else calibration.device) if name})
+    names = {session.serial or session.records[0].device for session in sessions}
+    names = (names | {"" if calibration is None else calibration.device}) - {""}
     if len(names) > 1:
-        raise InputError(f"drift: sessions and calibration are of different devices: {', '.join(names)}. Sort them.")
+        raise InputError(
+            f"drift: sessions and calibration are of different devices: {', '.join(sorted(names))}. Sort them."
+        )
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
         raise InputError(f"drift: the lag must be 0 s or more, got {settings.lag_s:g}. State the thermometer's.")
     observe.check_once(sessions)
     return [in_one_unit(session) for session in sessions]
 
 
+def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:
+    """Return the standard uncertainty of the lag that is left, s; 0 if a lag was stated."""
+    if lag is None and subtracted_s > 0.0:
+        return 0.0
+    left_s = np.inf if lag is None else np.hypot(lag.uncertainty_s, lag.lag_s - subtracted_s)
+    return float(min(left_s, THERMOMETER_LAG))
+
+
 def _without_lag(
-    sessions: Sequence[Session], trusted: list[list[Temperature]], settings: DriftSettings
-) -> tuple[LagFit | None, float, float, RestBlocks, list[list[FloatArray]]]:
-    """Return the lag and its smoothing in use, s, with rests and temperatures from which the lag is subtracted."""
-
-    def rests_at(course: list[list[FloatArray]]) -> RestBlocks:
-        return observe.observe_rests(sessions, temperatures=course)
-
-    course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
-    rests, lag, lag_s = rests_at(course), None, settings.lag_s or 0.0
-    if settings.lag_s is None and any(t.source == "column" for of_session in trusted for t in of_session):
-        lag = thermometer.estimate_lag(rests)
-        if lag.lag_s > SURE_LAG * lag.uncertainty_s:
-            lag_s = lag.lag_s
-    if lag_s == 0.0:
-        return lag, 0.0, 0.0, rests, course
-    course = [thermometer.sensor_course(own, session, lag_s) for own, session in zip(trusted, sessions, strict=True)]
-    smooth_s = max(  # for the noisiest of the columns
-        thermometer.default_smooth_s(
-            lag_s, noise_c=t.noise_c, interval_s=float(np.median(np.diff(record.time))), step_c=t.step_c
-        )
-        for own, session in zip(trusted, sessions, strict=True)
-        for t, record in zip(own, session.records, strict=True)
-    )
-    return lag, lag_s, smooth_s, rests_at(course), course
+    sessions: Sequence[Session], trusted: Sequence[Sequence[Temperature]], lag_s: float
+) -> tuple[list[list[FloatArray]], float]:
+    """Return the temperatures of the sensors, and the smoothing with which a correction subtracts the lag, s."""
+    course, smooth_s = list[list[FloatArray]](), 0.0
+    for session, of_session in zip(sessions, trusted, strict=True):
+        course.append([temperature.temp_c for temperature in of_session])
+        for k, (record, temperature) in enumerate(zip(session.records, of_session, strict=True)):
+            interval_s = float(np.median(np.diff(record.time)))
+            noisy_s = thermometer.default_smooth_s(lag_s, noise_c=temperature.noise_c, interval_s=interval_s)
+            smooth_s = max(smooth_s, noisy_s)
+            if temperature.source == "column":
+                course[-1][k] = thermometer.without_lag_smooth(temperature.temp_c, record.time, lag_s=lag_s)
+    return course, smooth_s
 
 
-def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> tuple[FloatArray, slice]:
-    """Return nodes over all temperatures seen (k,) and asked for, degC, and which of them the tables hold."""
-    step = settings.step_c
-    least, greatest = float(np.nanmin(seen_c)), float(np.nanmax(seen_c))
-    outward = float(np.floor(least / step) * step), float(np.ceil(greatest / step) * step)
-    whole = [
-        end if 0.0 < sign * (end - seen) <= BEYOND_SEEN_C else seen
-        for end, seen, sign in zip(RANGE_C, outward, (-1, 1), strict=True)
+def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float, smooth_s: float) -> float:
+    """Return how far single readings, which ``correct`` looks up, are from the smooth course of a session, K."""
+    apart = [
+        float(np.nanmedian(np.abs(record.temp_c - temperature.temp_c)))
+        for record, temperature in zip(session.records, trusted, strict=True)
+        if record.temp_c is not None and temperature.source == "column"
     ]
-    low, high = settings.range_c or whole
+    return max(apart, default=0.0) * OUTLYING * (lag_s / smooth_s if lag_s > 0.0 else 1.0)
+
+
+def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
+    """Return the nodes of the tables, degC, from all temperatures seen (k,)."""
+    step, (low, high) = settings.step_c, RANGE_C
+    if settings.range_c is not None:
+        low, high = settings.range_c
+    elif step > 0.0:
+        least, greatest = step * np.floor(np.nanmin(seen_c) / step), step * np.ceil(np.nanmax(seen_c) / step)
+        low = low if 0.0 < least - low <= BEYOND_SEEN_C else least
+        high = high if 0.0 < high - greatest <= BEYOND_SEEN_C else greatest
     count = (high - low) / step if step > 0.0 else 0.0
     if count < 1.0 or abs(count - round(count)) > 1e-6:
         raise InputError(
             f"drift tables: the step must divide the range, got {low:g} to {high:g} degC by {step:g}. Take for example 18 to 75 "
             "by 0.5."
         )
-    below = max(int(np.ceil((low - whole[0]) / step - 1e-9)), 0)
-    above = max(int(np.ceil((whole[1] - high) / step - 1e-9)), 0)
-    inside = np.linspace(low, high, round(count) + 1)
-    nodes = np.concatenate((low - step * np.arange(below, 0, -1), inside, high + step * np.arange(1, above + 1)))
-    return nodes, slice(below, below + len(inside))
-
-
-def _cut(table: T, inside: slice) -> T:
-    """Return the rows of some nodes of a table."""
-    rows: dict[str, Any] = {}
-    for name in table.__dataclass_fields__:
-        values = getattr(table, name)
-        if values is not None and name.endswith(
-            ("temp_c", "offset", "matrix", "uncertainty", "extrapolated", "_scale")
-        ):
-            rows[name] = values[inside]
-    rows.pop("slope_uncertainty", None)
-    rows.pop("hysteresis_uncertainty", None)
-    return replace(table, **rows)
+    return np.linspace(low, high, round(count) + 1)
 
 
 def _chosen(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
 ) -> tuple[Choice | None, Verdict]:
     """Return the choice of tables and what they are worth, or why there is none."""
-    auto = settings.tables in ("auto", "none")
-    if device.gyro is None or static.table.gyro_offset is None:  # a device without gyroscopes
-        if not auto:
-            raise NotObservable(f"tables: {settings.tables} needs gyroscopes, but calibration or sessions have none.")
-        return None, Verdict()
-    if not len(steps):
-        why = finding("drift.no_turns", "warn")
-    else:
-        try:
-            choice = choose_tables(
-                steps, device, static=static.table, temp_c=static.table.temp_c, rests=rests, tables=settings.tables
-            )
-            return choice, choice.verdict
-        except NotObservable as error:
-            why = finding("drift.tables_not_observable", "warn", problem=str(error))
-    if not auto:
-        raise NotObservable(
-            f"tables: {settings.tables} was requested, but the sessions do not determine it: {why.text}"
-        )
-    return None, Verdict.of(why) if settings.tables == "auto" else Verdict()
+    try:
+        if device.gyro is None or static.gyro is None:
+            raise NotObservable("calibration or sessions have no gyroscopes.")
+        if not len(steps):
+            raise NotObservable("rests do not determine them. Turn the device at known rates at two temperatures.")
+        nodes = static.table.temp_c
+        choice = choose_tables(steps, device, static=static.table, temp_c=nodes, rests=rests, tables=settings.tables)
+    except NotObservable as error:
+        if settings.tables not in ("auto", "none"):
+            raise NotObservable(f"tables: {settings.tables} was requested, but cannot be fitted: {error}") from error
+        why = finding("drift.not_observable", "warn", what="Scale and dynamic drift", problem=str(error))
+        return None, Verdict.of(why) if settings.tables == "auto" and static.gyro is not None else Verdict()
+    return choice, choice.verdict
 
 
 def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> tuple[AccelDriftFit | None, Verdict]:
@@ -418,16 +390,14 @@ def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -
     try:
         accel = fit_accel_drift(rests, device, temp_c=nodes)
     except NotObservable as error:
-        return None, Verdict.of(finding("drift.accel_not_observable", "info", problem=str(error)))
-    return accel, accel.verdict.also(judge.poses_verdict(accel, device))
+        what = "Accelerometer matrix over temperature"
+        return None, Verdict.of(finding("drift.not_observable", "info", what=what, problem=str(error)))
+    return accel, accel.verdict
 
 
-def _tables(
-    static: StaticFit, choice: Choice | None, accel: AccelDriftFit | None, inside: slice, lags_s: tuple[float, float]
-) -> DriftTables:
-    offsets, scale, dynamic = static.table, None, None
-    if choice is not None:
-        scale, dynamic = choice.scale_drift and _cut(choice.scale_drift, inside), choice.dynamic_drift
+def _tables(offsets: StaticDrift, choice: Choice | None, accel: AccelDriftFit | None) -> DriftTables:
+    """Return the tables to use."""
+    scale, dynamic = (None, None) if choice is None else (choice.scale_drift, choice.dynamic_drift)
     if accel is not None:
         offsets = replace(
             offsets,
@@ -442,22 +412,25 @@ def _tables(
             accel_uncertainty=accel.matrix_uncertainty,
             accel_extrapolated=accel.extrapolated,
         )
-    return DriftTables(static=offsets, scale=scale, dynamic=dynamic, lag_s=lags_s[0], lag_smooth_s=lags_s[1])
+    return DriftTables(static=offsets, scale=scale, dynamic=dynamic)
 
 
 def _calibrated(
     device: Calibration,
     tables: DriftTables,
-    of_fit: Verdict,
+    verdict: Verdict,
     sessions: Sequence[Session],
     settings: DriftSettings,
     choice: Choice | None,
 ) -> Calibration:
     """Return a calibration with tuning tables; files and settings of an earlier thermal fit go with its tables."""
-    previous = device.provenance
+    previous, static, reference_c = device.provenance, tables.static, device.reference_temp_c
+    if not np.isfinite(reference_c) and static is not None:
+        reference_c = float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
     before = previous.inputs[: previous.count(INPUTS_BEFORE, len(previous.inputs))]
     chosen = "none" if choice is None else choice.alternatives.chosen
-    provenance = Provenance(
+    provenance = replace(
+        previous,
         inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
         settings=(
             *(entry for entry in previous.settings if not entry[0].startswith("drift_")),
@@ -466,26 +439,12 @@ def _calibrated(
             ("drift_tables", "static" if chosen == "none" else f"static, {chosen}"),
             ("drift_sessions", f"{len(sessions)}"),
             (INPUTS_BEFORE, f"{len(before)}"),
-            (judge.STATUS_BEFORE, device.verdict.status),
         ),
         versions=previous.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    return replace(
-        device,
-        reference_temp_c=_reference_of(device, tables),
-        drift=tables,
-        verdict=device.verdict.also(of_fit),
-        provenance=provenance,
-    )
-
-
-def _reference_of(device: Calibration, tables: DriftTables) -> float:
-    """Return the calibration's reference temperature, or the temperature seen that is nearest to 25 degC, degC."""
-    static = tables.static
-    if np.isfinite(device.reference_temp_c) or static is None:
-        return device.reference_temp_c
-    return float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
+    verdict = device.verdict.also(verdict)
+    return replace(device, reference_temp_c=reference_c, drift=tables, verdict=verdict, provenance=provenance)
 
 
 # ---- selection of tables, by cross-validation
@@ -503,100 +462,97 @@ def choose_tables(
     """Fit all alternatives, and select one by cross-validation, or the one requested; nodes temp_c (n,), degC."""
     clean = prepared(steps, calibration, static=static, rests=rests)
     fits, problems = _fit_all(clean, calibration, temp_c)
-    if fits.scale is None and fits.dynamic is None:
+    if len(fits) == 1:
         raise NotObservable("scale and dynamic drift: " + " ".join(problems))
+    fitted = _mean_squares(clean, fits, calibration)
     soaks, point = _set_points(clean)
-    residuals = {which: _residuals(clean, fits, which, calibration) for which in ALTERNATIVES}
-    square = np.array([_mean_square(clean, residuals[which]) for which in ALTERNATIVES])
-    fitted_dps, nothing = np.sqrt(square) / RADIAN_PER_DEGREE, np.full(len(ALTERNATIVES), np.nan)
     folds = [clean.soak == s for s in soaks[(point > 0) & (point < point.max())]]  # nothing predicts beyond the ends
-    values: dict[str, Any] = {"soaks": len(soaks), "set_points": int(point.max()) + 1, "held_out": len(folds)}
-    left_dps = error_dps = nothing
-    chosen: Alternative = "scale" if fits.scale is not None else "dynamic"
+    left, error = np.full((2, len(ALTERNATIVES)), np.nan)
+    chosen: Alternative = "scale" if "scale" in fits else "dynamic"
     if folds:
-        left = np.array([_left_out_squares(clean, fold, fits, calibration, temp_c) for fold in folds])
-        square, error = left.mean(axis=0), np.zeros(len(ALTERNATIVES))
-        if len(folds) > 1:
-            error = left.std(axis=0, ddof=1) / np.sqrt(len(folds))
-        best = int(np.nanargmin(square))
-        chosen = ALTERNATIVES[
-            int(np.flatnonzero(square <= max(square[best] + error[best], square[best] * WORTH**2))[0])
+        without = [_fit_all(clean.taken(~fold), calibration, temp_c, like=fits)[0] for fold in folds]
+        squares = [
+            _mean_squares(clean.taken(fold), others, calibration) for fold, others in zip(folds, without, strict=True)
         ]
-        left_dps = np.sqrt(square) / RADIAN_PER_DEGREE
-        error_dps = 0.5 * error / np.maximum(square, 1e-300) * left_dps
-    if tables != "auto":
-        chosen = tables
-        if not fits.have(chosen):
-            raise NotObservable(f"{chosen} cannot be fitted to these steps. " + " ".join(problems))
-    index = ALTERNATIVES.index(chosen)
-    values |= {"tables": chosen, "error_dps": float((left_dps if folds else fitted_dps)[index])}
+        left = np.mean(squares, axis=0)
+        error = np.std(squares, axis=0, ddof=1) / np.sqrt(len(folds)) if len(folds) > 1 else np.zeros(len(left))
+        best = int(np.nanargmin(left))
+        enough = left <= max(left[best] + error[best], left[best] * WORTH**2)
+        chosen = ALTERNATIVES[int(np.flatnonzero(enough)[0])]
+    chosen = chosen if tables == "auto" else tables
+    if chosen not in fits:
+        raise NotObservable(f"{chosen} cannot be fitted to these steps. " + " ".join(problems))
+    index, left_dps = ALTERNATIVES.index(chosen), np.sqrt(left)
+    values = {"tables": chosen, "set_points": int(point.max()) + 1, "soaks": len(soaks), "held_out": len(folds)}
     if folds:
-        why = finding(
-            "drift.tables_selected", "info", **values, requested="requested" if tables != "auto" else "selected"
-        )
+        requested = "selected" if tables == "auto" else "requested"
+        why = finding("drift.tables_selected", "info", **values, requested=requested, error_dps=float(left_dps[index]))
     else:
-        why = finding("drift.tables_unjudged", "warn", **values, constant_dps=float(fitted_dps[0]))
-    missing = [finding("drift.tables_not_observable", "info", problem=problem) for problem in problems[:1]]
-    of_tables = Verdict.of(why, *missing)
-    for fit in fits.taken(chosen):
-        of_tables = of_tables if fit is None else of_tables.also(fit.verdict)
-    table = Alternatives(
+        error_dps, constant_dps = float(np.sqrt(fitted[index])), float(np.sqrt(fitted[0]))
+        why = finding("drift.tables_unjudged", "warn", **values, error_dps=error_dps, constant_dps=constant_dps)
+    missing = [
+        finding("drift.not_observable", "info", what="Scale or dynamic drift", problem=problem)
+        for problem in problems[:1]
+    ]
+    verdict = Verdict.of(why, *missing)
+    for fit in fits[chosen]:
+        verdict = verdict if fit is None else verdict.also(fit.verdict)
+    alternatives = Alternatives(
         name=ALTERNATIVES,
-        fitted_rms_dps=fitted_dps,
+        fitted_rms_dps=np.sqrt(fitted),
         left_out_rms_dps=left_dps,
-        standard_error_dps=error_dps,
+        standard_error_dps=0.5 * error / np.maximum(left_dps, 1e-300),
         chosen=chosen,
         why=why,
     )
-    return Choice(fits=fits, alternatives=table, verdict=of_tables)
+    return Choice(fits=fits, alternatives=alternatives, verdict=verdict)
 
 
 def _fit_all(
     steps: Steps, calibration: Calibration, temp_c: FloatArray, like: Fits | None = None
 ) -> tuple[Fits, list[str]]:
     """Fit matrix and dynamic drift to some steps, as soft as in earlier fits; return them and why any is missing."""
-    problems = list[str]()
-    span_c = float(temp_c[0]), float(temp_c[-1])
-    scale, dynamic, both = None, None, None
+    fits: dict[Alternative, tuple[ScaleFit | None, DynamicFit | None]] = {"none": (None, None)}
+    problems, scale, span_c = list[str](), None, (float(temp_c[0]), float(temp_c[-1]))
     try:
         scale = fit_scale(steps, calibration, temp_c=temp_c)
+        fits["scale"] = scale, None
     except CalibrationError as error:
         problems.append(str(error))
     try:
-        dynamic = fit_dynamic(steps, calibration, span_c=span_c, like=like and like.dynamic)
-        if scale is not None:
-            both = fit_dynamic(steps, calibration, span_c=span_c, like=like and like.both, scale=scale.drift)
+        named: list[tuple[Alternative, ScaleFit | None]] = [("dynamic", None), ("scale + dynamic", scale)]
+        for name, matrix in named[: 1 if scale is None else 2]:
+            softness = (like or {}).get(name, (None, None))[1]
+            table = None if matrix is None else matrix.drift
+            fits[name] = matrix, fit_dynamic(steps, calibration, span_c=span_c, like=softness, scale=table)
     except CalibrationError as error:
         problems.append(str(error))
-    return Fits(scale, dynamic, both), problems
+    return fits, problems
 
 
-def _left_out_squares(
-    steps: Steps, fold: BoolArray, fits: Fits, calibration: Calibration, temp_c: FloatArray
-) -> list[float]:
-    """Return the mean square that each alternative leaves of a soak to which it was not fitted, (rad/s)^2."""
-    others, soak = _fit_all(steps.taken(~fold), calibration, temp_c, like=fits)[0], steps.taken(fold)
-    return [_mean_square(soak, _residuals(soak, others, which, calibration)) for which in ALTERNATIVES]
+def _mean_squares(steps: Steps, fits: Fits, calibration: Calibration) -> FloatArray:
+    """Return the mean square that each alternative leaves of steps, (4,), (deg/s)^2; NaN without a fit.
 
-
-def _residuals(steps: Steps, fits: Fits, which: Alternative, calibration: Calibration) -> FloatArray:
-    """Return what an alternative leaves of steps, rad/s, shape (n, 3); NaN if it has no fit."""
-    if not fits.have(which):
-        return np.full((len(steps), 3), np.nan)
-    scale, dynamic = fits.taken(which)
-    rate = measured_rate(steps.reading, steps.temp_c, calibration, None if scale is None else scale.drift)
-    for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
-        if surface is not None:
-            rate[:, axis] -= surface.at(rate[:, axis], steps.temp_c)
-    return np.asarray(rate - steps.rate_b)
-
-
-def _mean_square(steps: Steps, residual: FloatArray) -> float:
-    """Return the mean square of residuals (n, 3) about the offset of each mounting, (rad/s)^2."""
-    left = residual.copy()
-    for m in np.unique(steps.mounting[~steps.one_rate]):
-        left[steps.mounting == m] -= residual[steps.mounting == m].mean(axis=0)
-    return float(np.mean(left**2))
+    What is left counts about the mean of a mounting that turned at two rates or more, or about the rests of another.
+    """
+    squares = np.full(len(ALTERNATIVES), np.nan)
+    for k, name in enumerate(ALTERNATIVES):
+        if name not in fits:
+            continue
+        scale, dynamic = fits[name]
+        rate = measured_rate(steps.reading, steps.temp_c, calibration, None if scale is None else scale.drift)
+        left = rate - steps.rate_b
+        for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
+            if surface is not None:
+                left[:, axis] -= surface.at(rate[:, axis], steps.temp_c)
+        for m in np.unique(steps.mounting):
+            rows = steps.mounting == m
+            turns, rests = rows & steps.turning, rows & ~steps.turning
+            level = turns if steps.has_rates(turns) else rests
+            if level.any():
+                left[rows] -= left[level].mean(axis=0)
+        squares[k] = np.mean((left[steps.turning] / RADIAN_PER_DEGREE) ** 2)
+    return squares
 
 
 def _set_points(steps: Steps) -> tuple[IntArray, IntArray]:

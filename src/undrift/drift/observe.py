@@ -24,14 +24,14 @@ from typing import Any, Self
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.codes import code_variance, restored
+from undrift.calibration.codes import code_steps, code_variance, restored
 from undrift.calibration.plausibility import axis_vectors
 from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
 from undrift.fit.gls import block_size
 from undrift.model import Calibration, TriadModel, Verdict
-from undrift.record import Record, Session, Still, Turn
+from undrift.record import Record, Session, Still
 from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
 
@@ -41,14 +41,10 @@ BLOCK_S = 10.0  # length of a block of rest: shorter follows a fast ramp, longer
 RAMP_S = 60.0  # stretch over which the slope of the temperature is taken
 SETTLE_S = 0.3  # start of each dwell that is discarded
 SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
-_SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
-_STATED_C = 1.0  # a run states the mean that the thermometer read in a dwell, which varies within a soak, K
-FAR = 6.0  # robust standard deviations: further samples are outliers
-ROBUST = 1.4826  # standard deviation of normal noise over its median absolute deviation
-_LEAST_SHARE = 0.5  # of a block's samples that have to be there
-_JUMP = 1.0  # degC: a temperature this far off its block, and far off its scatter, is an outlier
-_RESTLESS = 0.5 * RADIAN_PER_DEGREE  # rad/s, standard uncertainty of the mean of a block
-_GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
+SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
+OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
+LEAST_SHARE = 0.5  # of a block's samples that have to be there
+GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,22 +56,22 @@ class StretchMeans:
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     gyro: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
     accel: FloatArray  # (n, 3), likewise
-    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the stretch, raw unit squared
+    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the stretch, raw unit squared; NaN if unknown
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
     def taken(self, which: Any) -> Self:
         """Return some of the rows, numbers unchanged."""
-        own: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return replace(self, **{name: v[which] for name, v in own.items() if hasattr(v, "shape")})
+        columns: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return replace(self, **{name: column[which] for name, column in columns.items() if column is not None})
 
-    def followed_by(self, others: Sequence[Self]) -> Self:
-        """Return all rows, one after another; a column that one of them lacks is left out."""
-        columns = {name: [getattr(part, name) for part in (self, *others)] for name in self.__dataclass_fields__}
-        lacking = {name for name, of in columns.items() if any(part is None for part in of)}
-        joined: dict[str, Any] = {k: None if k in lacking else np.concatenate(of) for k, of in columns.items()}
-        return replace(self, **joined)
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return all rows, one part after another."""
+        return cls(
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__}
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,377 +99,284 @@ class RateSteps(StretchMeans):
 
 def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) -> RestBlocks:
     """Gather the rests of thermal sessions into blocks."""
-    parts: list[RestBlocks] = []
-    poses = 0
+    parts, poses = list[RestBlocks](), 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        _check_lengths(session, temps)
-        if session.means:
-            parts.append(set_point_rests(session, temps, number=number, first_pose=poses))
-            poses = int(parts[-1].pose.max(initial=poses - 1)) + 1
-            continue
-        begins_s, ages_s = session.begins_s, _ages(session.records)
-        steps = [(_record_step(record.gyro), _record_step(record.accel)) for record in session.records]
-        stills = find_rests(session)
-        numbers = _poses(session, stills)
-        mountings = poses + np.append(0, np.cumsum(np.diff(numbers) != 0))
-        for still, pose, mounting in zip(stills, (poses + numbers).tolist(), mountings.tolist(), strict=True):
-            k = still.recording
-            clocks_s = float(begins_s[k]), float(ages_s[k])
-            blocks = rest_blocks(
-                session.records[k], temps[k], still, steps[k], clocks_s=clocks_s, session=number, pose=pose
+        blocks = set_point_rests(session, temps) if session.means else session_rests(session, temps)
+        parts += [
+            replace(
+                part, session=part.session + number, pose=part.pose + poses, mounting=np.asarray(part.mounting) + poses
             )
-            parts.append(replace(blocks, mounting=np.full(len(blocks), mounting, np.int64)))
-        poses = max(poses + int(numbers.max()), int(mountings.max())) + 1
+            for part in blocks
+        ]
+        poses = 1 + max((int(np.max(np.asarray(part.mounting), initial=-1)) for part in parts), default=-1)
     if not any(len(part) for part in parts):
         raise NotObservable(
-            "rests: wanted stretches at rest with a known temperature, got none; leave the device still while its temperature "
-            "changes, and record the temperature or state temp_c"
+            "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, "
+            "and record the temperature or state temp_c."
         )
-    return parts[0].followed_by(parts[1:])
+    return RestBlocks.joined(parts)
 
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates of thermal sessions."""
     none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
-    steps = RateSteps(
-        session=whole, soak=whole, time=none, temp_c=none, rate_b=three, gyro=three, accel=three, gyro_variance=three
-    )
-    parts: list[RateSteps] = []
-    soaks = 0
+    parts = [
+        RateSteps(
+            session=whole,
+            soak=whole,
+            time=none,
+            temp_c=none,
+            rate_b=three,
+            gyro=three,
+            accel=three,
+            gyro_variance=three,
+        )
+    ]
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        _check_lengths(session, temps)
-        if session.means:
-            parts.append(set_point_steps(session, temps, number=number, first_soak=soaks))
-            soaks = int(parts[-1].soak.max(initial=soaks - 1)) + 1
-            continue
-        turns = [
-            turn
-            for turn in session.turns
-            if turn.axis is not None and turn.turn_rate is not None and session.records[turn.recording].gyro is not None
-        ]
-        if turns:
-            turns.sort(key=lambda t: (t.recording, t.start))
-            parts.append(_steps(session, turns, temps, session_number=number, first_soak=soaks))
-            soaks = int(parts[-1].soak.max()) + 1
-    return steps.followed_by(parts)
-
-
-def _check_lengths(session: Session, temps: Sequence[FloatArray]) -> None:
-    for k, (record, temp) in enumerate(zip(session.records, temps, strict=True)):
-        if len(record) != len(temp):
-            raise InputError(
-                f"temperature of recording {k}: wanted {len(record)} values, got {len(temp)}; one a sample, NaN where unknown"
-            )
+        steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
+        for part in steps:
+            soaks = 1 + max(int(before.soak.max(initial=-1)) for before in parts)
+            parts.append(replace(part, session=part.session + number, soak=part.soak + soaks))
+    return RateSteps.joined(parts)
 
 
 # ---- rests and their poses
 
 
 def find_rests(session: Session) -> tuple[Still, ...]:
-    """Return the rests that a session states, else those found in it, in order of time."""
+    """Return the rests that a session states, otherwise those found in it, in order of time; may be none."""
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
-    turning = [(t.recording, t.start, t.stop) for t in session.turns]
-    rests: list[Still] = []
+    rests = list[Still]()
     for number, record in enumerate(session.records):
-        spans = [(a, b) for r, a, b in turning if r == number]
+        turns = [turn for turn in session.turns if turn.recording == number]
         stills = find_still(record, recording=number).stills
-        rests.extend(s for s in stills if all(s.stop <= a or s.start >= b for a, b in spans))
-    if not rests:
-        raise NotObservable(
-            "rests: wanted stretches at rest, got none; leave the device still while its temperature changes, or state [[still]]"
-        )
+        rests += [s for s in stills if all(s.stop <= turn.start or s.start >= turn.stop for turn in turns)]
     return tuple(rests)
 
 
-def with_rests(sessions: Sequence[Session]) -> tuple[list[Session], Verdict]:
-    """Return the sessions without the bare recordings that never rest, unless there is nothing else; a finding names those."""
-    kept, left_out = list[Session](), list[str]()
-    for number, session in enumerate(sessions):
-        try:
-            if not (session.stills or session.turns or session.means):
-                find_rests(session)
-        except NotObservable:
-            left_out.append(session.inputs[0][0] if session.inputs else f"session {number + 1}")
-        else:
-            kept.append(session)
-    if not kept or not left_out:
-        return list(sessions), Verdict()
-    return kept, Verdict.of(finding("drift.no_rests", "warn", count=len(left_out), names=tuple(left_out[:5])))
+def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlocks]:
+    """Return the blocks of each rest of one session."""
+    stills, begins_s, ages_s = find_rests(session), session.begins_s, _ages(session.records)
+    steps = [code_steps(session.records, rate=rate) for rate in (True, False)]
+    poses, parts = _poses(session, stills), list[RestBlocks]()
+    mountings = np.cumsum(np.diff(poses, prepend=poses[:1]) != 0)
+    for still, pose, mounting in zip(stills, poses, mountings, strict=True):
+        record, rows = session.records[still.recording], slice(still.start, still.stop)
+        time, temp_c = record.time[rows], temps[still.recording][rows]
+        edges, size = _edges(time), block_size(record.sample_rate_hz)
+        gyro, gyro_variance, gyro_step_error = _block_means(record.gyro, rows, edges, size, steps[0])
+        accel, accel_variance, accel_step_error = _block_means(record.accel, rows, edges, size, steps[1])
+        middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
+        since_begin = middle - record.time[0]
+        number = np.zeros(len(middle), np.int64)
+        blocks = RestBlocks(
+            session=number,
+            pose=number + pose,
+            mounting=number + mounting,
+            time=since_begin + begins_s[still.recording],
+            power_on_s=since_begin + ages_s[still.recording],
+            temp_c=np.array([_mean_temperature(temp_c[a:b]) for a, b in pairwise(edges)]),
+            ramp_c_per_min=np.array([_slope(record.time, temps[still.recording], moment) for moment in middle]),
+            gyro=gyro,
+            accel=accel,
+            gyro_variance=gyro_variance,
+            accel_variance=accel_variance,
+            gyro_step_error=gyro_step_error,
+            accel_step_error=accel_step_error,
+        )
+        read = np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)
+        parts.append(blocks.taken(np.isfinite(blocks.temp_c) & read))
+    return parts
 
 
 def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
-    """Return which pose each still is in, from 0."""
-    numbers, faces = list[int](), dict[str, int]()
-    before: Still | None = None
-    mean: FloatArray | None = None
-    for still in stills:
-        accel, last = session.records[still.recording].accel, mean
-        mean = None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0)
-        same = before is not None and before.recording == still.recording and _lie_alike(last, mean)
-        following = max(numbers, default=-1) + 1
+    """Return which pose each still is in, from 0: its face, otherwise the pose of the still before if it lies alike."""
+    poses, faces, forces = list[int](), dict[str, int](), list[FloatArray | None]()
+    for k, still in enumerate(stills):
+        accel, following = session.records[still.recording].accel, max(poses, default=-1) + 1
+        forces.append(None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0))
         if still.face is not None:
-            numbers.append(faces.setdefault(still.face, following))
+            poses.append(faces.setdefault(still.face, following))
+        elif k and stills[k - 1].recording == still.recording and _lie_alike(forces[k - 1], forces[k]):
+            poses.append(poses[-1])
         else:
-            numbers.append(numbers[-1] if same else following)
-        before = still
-    return np.array(numbers, np.int64)
+            poses.append(following)
+    return np.array(poses, np.int64)
 
 
-def _lie_alike(one: FloatArray | None, two: FloatArray | None) -> bool:
-    if one is None or two is None:
-        return one is two
-    return bool(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two) < _SAME_POSE)
+def _lie_alike(force: FloatArray | None, other: FloatArray | None) -> bool:
+    if force is None or other is None:
+        return force is other
+    return bool(np.arctan2(np.linalg.norm(np.cross(force, other)), force @ other) < SAME_POSE)
 
 
-# ---- blocks of one rest
+def _edges(time: FloatArray) -> IntArray:
+    """Return the first samples of as many blocks as fit, and the end; a still shorter than two blocks is one."""
+    count = max(1, int((time[-1] - time[0]) / BLOCK_S + 0.05))
+    inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1])
+    return np.unique([0, *inner, len(time)])
 
 
-def rest_blocks(
-    record: Record,
-    temp_c: FloatArray,
-    still: Still,
-    steps: tuple[FloatArray, FloatArray],
-    *,
-    clocks_s: tuple[float, float],
-    session: int,
-    pose: int,
-) -> RestBlocks:
-    """Return the blocks of one rest.
-
-    ``steps`` are the least between readings of each sensor, raw unit, over the recording; ``clocks_s`` the time of its first sample
-    on the session's clock and since power-on, s.
-    """
-    inside = slice(still.start, still.stop)
-    time, temp = record.time[inside], temp_c[inside]
-    edges = _edges(time, BLOCK_S)
-    count, size = len(edges) - 1, block_size(record.sample_rate_hz)
-    gyro, gyro_variance, gyro_step = _means(record.gyro, inside, edges, size, steps[0])
-    accel, accel_variance, accel_step = _means(record.accel, inside, edges, size, steps[1])
-    middle = np.array([0.5 * (time[a] + time[b - 1]) for a, b in pairwise(edges)])
-    temps = np.full(count, np.nan)
-    for k, (a, b) in enumerate(pairwise(edges)):
-        known = temp[a:b][np.isfinite(temp[a:b])]
-        if len(known) >= _LEAST_SHARE * (b - a):
-            off = np.abs(known - np.median(known))
-            temps[k] = known[off <= _JUMP + FAR * ROBUST * np.median(off)].mean()
-    blocks = RestBlocks(
-        session=np.full(count, session, np.int64),
-        pose=np.full(count, pose, np.int64),
-        time=middle - record.time[0] + clocks_s[0],
-        power_on_s=middle - record.time[0] + clocks_s[1],
-        temp_c=temps,
-        ramp_c_per_min=np.array([_slope(time, temp, at, RAMP_S) for at in middle]),
-        gyro=gyro,
-        accel=accel,
-        gyro_variance=gyro_variance,
-        accel_variance=accel_variance,
-        gyro_step_error=gyro_step,
-        accel_step_error=accel_step,
-    )
-    return blocks.taken(np.isfinite(temps) & (np.isfinite(gyro).all(axis=1) | np.isfinite(accel).all(axis=1)))
-
-
-def _edges(time: FloatArray, block_s: float) -> IntArray:
-    # As many blocks of about block_s as fit; a still shorter than two blocks is one.
-    count = max(1, int((time[-1] - time[0]) / block_s + 0.05))
-    edges = np.searchsorted(time, time[0] + (time[-1] - time[0]) * np.arange(1, count) / count)
-    return np.unique(np.concatenate(([0], edges, [len(time)])))
-
-
-def _means(
-    readings: FloatArray | None, inside: slice, edges: IntArray, size: int, step: FloatArray
+def _block_means(
+    readings: FloatArray | None, rows: slice, edges: IntArray, size: int, step: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, its variance and its step error of each block, shape (B, 3); NaN if too many samples are missing."""
-    means = np.full((len(edges) - 1, 3), np.nan)
+    mean, variance, step_error = np.full((3, len(edges) - 1, 3), np.nan)
     if readings is None:
-        return means, means.copy(), np.zeros_like(means)
-    counts, square, pairs = np.zeros(len(means)), np.zeros(3), 0
-    scatter: list[FloatArray] = []
+        return mean, variance, step_error
+    squares, scatter, counts = list[FloatArray](), list[FloatArray](), np.zeros((len(mean), 1))
     for k, (start, stop) in enumerate(pairwise(edges)):
-        block = _clean(readings[inside][start:stop])
-        if len(block) < _LEAST_SHARE * (stop - start):
-            continue
-        means[k], counts[k] = block.mean(axis=0), len(block)
-        scatter.append(block.var(axis=0))
-        own = min(size, max(1, len(block) // 2))
-        halves = block[: len(block) // own * own].reshape(-1, own, 3).mean(axis=1)
-        square += (np.diff(halves, axis=0) ** 2).sum(axis=0) * own
-        pairs += len(halves) - 1
-    if not scatter:
-        return means, means.copy(), np.zeros_like(means)
-    variance = square / (2.0 * pairs) if pairs else np.full(3, np.nan)  # of a sample with the noise of a half second
-    error, seen = np.sqrt(code_variance(step, np.mean(scatter, axis=0))), np.isfinite(means)
-    return means, np.where(seen, variance / np.maximum(counts, 1.0)[:, None], np.nan), np.where(seen, error, np.nan)
+        block = _without_outliers(readings[rows][start:stop], step)
+        if len(block) >= LEAST_SHARE * (stop - start):
+            mean[k], counts[k] = block.mean(axis=0), len(block)
+            width = min(size, max(1, len(block) // 2))
+            halves = block[: len(block) // width * width].reshape(-1, width, 3).mean(axis=1)
+            squares.append(np.diff(halves, axis=0) ** 2 * width)
+            scatter.append(block.var(axis=0))
+    read = counts[:, 0] > 0.0
+    if read.any() and len(differences := np.concatenate(squares)):  # noise of a sample, by that of a half second
+        variance[read] = differences.mean(axis=0) / 2.0 / counts[read]
+    if read.any():
+        step_error[read] = np.sqrt(code_variance(step, np.mean(scatter, axis=0)))
+    return mean, variance, step_error
 
 
-def _clean(block: FloatArray) -> FloatArray:
-    """Return the samples of a block, (n, 3), that are readings and no outliers."""
+def _without_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the samples of a block, (n, 3), that are readings and no outliers; noise below one code has no median deviation."""
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return block
     off = np.abs(block - np.median(block, axis=0))
-    deviation = np.maximum(ROBUST * np.median(off, axis=0), _step(block))
-    return block[(off <= FAR * deviation).all(axis=1)]
+    limit = OUTLIER * np.maximum(np.median(off, axis=0), np.nan_to_num(step))
+    return np.asarray(block[(off <= limit).all(axis=1)])
 
 
-def _record_step(values: FloatArray | None) -> FloatArray:
-    return np.zeros(3) if values is None else _step(values[np.isfinite(values).all(axis=1)])
+def _mean_temperature(temp_c: FloatArray) -> float:
+    known = temp_c[np.isfinite(temp_c)]
+    return float(known.mean()) if len(known) >= LEAST_SHARE * len(temp_c) else np.nan
 
 
-def _step(values: FloatArray) -> FloatArray:
-    """Return the least step between readings of each axis, (n, 3) -> (3,); 0 if all are equal.
-
-    A converter whose noise is below one code has no median deviation.
-    """
-    steps = np.diff(np.sort(values, axis=0), axis=0)
-    least = np.where(steps > 0.0, steps, np.inf).min(axis=0, initial=np.inf)
-    return np.where(np.isfinite(least), least, 0.0)
-
-
-def _slope(time: FloatArray, temp: FloatArray, middle: float, span_s: float) -> float:
+def _slope(time: FloatArray, temp_c: FloatArray, middle: float) -> float:
     """Return the slope of the temperature about a moment, degC/min."""
-    start, stop = np.searchsorted(time, (middle - 0.5 * span_s, middle + 0.5 * span_s))
-    known = np.isfinite(temp[start:stop])
-    t, y = time[start:stop][known], temp[start:stop][known]
-    if len(t) < 2:
+    near = slice(*np.searchsorted(time, (middle - 0.5 * RAMP_S, middle + 0.5 * RAMP_S)))
+    known = np.isfinite(temp_c[near])
+    if known.sum() < 2:
         return 0.0
-    t = t - t.mean()
-    return float(60.0 * (t @ (y - y.mean())) / (t @ t))
+    about = time[near][known] - time[near][known].mean()
+    return float(60.0 * (about @ temp_c[near][known]) / (about @ about))
+
+
+def _ages(records: Sequence[Record]) -> FloatArray:
+    """Return how long before each record its device was switched on, s."""
+    ages, first = np.zeros(len(records)), records[0].time[0]
+    for k in range(1, len(records)):
+        if records[k].time[0] <= records[k - 1].time[-1]:
+            first = records[k].time[0]
+        ages[k] = records[k].time[0] - first
+    return ages
 
 
 # ---- dwells at a steady rate
 
 
-def _steps(
-    session: Session,
-    turns: list[Turn],
-    temps: Sequence[FloatArray],
-    *,
-    session_number: int,
-    first_soak: int,
-) -> RateSteps:
+def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSteps]:
+    """Return the dwells of one session; none if it has no turns at known rates."""
+    turns = [
+        t for t in session.turns if t.axis and t.turn_rate is not None and session.records[t.recording].gyro is not None
+    ]
+    if not turns:
+        return []
+    turns.sort(key=lambda turn: (turn.recording, turn.start))
     dwells = dwell_means(session.records, turns, settle_s=SETTLE_S)
-    count = len(turns)
-    temp, accel = np.zeros(count), np.full((count, 3), np.nan)
+    temp_c, accel = np.zeros(len(turns)), np.full((len(turns), 3), np.nan)
     for k, turn in enumerate(turns):
-        own = temps[turn.recording][turn.start : turn.stop]
-        if not np.isfinite(own).any():
+        known = temps[turn.recording][turn.start : turn.stop]
+        if not np.isfinite(known).any():
             raise InputError(
-                f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording}: wanted a temperature, got none; map its column "
-                "or state temp_c"
+                f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording} has no temperature. Map its column or state "
+                "temp_c."
             )
-        temp[k] = np.nanmean(own)
+        temp_c[k] = np.nanmean(known)
         values = session.records[turn.recording].accel
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
-    stated = np.array([np.nan if turn.temp_c is None else turn.temp_c for turn in turns])
-    return RateSteps(
-        session=np.full(count, session_number, np.int64),
-        soak=first_soak + _soaks(temp, stated),
-        time=np.zeros(count) if dwells.span is None else dwells.span.mean(axis=1),
-        temp_c=temp,
-        rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
-        gyro=dwells.reading,
-        accel=accel,
-        gyro_variance=np.full((count, 3), np.nan) if dwells.noise is None else dwells.noise**2,
-    )
+    return [
+        RateSteps(
+            session=np.zeros(len(turns), np.int64),
+            soak=_soaks(temp_c),
+            time=np.zeros(len(turns)) if dwells.span is None else dwells.span.mean(axis=1),
+            temp_c=temp_c,
+            rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
+            gyro=dwells.reading,
+            accel=accel,
+            gyro_variance=np.full(accel.shape, np.nan) if dwells.noise is None else dwells.noise**2,
+        )
+    ]
 
 
-def _soaks(temp_c: FloatArray, stated_c: FloatArray | None = None) -> IntArray:
-    """Return which soak each dwell belongs to: by the temperature that is stated where one is, else by the thermometer."""
+def _soaks(temp_c: FloatArray) -> IntArray:
+    """Return which soak each dwell belongs to: a soak ends when the temperature has left that of its first dwell."""
     numbers, first = np.zeros(len(temp_c), np.int64), 0
     for k in range(1, len(temp_c)):
-        apart = abs(temp_c[k] - temp_c[first]) - SOAK_C
-        stated = np.nan if stated_c is None else abs(stated_c[k] - stated_c[first]) - _STATED_C
-        another = bool((apart if np.isnan(stated) else stated) > 0.0)
+        another = bool(abs(temp_c[k] - temp_c[first]) > SOAK_C)
         first = k if another else first
         numbers[k] = numbers[k - 1] + another
     return numbers
 
 
 # ---- means over set-points: a row at rest is a block of rest, a row with an imposed rate a dwell
-#
-# Without a stated uncertainty, rows have the usual one of the others, or one step of the readings, q / sqrt(12). The fits determine
-# the scatter beyond that.
 
 
-def set_point_rests(session: Session, temps: Sequence[FloatArray], *, number: int, first_pose: int) -> RestBlocks:
+def set_point_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlocks]:
     """Return the rows at rest of a session of set-points."""
-    parts, forces = list[RestBlocks](), list[FloatArray]()
-    for k, (record, means, temp_c) in enumerate(zip(session.records, session.means, temps, strict=True)):
-        rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temp_c))
-        columns = _columns(session, k, temp_c, rows, number)
-        pose = np.full(len(rows), first_pose, np.int64)
+    parts, forces, ages_s = list[RestBlocks](), list[FloatArray](), _ages(session.records)
+    for k, (record, means) in enumerate(zip(session.records, session.means, strict=True)):
+        rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temps[k]))
+        columns, pose = _columns(session, k, temps[k], rows), np.zeros(len(rows), np.int64)
         for row, force in enumerate(columns["accel"]):
             if np.isfinite(force).all():
                 alike = [i for i, other in enumerate(forces) if _lie_alike(other, force)]
                 forces += [] if alike else [force]
-                pose[row] += alike[0] if alike else len(forces) - 1
+                pose[row] = alike[0] if alike else len(forces) - 1
+        no_steps = np.zeros((len(rows), 3))
         parts.append(
             RestBlocks(
                 **columns,
                 pose=pose,
                 mounting=pose,
-                power_on_s=record.time[rows] - record.time[0] + _ages(session.records)[k],
+                power_on_s=record.time[rows] - record.time[0] + ages_s[k],
                 ramp_c_per_min=np.zeros(len(rows)),
-                accel_variance=_stated_variance(record.accel, means.accel_uncertainty)[rows],
-                gyro_step_error=np.zeros((len(rows), 3)),
-                accel_step_error=np.zeros((len(rows), 3)),
+                accel_variance=means.accel_uncertainty[rows] ** 2,
+                gyro_step_error=no_steps,
+                accel_step_error=no_steps,
             )
         )
-    return parts[0].followed_by(parts[1:])
+    return parts
 
 
-def set_point_steps(session: Session, temps: Sequence[FloatArray], *, number: int, first_soak: int) -> RateSteps:
+def set_point_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSteps]:
     """Return the rows with an imposed rate of a session of set-points."""
     parts = list[RateSteps]()
     for k, (means, temp_c) in enumerate(zip(session.means, temps, strict=True)):
         known = np.flatnonzero(np.isfinite(temp_c))
-        soak, turning = _soaks(temp_c[known]), (means.rate_b[known] != 0.0).any(axis=1)
-        rows = known[turning]
-        columns = _columns(session, k, temp_c, rows, number)
-        parts.append(RateSteps(**columns, soak=first_soak + soak[turning], rate_b=means.rate_b[rows]))
-        first_soak += int(soak.max(initial=-1)) + 1
-    return parts[0].followed_by(parts[1:])
+        turning = (means.rate_b[known] != 0.0).any(axis=1)
+        columns = _columns(session, k, temp_c, known[turning])
+        parts.append(RateSteps(**columns, soak=_soaks(temp_c[known])[turning], rate_b=means.rate_b[known[turning]]))
+    return parts
 
 
-def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray, number: int) -> dict[str, Any]:
+def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray) -> dict[str, Any]:
     """Return what rows of set-points have in common, at rest and turning; NaN for a triad that they do not have."""
-    record, means = session.records[k], session.means[k]
-    nothing = np.full((len(record), 3), np.nan)
+    record, nothing = session.records[k], np.full((len(session.records[k]), 3), np.nan)
     return {
-        "session": np.full(len(rows), number, np.int64),
+        "session": np.zeros(len(rows), np.int64),
         "time": record.time[rows] - record.time[0] + session.begins_s[k],
         "temp_c": temp_c[rows],
         "gyro": (nothing if record.gyro is None else record.gyro)[rows],
         "accel": (nothing if record.accel is None else record.accel)[rows],
-        "gyro_variance": _stated_variance(record.gyro, means.gyro_uncertainty)[rows],
+        "gyro_variance": session.means[k].gyro_uncertainty[rows] ** 2,
     }
-
-
-def _stated_variance(values: FloatArray | None, uncertainty: FloatArray) -> FloatArray:
-    """Return the variance of rows of means (N, 3); the median of the others, or that of one step, for rows without one."""
-    variance = uncertainty**2
-    if values is not None:
-        for axis, column in enumerate(variance.T):
-            known = column[np.isfinite(column)]
-            usual = np.median(known) if len(known) else _resolution(values[:, axis])
-            variance[:, axis] = np.where(np.isfinite(column), column, usual)
-    return np.asarray(variance)
-
-
-def _resolution(values: FloatArray) -> float:
-    """Return the variance of one step of the readings, uniform over it: the largest that divides all their differences.
-
-    The least difference is no step: rows of a steep offset lie far apart.
-    """
-    known = np.unique(values[np.isfinite(values)])
-    nothing, step = 1e-9 * float(np.abs(known).max(initial=0.0)), 0.0
-    for rest in np.diff(known).tolist():  # Euclid's algorithm
-        while rest > nothing:
-            step, rest = rest, step % rest
-    return step**2 / 12.0
 
 
 # ---- sessions made ready
@@ -500,21 +403,22 @@ def _unit_ratio(old: str, new: str, quantity: Quantity) -> float:
 def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
     if record.state == "corrected":
         raise InputError(
-            f"recording {number}: wanted raw readings, got a corrected record; a table is subtracted from the device's own readings"
+            f"recording {number} is corrected already. Give the raw readings: tables are subtracted from those."
         )
-    before, units = (record.gyro_unit, record.accel_unit), list[str]()
-    for triad, values, unit in zip(calibration.triads, (record.gyro, record.accel), before, strict=True):
+    units = list[str]()
+    for triad, values, unit in zip(
+        calibration.triads, (record.gyro, record.accel), (record.gyro_unit, record.accel_unit), strict=True
+    ):
         wanted = unit if values is None or triad.model is None else triad.model.unit_in
         if wanted != unit and not (is_physical(unit) and is_physical(wanted)):
             raise InputError(
-                f"recording {number}: wanted {triad.sensor} readings in {wanted}, the unit of the calibration, got {unit}; record "
-                "as for the calibration, or calibrate in this unit"
+                f"recording {number}: the {triad.sensor} readings are in {unit}, those of the calibration in {wanted}. Record as "
+                "for the calibration, or calibrate in this unit."
             )
         units.append(wanted)
-    if tuple(units) != before:
+    if units != [record.gyro_unit, record.accel_unit]:
         record = replace(record.in_units(*units), gyro_unit=units[0], accel_unit=units[1])
-    gyro = calibration.gyro
-    return restored(record, calibration.adc, None if gyro is None else gyro.code_offset)
+    return restored(record, calibration.adc, None if calibration.gyro is None else calibration.gyro.code_offset)
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:
@@ -528,15 +432,14 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         )
     if not is_physical(unit):
         raise NotObservable(
-            f"drift: wanted a calibration, or gyroscope readings in a physical unit, got {unit}; give "
-            "`calibration`, or the scale of the columns"
+            f"drift: gyroscope readings in {unit} have no known scale. Give `calibration`, or the scale of the columns."
         )
     return Calibration(
         device=first.serial or first.records[0].device,
         reference_temp_c=float("nan"),
         gravity_m_s2=first.gravity_m_s2,
         gyro=nominal_triad(unit, "rate"),
-        verdict=Verdict(status="marginal", findings=(finding("calibration.nominal", "warn"),)),
+        verdict=Verdict.of(finding("calibration.nominal", "warn")),
         file_map=first.file_map,
     )
 
@@ -566,36 +469,9 @@ def accel_unit_of(sessions: Sequence[Session], device: Calibration) -> str:
     return units.pop() if len(units) == 1 else "count"
 
 
-def _ages(records: Sequence[Record]) -> FloatArray:
-    """Return how long before each record its device was switched on, s."""
-    ages, first = np.zeros(len(records)), records[0].time[0]
-    for k in range(1, len(records)):
-        if records[k].time[0] <= records[k - 1].time[-1]:
-            first = records[k].time[0]
-        ages[k] = records[k].time[0] - first
-    return ages
-
-
-def check_at_rest(rests: RestBlocks, device: Calibration) -> None:
-    """Refuse blocks of rest in which the device moved all the time: a log that never lies still looks even throughout."""
-    if device.gyro is None or not np.isfinite(rests.gyro_variance).any():
-        return
-    known = np.sqrt(np.nanmedian(rests.gyro_variance, axis=0)) * device.gyro.si_per_reading("rate")
-    if np.nanmax(known) > _RESTLESS:
-        dps = float(np.nanmax(known)) / RADIAN_PER_DEGREE
-        raise NotObservable(
-            f"rests: wanted stretches at rest, got none: readings move so much that the mean of ten seconds is known to {dps:.2g} "
-            "deg/s only; leave the device still while its temperature changes",
-            deg_per_s=dps,
-        )
-
-
-# ---- recordings cut from one switch-on are put together
-
-
 def one_power_on(sessions: Sequence[Session]) -> list[Session]:
     """Put recordings together whose clock runs on from one to the next: the device was not switched off between them."""
-    chains: list[list[int]] = []
+    chains = list[list[int]]()
     for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
         before = [chain for chain in chains if _continues(sessions[chain[-1]], sessions[k])]
         if before:
@@ -604,40 +480,31 @@ def one_power_on(sessions: Sequence[Session]) -> list[Session]:
             chains.append([k])
     return [
         replace(
-            sessions[group[0]],
-            records=tuple(record for k in group for record in sessions[k].records),
-            inputs=tuple(named for k in group for named in sessions[k].inputs),
+            sessions[chain[0]],
+            records=tuple(record for k in chain for record in sessions[k].records),
+            inputs=tuple(named for k in chain for named in sessions[k].inputs),
         )
-        for group in sorted(chains, key=min)
+        for chain in sorted(chains, key=min)
     ]
 
 
 def _continues(earlier: Session, later: Session) -> bool:
     pause = later.records[0].time[0] - earlier.records[-1].time[-1]
-    return bool(0.0 < pause <= _GAP_S and earlier.serial == later.serial)
-
-
-# ---- data given twice are refused
+    return bool(0.0 < pause <= GAP_S and earlier.serial == later.serial)
 
 
 def check_once(sessions: Sequence[Session]) -> None:
-    """Refuse data that were given twice, as one file or as equal readings: they would make the uncertainty too small."""
-    first = dict[str, str]()
-    for number, session in enumerate(sessions):
-        # settings may be equal
-        files = [(name, digest) for name, digest in session.inputs if not name.endswith(".toml")]
-        digests = {digest: name for name, digest in files}
-        for k, record in enumerate(session.records):
+    """Refuse readings that were given twice: they would make the uncertainty too small."""
+    first = dict[str, int]()
+    for number, session in enumerate(sessions, start=1):
+        for record in session.records:
             readings = np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
-            stuck = len(readings) < 2 or not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any()
-            if not stuck:
-                digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
-                digests[digest] = files[k][0] if len(files) == len(session.records) else f"recording {k}"
-        for digest, name in digests.items():
-            name = f"session {number + 1} ({name})"
+            if not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any():
+                continue  # sensors that repeat one value
+            digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
             if digest in first:
                 raise InputError(
-                    f"drift: the same data are in {first[digest]} and {name}. Leave one out: the same data twice would make the "
-                    "uncertainty too small."
+                    f"drift: sessions {first[digest]} and {number} hold the same data. Leave one out: the same data twice would "
+                    "make the uncertainty too small."
                 )
-        first |= {digest: f"session {number + 1} ({name})" for digest, name in digests.items()}
+            first[digest] = number

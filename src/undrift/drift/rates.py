@@ -17,8 +17,8 @@ product of cubic splines, goes through the steps of all soaks, and through the r
     r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
     minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
 
-The smoothness (s_w, s_T) predicts soaks that are left out best, or rates if there are only two soaks. A group g that is left out
-of a linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted again [1]_. The covariance is that of the
+The softness (s_w, s_T) predicts soaks that are left out best, or rates if there are only two soaks. A group g that is left out of a
+linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted again [1]_. The covariance is that of the
 smoothness prior [2]_, and the variances v include the excess of the residuals over those stated.
 
 References
@@ -28,12 +28,13 @@ References
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import bins_of, near_data
+from undrift.drift.offset import bins_of, known_variance, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, fit_curve
@@ -45,42 +46,49 @@ from undrift.units import si_factor
 STEP_C = 5.0  # between the nodes of the dynamic table
 # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
 MATRIX_GAP_C = 10.0
-_SAME_DIRECTION = 0.98  # cosine
-_SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
-_SAME_TEMPERATURE_C = 1.5
-_SAME_RATE = 0.01  # of the greatest: closer rates are one
-_MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
-_NEAR_RATE = 0.02  # of the greatest: a node this far beyond the measured rates still counts as seen
-_LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
-_SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, in spans and in residuals; stiff first
-_MOST_INTERVALS = 6  # of 30 deg/s over the note's rates
-_LEAST = 1e-6  # of the values: less noise is below the resolution of the equations; rad/s if all values are 0
+SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
+SAME_TEMPERATURE_C = 1.5
+SAME_RATE = 0.01  # of the greatest: closer rates are one
+MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
+NEAR_RATE = 0.02  # of the greatest: a node this far beyond the measured rates still counts as seen
+LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
+SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, in spans and in residuals; stiff first
+MAX_INTERVALS = 6  # of 30 deg/s over the note's rates
+LEAST_DIGIT = 1e-9  # of the readings: no mean is known better
+LEAST_NOISE = 1e-6  # of the values: less noise is below the resolution of the equations; rad/s if all values are 0
+
+ROWS = ("soak", "mounting", "axis", "temp_c", "rate_b", "reading", "variance")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps:
-    """Usable rate steps, n rows, and M mountings."""
+    """Usable rate steps and the rests of their mountings, n rows."""
 
     soak: IntArray  # (n,), numbered over all sessions
     mounting: IntArray  # (n,), numbered over all soaks
+    axis: IntArray  # (n,), main axis about which the mounting turned
     temp_c: FloatArray  # (n,), degC
-    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
-    along: FloatArray  # (n,), rate along the direction of its mounting, rad/s
-    reading: FloatArray  # (n, 3), offset subtracted; if the mounting has one rate, its zero too, raw unit
+    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s; 0 for a rest
+    reading: FloatArray  # (n, 3), offset subtracted, raw unit
     variance: FloatArray  # (n, 3), raw unit squared
-    one_rate: BoolArray  # (n,), True if the mounting turned at one rate, one way round
-    zero: FloatArray  # (M, 3), mean reading of the rests of each mounting, offset subtracted, raw unit; NaN without
-    zero_variance: FloatArray  # (M, 3)
     findings: tuple[Finding, ...] = ()
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
-    def taken(self, rows: BoolArray) -> "Steps":
+    @property
+    def turning(self) -> BoolArray:
+        """True for rows that are not rests, (n,)."""
+        return np.asarray(self.rate_b.any(axis=1))
+
+    def taken(self, rows: Any) -> "Steps":
         """Return some of the rows; numbers of mountings do not change."""
-        names = ("soak", "mounting", "temp_c", "rate_b", "along", "reading", "variance", "one_rate")
-        columns = {name: getattr(self, name)[rows] for name in names}
-        return replace(self, **columns)
+        return replace(self, **{name: getattr(self, name)[rows] for name in ROWS})
+
+    def has_rates(self, rows: Any) -> bool:
+        """Return True if some rows of one mounting have two rates or more: they determine its offset."""
+        rate = self.rate_b[rows]
+        return bool(np.ptp(rate, axis=0).max() > SAME_RATE * np.abs(rate).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,79 +127,61 @@ class DynamicFit:
 def prepared(
     steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, rests: RestBlocks | None = None
 ) -> Steps:
-    """Return the usable rows of rate steps, without their offsets."""
+    """Return the usable rows of rate steps, and one row at rest for each mounting that has rests, without their offsets."""
     finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
-    usable = steps.taken(finite & (np.abs(steps.rate_b).max(axis=1, initial=0.0) > 0.0))
+    usable = steps.taken(finite & steps.rate_b.any(axis=1))
     if not len(usable):
         raise InputError(
             f"rate steps: none of {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
         )
     lost = len(steps) - int(finite.sum())
-    findings = (finding("drift.steps_left_out", "warn", count=lost, steps=len(steps)),) if lost else ()
-    soak = np.unique(np.column_stack((usable.session, usable.soak)), axis=0, return_inverse=True)[1].reshape(-1)
-    direction, along = _directions(usable.rate_b)
-    mounting = np.unique(np.column_stack((soak, direction)), axis=0, return_inverse=True)[1].reshape(-1)
-    reading = usable.gyro - _offset_at(usable.temp_c, calibration, static)
-    variance = _known(usable.gyro_variance, usable.gyro)
-    zero, zero_variance = np.full((2, mounting.max() + 1, 3), np.nan)
-    one_rate = np.zeros(len(usable), bool)
-    for m in range(len(zero)):
-        rows = np.flatnonzero(mounting == m)
-        one_rate[rows] = np.ptp(along[rows]) < _SAME_RATE * np.abs(along[rows]).max()
-        near, alike = (np.zeros(0, np.int64),) * 2 if rests is None else _rests_of(usable, rows, rests)
-        blocks = near if one_rate[rows[0]] and not len(alike) else alike
-        if rests is None or not len(blocks):
-            continue
-        level = rests.gyro[blocks] - _offset_at(rests.temp_c[blocks], calibration, static)
-        scatter = level.var(axis=0, ddof=1) if len(blocks) > 1 else _known(rests.gyro_variance, rests.gyro)[blocks[0]]
-        zero[m], zero_variance[m] = level.mean(axis=0), scatter / len(blocks)
-        if one_rate[rows[0]]:
-            reading[rows] -= zero[m]
-            variance[rows] += zero_variance[m]
-            zero[m] = np.nan  # counted
-    return Steps(
+    soak, axis = _numbered(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
+    made = Steps(
         soak=soak,
-        mounting=mounting,
+        mounting=_numbered(soak, axis),
+        axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
-        along=along,
-        reading=reading,
-        variance=variance,
-        one_rate=one_rate,
-        zero=zero,
-        zero_variance=np.maximum(zero_variance, variance.min(axis=0)),
-        findings=findings,
+        reading=usable.gyro - _offset_at(usable.temp_c, calibration, static),
+        variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
+        findings=(finding("drift.steps_left_out", "warn", count=lost, steps=len(steps)),) if lost else (),
     )
+    if rests is None:
+        return made
+    first, levels, variances, temps_c = list[int](), list[FloatArray](), list[FloatArray](), list[float]()
+    for m in range(made.mounting.max() + 1):
+        turns = np.flatnonzero(made.mounting == m)
+        blocks = _rests_of(usable.taken(turns), rests, any_pose=not made.has_rates(turns))
+        if len(blocks):
+            level = blocks.gyro - _offset_at(blocks.temp_c, calibration, static)
+            noise = level.var(axis=0, ddof=1) if len(blocks) > 1 else known_variance(blocks.gyro_variance)[0]
+            first.append(turns[0])
+            levels.append(level.mean(axis=0))
+            variances.append(np.maximum(noise / len(blocks), made.variance.min(axis=0)))
+            temps_c.append(float(blocks.temp_c.mean()))
+    still = replace(
+        made.taken(first),
+        temp_c=np.array(temps_c),
+        rate_b=np.zeros((len(first), 3)),
+        reading=np.reshape(levels, (-1, 3)),
+        variance=np.reshape(variances, (-1, 3)),
+    )
+    rows: dict[str, Any] = {name: np.concatenate((getattr(made, name), getattr(still, name))) for name in ROWS}
+    return replace(made, **rows)
 
 
-def _rests_of(steps: RateSteps, rows: IntArray, rests: RestBlocks) -> tuple[IntArray, IntArray]:
-    """Return the blocks of rest of the same session and temperature as some steps, and those of them in the same pose."""
-    near = np.abs(rests.temp_c - steps.temp_c[rows].mean()) < _SAME_TEMPERATURE_C
-    near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == steps.session[rows[0]])
-    force = steps.accel[rows].mean(axis=0)
-    alike = near & (np.linalg.norm(rests.accel - force, axis=1) < _SAME_POSE * np.linalg.norm(force))
-    return np.flatnonzero(near), np.flatnonzero(alike)
+def _rests_of(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
+    """Return the rests at the session and temperature of a mounting in its pose; if there are none, in any pose if allowed."""
+    near = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
+    near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
+    force = turns.accel.mean(axis=0)
+    alike = near & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
+    return rests.taken(near if any_pose and not alike.any() else alike)
 
 
-def _directions(rate_b: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return which direction each row turns about, up to its sign, and the rate along it."""
-    axes: list[FloatArray] = []
-    number = np.empty(len(rate_b), dtype=np.int64)
-    for k, rate in enumerate(rate_b):
-        near = [i for i, axis in enumerate(axes) if abs(axis @ rate) > _SAME_DIRECTION * np.linalg.norm(rate)]
-        if not near:
-            axes.append(rate * np.sign(rate[np.abs(rate).argmax()]) / np.linalg.norm(rate))
-        number[k] = near[0] if near else len(axes) - 1
-    signs = np.sign((rate_b * np.array(axes)[number]).sum(axis=1))
-    return number, np.linalg.norm(rate_b, axis=1) * signs
-
-
-def _known(variance: FloatArray, reading: FloatArray) -> FloatArray:
-    """Return variances (n, 3), with the median of the others, or the last digit, for those that are not known."""
-    known = np.where(np.isfinite(variance) & (variance > 0.0), variance, np.nan)
-    middle = np.nanmedian(known, axis=0) if np.isfinite(known).any(axis=0).all() else np.zeros(3)
-    least = (1e-9 * np.maximum(np.nanmax(np.abs(reading), axis=0), 1e-30)) ** 2
-    return np.asarray(np.maximum(np.where(np.isfinite(known), known, middle), least))
+def _numbered(*keys: IntArray) -> IntArray:
+    """Return the number of each combination of keys, (n,)."""
+    return np.unique(np.column_stack(keys), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def gyro_model(calibration: Calibration) -> TriadModel:
@@ -227,7 +217,8 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     model, soaks = gyro_model(calibration), soak_matrices(steps, calibration)
     turned = np.isfinite(soaks.forward[:, 0, :])
     count = turned.sum(axis=0)
-    if count.max() < 2 or max(float(np.ptp(soaks.temp_c[rows])) for rows in turned.T if rows.any()) <= 0.0:
+    spans_c = [float(np.ptp(soaks.temp_c[rows])) if rows.any() else 0.0 for rows in turned.T]
+    if max(spans_c) <= 0.0:
         raise NotObservable(
             f"scale over temperature: expected rate steps at two soaks or more, got {count.max()}. Repeat the steps at another "
             "temperature, ten degrees or more away.",
@@ -235,10 +226,8 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
         )
     forward = np.tile(_forward(model), (len(temp_c), 1, 1))
     variance, percent, percent_uncertainty = np.full(forward.shape, np.nan), np.full(3, np.nan), np.full(3, np.nan)
-    for j in range(3):
+    for j in np.flatnonzero(spans_c):
         rows = turned[:, j]
-        if count[j] < 2 or np.ptp(soaks.temp_c[rows]) == 0.0:
-            continue
         nodes = fit_curve(soaks.temp_c[rows], soaks.forward[rows, :, j], soaks.variance[rows, :, j]).at(temp_c)
         forward[:, :, j], variance[:, :, j] = nodes.value, nodes.uncertainty**2
         zero_c = soaks.temp_c[rows].mean()
@@ -250,12 +239,9 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
     to_out = 1.0 / si_factor(model.unit_out, "rate")
-    findings = [
-        finding("drift.scale_not_observable", "warn", axis=AXES[j], soaks=int(count[j]))
-        for j in np.flatnonzero(count < 2)
-    ]
-    if (count == 2).any():
-        two = ", ".join(AXES[j] for j in np.flatnonzero(count == 2))
+    open_axes, two = (", ".join(AXES[j] for j in np.flatnonzero(which)) for which in (count < 2, count == 2))
+    findings = [_not_turned(f"Scale factor {open_axes} over temperature")] if open_axes else []
+    if two:
         findings.append(finding("drift.two_temperatures", "warn", what=f"scale factor {two}"))
     return ScaleFit(
         drift=ScaleDrift(
@@ -271,6 +257,11 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     )
 
 
+def _not_turned(what: str) -> Finding:
+    problem = "it was not turned about this axis at two rates and two temperatures. Turn about it both ways at three soaks or more."
+    return finding("drift.not_observable", "warn", what=what, problem=problem)
+
+
 def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
     """Fit the forward matrix at each soak."""
     numbers = np.unique(steps.soak)
@@ -280,11 +271,12 @@ def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
     for k, s in enumerate(numbers[order]):
         rows = steps.soak == s
         rate, size = steps.rate_b[rows], np.linalg.norm(steps.rate_b[rows], axis=1, keepdims=True)
-        turned = (np.abs(rate) > _MAINLY * size).any(axis=0)
+        turned = (np.abs(rate) > MAINLY * size).any(axis=0)
         reading = steps.reading[rows] - rate[:, ~turned] @ constant[:, ~turned].T
-        free = np.unique(steps.mounting[rows & ~steps.one_rate])  # mountings with an offset of their own
-        offsets = steps.mounting[rows][:, None] == free
-        design = np.column_stack((rate[:, turned] / size.max(), offsets))
+        free = [
+            m for m in np.unique(steps.mounting[rows]) if steps.has_rates(steps.mounting == m)
+        ]  # with an offset of their own
+        design = np.column_stack((rate[:, turned] / size.max(), steps.mounting[rows][:, None] == np.array(free)))
         if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
             raise NotObservable(
                 f"scale over temperature: {rows.sum()} turns at {temp_c[order[k]]:.1f} degC do not separate the axes. Turn about "
@@ -353,14 +345,14 @@ def fit_dynamic(
     steps: Steps,
     calibration: Calibration,
     *,
+    span_c: tuple[float, float],
     scale: ScaleDrift | None = None,
-    span_c: tuple[float, float] | None = None,
     like: DynamicFit | None = None,
 ) -> DynamicFit:
     """Fit the dynamic drift of the gyroscopes.
 
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
-    ``span_c``. The smoothness of each surface is chosen by cross-validation, or taken from an earlier fit, ``like``.
+    ``span_c``. The softness of each surface is chosen by cross-validation, or taken from an earlier fit, ``like``.
     """
     points = [_points_of(axis, steps, calibration, scale) for axis in range(3)]
     turned = [data for data in points if data is not None]
@@ -371,72 +363,60 @@ def fit_dynamic(
             f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the steps at another temperature.",
             soaks=soaks,
         )
-    low_c, high_c = span_c or (
-        STEP_C * np.floor(round(float(steps.temp_c.min()), 2) / STEP_C),
-        STEP_C * np.ceil(round(float(steps.temp_c.max()), 2) / STEP_C),
-    )
+    low_c, high_c = span_c
     between = STEP_C * np.arange(np.floor(low_c / STEP_C) + 1.0, np.ceil(high_c / STEP_C))
     temp_c = np.concatenate(([low_c], between, [high_c]))
-    turn_rate = _rate_nodes(steps.along, np.concatenate([data.turn_rate for data in turned]))
+    imposed = np.take_along_axis(steps.rate_b, steps.axis[:, None], axis=1)
+    turn_rate = _rate_nodes(imposed[:, 0], np.concatenate([data.turn_rate for data in turned]))
     grid_w, grid_t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
     shape = (len(temp_c), len(turn_rate))
-    error, uncertainty, marks = np.zeros((*shape, 3)), np.full((*shape, 3), np.nan), np.zeros(shape, bool)
+    error, uncertainty, extrapolated = np.zeros((*shape, 3)), np.full((*shape, 3), np.nan), np.zeros(shape, bool)
     surfaces: list[Surface | None] = [None, None, None]
     findings = list(steps.findings)
     for axis, data in enumerate(points):
         if data is None:
-            findings.append(finding("drift.dynamic_not_observable", "warn", axis=AXES[axis]))
+            findings.append(_not_turned(f"Dynamic drift {AXES[axis]}"))
             continue
         earlier = None if like is None else like.surfaces[axis]
         surface = surfaces[axis] = fit_surface(
             data,
             rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
-            temp_span=(float(low_c), float(high_c)),
+            temp_span=span_c,
             softness=None if earlier is None else earlier.softness,
         )
         error[:, :, axis] = surface.at(grid_w, grid_t).reshape(shape)
         uncertainty[:, :, axis] = surface.uncertainty(grid_w, grid_t).reshape(shape)
-        marks |= _unseen(data, turn_rate, temp_c)
-        steady = data.turn_rate[data.turn_rate != 0.0]
-        if (steady > 0.0).all() or (steady < 0.0).all():
-            way, other = ("+", "-") if steady[0] > 0.0 else ("-", "+")
-            way, other = way + AXES[axis], other + AXES[axis]
-            findings.append(finding("drift.dynamic_one_way", "warn", axis=AXES[axis], way=way, other=other))
-    two = [AXES[k] for k, data in enumerate(points) if data is not None and data.soak.max() == 1]
+        extrapolated |= _unseen(data, turn_rate, temp_c)
+    two = ", ".join(AXES[k] for k, data in enumerate(points) if data is not None and data.soak.max() == 1)
     if two:
-        findings.append(finding("drift.two_temperatures", "warn", what=f"dynamic drift {', '.join(two)}"))
-    drift = DynamicDrift(temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=marks)
+        findings.append(finding("drift.two_temperatures", "warn", what=f"dynamic drift {two}"))
+    drift = DynamicDrift(
+        temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=extrapolated
+    )
     return DynamicFit(drift=drift, surfaces=tuple(surfaces), verdict=Verdict.of(*findings))
 
 
 def _points_of(axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None) -> SurfacePoints | None:
-    """Return the rows of an axis' own rate and the rests of its mountings; None without two soaks and two rates."""
-    own = np.flatnonzero(np.abs(steps.rate_b[:, axis]) > _MAINLY * np.linalg.norm(steps.rate_b, axis=1))
-    if len(np.unique(steps.soak[own])) < 2 or len(np.unique(steps.rate_b[own, axis])) < 2:
+    """Return the rows of mountings that turned about an axis; None without two soaks and two rates."""
+    own = steps.taken(steps.axis == axis)
+    turning, imposed = own.turning, own.rate_b[:, axis]
+    if len(np.unique(own.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
         return None
-    mountings, first = np.unique(steps.mounting[own], return_index=True)
-    at_rest = np.isfinite(steps.zero[mountings]).all(axis=1)
-    mountings, first = mountings[at_rest], own[first[at_rest]]
-    means_c = np.array([steps.temp_c[steps.mounting == m].mean() for m in mountings])
-    temp_c = np.concatenate((steps.temp_c[own], means_c))
-    reading = np.concatenate((steps.reading[own], steps.zero[mountings]))
-    variance = np.concatenate((steps.variance[own], steps.zero_variance[mountings]))
-    rate = measured_rate(reading, temp_c, calibration, scale)[:, axis]
+    rate = measured_rate(own.reading, own.temp_c, calibration, scale)[:, axis]
     row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # of M
-    rows = np.concatenate((own, first))
     return SurfacePoints(
-        turn_rate=np.concatenate((rate[: len(own)], np.zeros(len(first)))),
-        temp_c=temp_c,
-        value=rate - np.concatenate((steps.rate_b[own, axis], np.zeros(len(first)))),
-        variance=variance @ row**2,
-        soak=np.unique(steps.soak[rows], return_inverse=True)[1].reshape(-1),
-        mounting=np.unique(steps.mounting[rows], return_inverse=True)[1].reshape(-1),
+        turn_rate=np.where(turning, rate, 0.0),
+        temp_c=own.temp_c,
+        value=rate - imposed,
+        variance=own.variance @ row**2,
+        soak=_numbered(own.soak),
+        mounting=_numbered(own.mounting),
     )
 
 
 def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
     """Return the imposed rates, zero, and the ends of the measured rates if they lie beyond, rad/s."""
-    tolerance, rates = _SAME_RATE * float(np.abs(imposed).max()), np.sort(np.append(imposed, 0.0))
+    tolerance, rates = SAME_RATE * float(np.abs(imposed).max()), np.sort(np.append(imposed, 0.0))
     groups = np.split(rates, np.flatnonzero(np.diff(rates) > tolerance) + 1)
     nodes = np.array([0.0 if (group == 0.0).any() else group.mean() for group in groups])
     ends = np.array([measured.min(), measured.max()])
@@ -450,7 +430,7 @@ def _unseen(points: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) ->
     soak_c = np.array([points.temp_c[rows].mean() for rows in soaks])
     low = np.interp(temp_c, soak_c, [min(points.turn_rate[rows].min(), 0.0) for rows in soaks])[:, None]
     high = np.interp(temp_c, soak_c, [max(points.turn_rate[rows].max(), 0.0) for rows in soaks])[:, None]
-    slack = _NEAR_RATE * float(np.abs(points.turn_rate).max())
+    slack = NEAR_RATE * float(np.abs(points.turn_rate).max())
     outside = (turn_rate < low - slack) | (turn_rate > high + slack)
     return np.asarray(outside | ~near_data(temp_c, soak_c, gap_c=MATRIX_GAP_C)[:, None])
 
@@ -476,42 +456,36 @@ def fit_surface(
         )
     low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
     cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
-    rate = Cubics(low=low, high=high, intervals=min(_MOST_INTERVALS, max(2, levels // 2)))
-    temp = Cubics(low=cold, high=hot, intervals=min(_MOST_INTERVALS, max(1, soaks - 1)))
+    rate = Cubics(low=low, high=high, intervals=min(MAX_INTERVALS, max(2, levels // 2)))
+    temp = Cubics(low=cold, high=hot, intervals=min(MAX_INTERVALS, max(1, soaks - 1)))
     groups = int(points.mounting.max()) + 1
     value = points.value - (np.bincount(points.mounting, points.value) / np.bincount(points.mounting))[points.mounting]
     surface = _design(rate, temp, points.turn_rate, points.temp_c)
     x, p = np.column_stack((surface, np.eye(groups)[points.mounting])), surface.shape[1]
-    size = max(float(np.sqrt(np.mean(value**2))), float(np.sqrt(points.variance.min())), _LEAST)
-    stated, excess = np.maximum(points.variance, (_LEAST * size) ** 2), 0.0  # a device without noise
+    size = max(float(np.sqrt(np.mean(value**2))), float(np.sqrt(points.variance.min())), LEAST_NOISE)
+    stated, excess = np.maximum(points.variance, (LEAST_NOISE * size) ** 2), 0.0  # a device without noise
     flat, bent = (_vanishing(rate).T @ rate.products(d) @ _vanishing(rate) for d in (0, 2))
     bends = np.kron(temp.products(0), bent), np.kron(temp.products(2), flat)
 
-    def solved(pair: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def solved(softness: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the coefficients of surface and offsets, and their covariance."""
-        penalty = np.zeros((p + groups, p + groups))
-        penalty[:p, :p] = bends[0] / (pair[0] * size) ** 2 + bends[1] / (pair[1] * size) ** 2
-        penalty[p:, p:] = np.eye(groups) / (_LOOSE * size**2)
+        penalty = np.eye(p + groups) / (LOOSE * size**2)
+        penalty[:p, :p] = bends[0] / (softness[0] * size) ** 2 + bends[1] / (softness[1] * size) ** 2
         covariance = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
         return covariance @ (x.T @ (value / v)), covariance
 
-    pairs = (
-        [softness]
-        if softness is not None
-        else [(w, t) for t in _SOFTNESS[: None if soaks > 2 else 1] for w in _SOFTNESS]
-    )
-    for _ in range(3):  # the excess follows from the residuals, and the smoothness from both
+    over_temp = SOFTNESS if soaks > 2 else SOFTNESS[:1]
+    choices = [(w, t) for t in over_temp for w in SOFTNESS] if softness is None else [softness]
+    for _ in range(3):  # the excess follows from the residuals, and the softness from both
         v = stated + excess
         best = (
-            min(pairs, key=lambda pair: _left_out_square(points, value, x, v, solved(pair, v)[1]))
-            if pairs[1:]
-            else pairs[0]
+            min(choices, key=lambda s: _left_out_square(points, value, x, v, solved(s, v)[1]))
+            if choices[1:]
+            else choices[0]
         )
         c, covariance = solved(best, v)
-        residual, freedom = value - x @ c, len(value) - float(((x @ covariance) * x / v[:, None]).sum())
-        before, excess = excess, excess_variance(value - x @ c, stated, round(freedom))
-        if abs(excess - before) <= 0.02 * float(np.median(v)):
-            break
+        freedom = len(value) - float(((x @ covariance) * x / v[:, None]).sum())
+        excess = excess_variance(value - x @ c, stated, round(freedom))
     return Surface(
         rate=rate,
         temp=temp,
@@ -519,7 +493,7 @@ def fit_surface(
         covariance=covariance[:p, :p],
         softness=best,
         excess=float(np.sqrt(excess)),
-        residuals=residual,
+        residuals=value - x @ c,
     )
 
 
@@ -527,19 +501,17 @@ def _left_out_square(
     points: SurfacePoints, value: FloatArray, x: FloatArray, v: FloatArray, covariance: FloatArray
 ) -> float:
     """Return the weighted sum of squares of rows that are left out: soaks between others, or rates if there are two soaks."""
-    middle = np.array([points.temp_c[points.soak == s].mean() for s in range(points.soak.max() + 1)])
-    group, kept_in = points.soak, np.array([middle.argmin(), middle.argmax()])
-    if len(middle) < 3:
-        size = np.abs(points.turn_rate)
-        group = np.zeros(len(size), np.int64)
-        group[np.argsort(size)] = bins_of(np.sort(size), _SAME_RATE * float(size.max()))
-        kept_in = np.array([0 if (size == 0.0).any() else -1, group.max()])
+    group, place = points.soak, points.temp_c
+    if group.max() < 2:
+        place = np.abs(points.turn_rate)
+        group = np.zeros(len(place), np.int64)
+        group[np.argsort(place)] = bins_of(np.sort(place), SAME_RATE * float(place.max()))
     residual, total = value - x @ (covariance @ (x.T @ (value / v))), 0.0
-    for number in np.setdiff1d(group, kept_in):
+    for number in np.setdiff1d(group, group[[place.argmin(), place.argmax()]]):  # nothing predicts beyond the ends
         rows = np.flatnonzero(group == number)
         hat = x[rows] @ covariance @ x[rows].T / v[rows]
         missed = np.linalg.solve(np.eye(len(rows)) - hat, residual[rows])
-        if len(middle) > 2:
+        if group is points.soak:
             for m in np.unique(points.mounting[rows]):  # its offset is its own: only the difference over rate counts
                 same = points.mounting[rows] == m
                 missed[same] -= np.average(missed[same], weights=1.0 / v[rows][same])

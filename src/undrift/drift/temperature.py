@@ -29,9 +29,9 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, frozen, runs
 from undrift.drift.observe import RestBlocks
-from undrift.drift.offset import CROSSED_C, cooling
+from undrift.drift.offset import cooling
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics
@@ -48,21 +48,20 @@ SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight
 LEAST_SPIKE_C = 0.5
 WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest
 KNOWN_TO_C = 0.02  # the window is as long as the mean needs for this standard deviation: a longer one blurs fast ramps
-QUIET = 0.05  # of a step: noise below does not repeat its changes
 BLURRED = 0.35  # of a step: if the scatter of readings, steps included, is larger, their mean shows no step
+QUIET = 0.05  # of a step: noise below does not repeat its changes
 SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
 AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
-NODE_C = 5.0  # between the spline's knots
-MOST_KNOTS = 16
+LONGEST_LAG_S = 300.0
+NODE_C, MOST_KNOTS = 5.0, 16  # between the spline's knots
 FEWEST = 24  # blocks
 MOVING_C_PER_MIN = 0.1
 TWO_SPEEDS = 1.5  # fast over slow
+SPEEDS = (0.2, 0.8)  # quantiles of the way over temperature that are slow and fast
 WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
 BOTH_WAYS = 0.1  # of the variance of the slopes that the temperature must leave open
-_STRAY = 6.0  # standard deviations of a reading: further from the smooth course is a stray
-_LEAST_NOISE_C = 0.05
 
 Source = Literal["column", "set-points", "means"]  # means: rows that are means over set-points
 
@@ -72,10 +71,9 @@ class Temperature:
     """The temperature of one recording, N samples."""
 
     temp_c: FloatArray  # (N,), smooth course, degC; NaN if it is not known
-    noise_c: float  # standard deviation of one reading, K; 0 for set-points
-    step_c: float  # step in which the readings come, K; 0 if there is none
+    noise_c: float = 0.0  # standard deviation of the mean of a second by noise and steps, K
     source: Source
-    findings: tuple[Finding, ...]  # doubts about the column
+    findings: tuple[Finding, ...] = ()  # doubts about the column
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
@@ -83,33 +81,33 @@ class Temperature:
 
 def trusted_temperature(session: Session, index: int) -> Temperature:
     """Return the temperature of one recording, smoothed, with findings on what looks wrong."""
-    record = session.records[index]
+    record, temp_c = session.records[index], session.records[index].temp_c
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     set_points = [
         (slice(piece.start, piece.stop), piece.temp_c)
         for piece in pieces
         if piece.recording == index and piece.temp_c is not None
     ]
-    temp_c = record.temp_c
-    if temp_c is not None and not session.means:
-        return _from_column(temp_c, record.time, set_points, index)
+    if temp_c is None and not set_points:
+        raise InputError(
+            f"temperature of recording {index}: there is neither a column (columns.temp) nor a set-point (temp_c of stills and "
+            "turns). Map the thermometer's column or state temp_c."
+        )
+    source: Source = "means" if session.means else "set-points" if temp_c is None else "column"
     if temp_c is None:
-        if not set_points:
-            raise InputError(
-                f"temperature of recording {index}: there is neither a column (columns.temp) nor a set-point (temp_c of stills and "
-                "turns). Map the thermometer's column or state temp_c."
-            )
         temp_c = np.full(len(record), np.nan)
         for rows, set_point in set_points:
             temp_c[rows] = set_point
-    _check_board(temp_c, record.time, index)
-    return Temperature(
-        temp_c=temp_c,
-        noise_c=0.0,
-        step_c=0.0,
-        source="means" if session.means else "set-points",
-        findings=(),
-    )
+    bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
+    if len(bad):
+        raise InputError(
+            f"temperature of recording {index}: {temp_c[bad[0]]:g} degC at {record.time[bad[0]]:.6g} s ({len(bad)} such) is "
+            f"outside {BOARD_C[0]:g} to {BOARD_C[1]:g} degC. Check units.temp and scale.temp.",
+            temp_c=float(temp_c[bad[0]]),
+        )
+    if source == "column":
+        return _from_column(temp_c, record.time, set_points, index)
+    return Temperature(temp_c=temp_c, source=source)
 
 
 def check_span(temperatures: Sequence[Temperature]) -> float:
@@ -138,37 +136,20 @@ def _from_column(
             "leave it out and state set-points.",
             missing=1.0 - float(finite.mean()),
         )
-    _check_board(readings, time, index)
     step, findings = step_of(readings[finite]), list[Finding]()
     spikes = _spikes(readings, step)
     stale = _stale(np.where(spikes, np.nan, readings), time, step)
     used = finite & ~spikes & ~stale
-    noise = noise_of(readings[used], step)
-    known_c, known_s = readings[used], time[used]
-    longest_s = max(LONGEST_GAP_S, 3.0 * float(np.median(np.diff(known_s))))
-    parts = np.split(np.arange(len(known_s)), np.flatnonzero(np.diff(known_s) > longest_s) + 1)
-    # each side of a long pause by itself: the soak before it does not reach the soak after it
-    course = np.concatenate([_course(known_c[rows], known_s[rows], step, noise) for rows in parts])
-    temp_c = np.full(len(time), np.nan)
-    temp_c[used] = course
-    gone = np.flatnonzero(~used)
-    if len(gone):
-        ends = np.concatenate(([-np.inf], time[used], [np.inf]))
-        after = np.searchsorted(ends, time[gone])
-        short = gone[ends[after] - ends[after - 1] <= LONGEST_GAP_S]
-        temp_c[short] = np.interp(time[short], time[used], course)
-        findings.append(
-            finding(
-                "drift.temperature_left_out",
-                "info",
-                recording=index,
-                missing=int((~finite).sum()),
-                spikes=int(spikes.sum()),
-                stale=int(stale.sum()),
-                interpolated=len(short),
-                rows=len(time),
-            )
-        )
+    noise_c, course = _smoothed(readings[used], time[used], step)
+    temp_c = np.interp(time, time[used], course)
+    for start, stop in runs(~used):  # long gaps stay open
+        if start == 0 or stop == len(time) or time[stop] - time[start - 1] > LONGEST_GAP_S:
+            temp_c[start:stop] = np.nan
+    if not used.all():
+        left_out = {"missing": int((~finite).sum()), "spikes": int(spikes.sum()), "stale": int(stale.sum())}
+        open_rows = int(np.isnan(temp_c).sum())
+        values = {**left_out, "interpolated": int((~used).sum()) - open_rows, "rows": len(time)}
+        findings.append(finding("drift.temperature_left_out", "info", recording=index, **values))
     low, high = float(readings[used].min()), float(readings[used].max())
     if low > HOT_C:
         findings.append(finding("drift.temperature_hot", "warn", recording=index, low_c=low, high_c=high))
@@ -176,46 +157,33 @@ def _from_column(
     off, set_point = max(apart, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(off) > OFF_SET_POINT_C:
         edge_c = set_point + math.copysign(OFF_SET_POINT_C, off)
-        values = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C, "edge_c": edge_c}
-        findings.append(finding("drift.temperature_off_set_point", "warn", recording=index, **values))
-    return Temperature(temp_c=temp_c, noise_c=noise, step_c=step, source="column", findings=tuple(findings))
-
-
-def _check_board(temp_c: FloatArray, time: FloatArray, index: int) -> None:
-    bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
-    if len(bad):
-        raise InputError(
-            f"temperature of recording {index}: {temp_c[bad[0]]:g} degC at {time[bad[0]]:.6g} s ({len(bad)} such) is outside "
-            f"{BOARD_C[0]:g} to {BOARD_C[1]:g} degC. Check units.temp and scale.temp.",
-            temp_c=float(temp_c[bad[0]]),
-        )
+        readings_c = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C, "edge_c": edge_c}
+        findings.append(finding("drift.temperature_off_set_point", "warn", recording=index, **readings_c))
+    return Temperature(temp_c=temp_c, noise_c=noise_c, source="column", findings=tuple(findings))
 
 
 def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     """Mark readings that lie apart from those before and after, (N,)."""
     from scipy.ndimage import median_filter
 
-    known = np.isfinite(temp_c)
-    spikes = np.zeros(len(temp_c), dtype=bool)
-    if known.sum() >= 5:
-        off = np.abs(temp_c[known] - median_filter(temp_c[known], size=5, mode="nearest"))
-        spikes[known] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
+    known, spikes = np.isfinite(temp_c), np.zeros(len(temp_c), dtype=bool)
+    off = np.abs(temp_c[known] - median_filter(temp_c[known], size=5, mode="nearest"))
+    spikes[known] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
     return spikes
 
 
 def _stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> BoolArray:
-    """Mark readings that repeat an old one, (N,)."""
-    finite = np.flatnonzero(np.isfinite(temp_c))
-    values, at = temp_c[finite], time[finite]
-    first = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
+    """Mark readings that repeat an old one for long, and then jump or belong to a column that changes at most readings, (N,)."""
+    rows, stale = np.flatnonzero(np.isfinite(temp_c)), np.zeros(len(temp_c), dtype=bool)
+    values, moments = temp_c[rows], time[rows]
+    first = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     last = np.append(first[1:], len(values)) - 1
     jump = np.append(np.abs(np.diff(values[first])), 0.0)
-    wait = np.append(at[first[1:]] - at[last[:-1]], 0.0)  # a gap between may have hidden the way
-    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait < 5.0 * float(np.median(np.diff(at))))
-    lively = len(first) > 0.3 * len(values)  # noise changes most readings
-    stale = np.zeros(len(temp_c), dtype=bool)
-    for run in np.flatnonzero((at[last] - at[first] >= STALE_S) & (sudden | lively)):
-        stale[finite[first[run] + 1 : last[run] + 1]] = True
+    wait_s = np.append(moments[first[1:]] - moments[last[:-1]], 0.0)  # a gap between may have hidden the way
+    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait_s < 5.0 * float(np.median(np.diff(moments))))
+    lively = len(first) > 0.3 * len(values)
+    for k in np.flatnonzero((moments[last] - moments[first] >= STALE_S) & (sudden | lively)):
+        stale[rows[first[k] + 1 : last[k] + 1]] = True
     return stale
 
 
@@ -223,7 +191,7 @@ def _stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> BoolArray:
 
 
 def step_of(temp_c: FloatArray) -> float:
-    """Return the step in which readings come."""
+    """Return the step in which readings come; 0 if they are on no grid."""
     values = np.unique(temp_c)
     if len(values) < 2 or len(values) > max(2, len(temp_c) // 4):
         return 0.0
@@ -234,37 +202,36 @@ def step_of(temp_c: FloatArray) -> float:
     return step if (off < SAME_STEP * np.maximum(gaps / step, 1.0)).mean() > 0.95 else 0.0
 
 
-def noise_of(temp_c: FloatArray, step_c: float) -> float:
-    """Return the standard deviation of one reading, from the differences of neighbours."""
-    if len(temp_c) < 3:
-        return 0.0
-    bend = np.diff(temp_c, 2)
-    size = np.sort(np.abs(bend))[: max(2, int(0.99 * len(bend)))]  # without what stands alone
-    both = float(np.sqrt(np.mean(size**2) / 6.0))
-    return both if step_c == 0.0 or both >= BLURRED * step_c else both**2 / step_c * math.sqrt(math.pi)
-
-
-def _course(temp_c: FloatArray, time: FloatArray, step: float, noise: float) -> FloatArray:
-    """Return the smooth course behind readings."""
+def _smoothed(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
+    """Return the noise of the mean of a second, and the smooth course behind readings; nothing is carried across a long gap."""
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
-        return temp_c
-    if step > 0.0 and noise < BLURRED * step:  # midway between two steps when the temperature passes there
-        smooth = temp_c if noise < QUIET * step else moving_mean(temp_c, time, WINDOW_S)
-        code = np.round((smooth - temp_c[0]) / step)
-        change = np.flatnonzero(np.diff(code))
-        passed_c = temp_c[0] + 0.5 * step * (code[change] + code[change + 1])
-        moments = np.concatenate((time[:1], 0.5 * (time[change] + time[change + 1]), time[-1:]))
-        course: FloatArray = np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:])))
-        return course
+        return 0.0, temp_c
     interval_s = float(np.median(np.diff(time)))
-    window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
-    return moving_mean(temp_c, time, window_s)
+    bend = np.sort(np.abs(np.diff(temp_c, 2)))
+    noise = float(np.sqrt(np.mean(bend[: max(2, int(0.99 * len(bend)))] ** 2) / 6.0))  # without what stands alone
+    parts = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > max(LONGEST_GAP_S, 3.0 * interval_s)) + 1)
+    if noise >= BLURRED * step:
+        window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
+        course = np.concatenate([moving_mean(temp_c[rows], time[rows], window_s) for rows in parts])
+        return noise * math.sqrt(min(interval_s, 1.0)), course
+    window_s = WINDOW_S if noise > QUIET * step else 0.0
+    course = np.concatenate([_between_steps(temp_c[rows], time[rows], step, window_s) for rows in parts])
+    return step / math.sqrt(12.0), course
+
+
+def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, window_s: float) -> FloatArray:
+    """Return the course that is midway between two steps when the readings pass there, (N,)."""
+    smooth = moving_mean(temp_c, time, window_s) if window_s > 0.0 else temp_c
+    code = np.round((smooth - temp_c[0]) / step)
+    change = np.flatnonzero(np.diff(code))
+    passed_c = temp_c[0] + 0.5 * step * (code[change] + code[change + 1])
+    moments = np.concatenate((time[:1], 0.5 * (time[change] + time[change + 1]), time[-1:]))
+    return np.asarray(np.interp(time, moments, np.concatenate((smooth[:1], passed_c, smooth[-1:]))))
 
 
 def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatArray:
     """Return the mean over a window around each sample, (N,). Near the ends the window shrinks on both sides: nothing shifts."""
-    length = float(time[-1] - time[0])
-    if length < 2.0 * LEAST_REACH_S or float(np.median(np.diff(time))) > LEAST_REACH_S:
+    if time[-1] - time[0] < 2.0 * LEAST_REACH_S or float(np.median(np.diff(time))) > LEAST_REACH_S:
         return values
     total = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))))
     middle = np.clip(time, time[0] + LEAST_REACH_S, time[-1] - LEAST_REACH_S)
@@ -292,90 +259,39 @@ def without_lag(
     """Subtract the thermometer's lag, looking back only: a filter with state; (N,) degC over (N,) s."""
     from undrift.kernels.calibrate import lead
 
-    _check_times(lag_s, smooth_s)
-    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    if x.shape != t.shape or x.ndim != 1:
+    if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf) or (lag_s > 0.0 and smooth_s == 0.0):
         raise InputError(
-            f"lag: wanted a time for each temperature, got {t.shape} for {x.shape}; pass both of one record"
+            f"lag: lag_s and smooth_s must be 0 s or more, and smooth_s above 0 for a lag, got {lag_s:g} and {smooth_s:g}. "
+            "default_smooth_s gives one."
         )
-    held = state or LagState()
-    if len(t) and t[0] <= held.time:
-        raise InputError(f"lag: wanted readings from after {held.time:.6g} s, got {t[0]:.6g} s; push chunks in order")
-    carried = np.array([held.time, held.temp_c, held.smooth_c, held.output_c])
+    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
+    before = state or LagState()
+    if len(t) and t[0] <= before.time:
+        raise InputError(f"lag: readings must follow {before.time:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
+    carried = np.array([before.time, before.temp_c, before.smooth_c, before.output_c])
     y = np.empty_like(x)
     lead(x, t, y, lag_s, smooth_s or AT_ONCE, carried)
-    at, last, low, output = (float(v) for v in carried)
-    return y, LagState(time=at, temp_c=last, smooth_c=low, output_c=output)
+    last_s, last_c, low, output = (float(v) for v in carried)
+    return y, LagState(time=last_s, temp_c=last_c, smooth_c=low, output_c=output)
 
 
 def without_lag_smooth(temp_c: FloatArray, time: FloatArray, *, lag_s: float) -> FloatArray:
     """Subtract the lag from a temperature that is smooth over time, for a fit: ``T = T_m + tau dT_m/dt``."""
-    _check_times(lag_s, 1.0)
     out = np.array(temp_c, dtype=np.float64)
-    known = np.flatnonzero(np.isfinite(out))
-    if lag_s == 0.0 or len(known) < 2:
-        return out
-    for piece in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        if len(piece) >= 2:
-            out[piece] += lag_s * np.gradient(out[piece], time[piece])
+    for start, stop in runs(np.isfinite(out)):
+        if lag_s > 0.0 and stop - start > 1:
+            out[start:stop] += lag_s * np.gradient(out[start:stop], time[start:stop])
     return out
 
 
-def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float, step_c: float = 0.0) -> float:
+def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float) -> float:
     """Return how much of the lag to leave, so that noise made larger and lag left weigh the same at 1 degC/min.
 
-    The mean of a second has the noise n = noise sqrt(min(interval, 1 s) / 1 s); steps that no noise blurs add
-    step / sqrt(12). The lead makes n tau / tau_f of it and leaves tau_f dT/dt: equal at tau_f = sqrt(n tau / (dT/dt)), kept
-    between a twentieth and a half of tau and over one interval.
+    The lead makes tau / tau_f of the noise n of the mean of a second, and leaves tau_f dT/dt: equal at
+    tau_f = sqrt(n tau / (dT/dt)), kept between a twentieth and a half of tau and over one interval.
     """
-    _check_times(lag_s, 1.0)
-    if min(noise_c, step_c) < 0.0 or interval_s <= 0.0:
-        raise InputError(
-            f"lag: wanted noise and step of 0 K or more and an interval above 0 s, got {noise_c:g}, {step_c:g}, {interval_s:g}"
-        )
-    if lag_s == 0.0:
-        return 0.0
-    blurred = noise_c >= BLURRED * step_c
-    white = math.hypot(noise_c, step_c / math.sqrt(12.0) if blurred else 0.0) * math.sqrt(min(interval_s, 1.0))
-    noise = white if blurred else math.hypot(white, step_c / math.sqrt(12.0))
-    return min(0.5 * lag_s, max(0.05 * lag_s, math.sqrt(noise * lag_s / (RAMP_C_PER_MIN / 60.0)), interval_s))
-
-
-def _check_times(lag_s: float, smooth_s: float) -> None:
-    if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf):
-        raise InputError(f"lag: wanted lag_s and smooth_s of 0 s or more, got {lag_s:g} and {smooth_s:g}")
-    if lag_s > 0.0 and smooth_s == 0.0:
-        raise InputError(f"lag: wanted smooth_s above 0 s to subtract {lag_s:g} s, got 0; default_smooth_s gives one")
-
-
-def sensor_course(trusted: Sequence[Temperature], session: Session, lag_s: float) -> list[FloatArray]:
-    """Return the temperature of the sensors in each recording: the thermometer's lag taken off where a thermometer was read."""
-    return [
-        t.temp_c if t.source != "column" else without_lag_smooth(t.temp_c, record.time, lag_s=lag_s)
-        for t, record in zip(trusted, session.records, strict=True)
-    ]
-
-
-def looked_up_c(
-    sessions: Sequence[Session],
-    trusted: Sequence[Sequence[Temperature]],
-    course: Sequence[Sequence[FloatArray]],
-    lag_s: float,
-    smooth_s: float,
-) -> FloatArray:
-    """Return the extremes, degC, that ``correct`` would look up: readings are noisier than their smooth course."""
-    ends = list[float]()
-    for session, of_session, smooth in zip(sessions, trusted, course, strict=True):
-        for record, temperature, smooth_c in zip(session.records, of_session, smooth, strict=True):
-            if record.temp_c is None or temperature.source != "column":
-                continue
-            used_c, gain = record.temp_c, 1.0
-            if lag_s > 0.0:
-                used_c, gain = without_lag(used_c, record.time, lag_s=lag_s, smooth_s=smooth_s)[0], lag_s / smooth_s
-            far = _STRAY * gain * max(temperature.noise_c, temperature.step_c, _LEAST_NOISE_C)
-            near = used_c[np.abs(used_c - smooth_c) <= far]  # a gap is near nothing
-            ends += [near.min(), near.max()] if len(near) else []
-    return np.array(ends)
+    balanced_s = math.sqrt(noise_c * lag_s / (RAMP_C_PER_MIN / 60.0))
+    return min(0.5 * lag_s, max(0.05 * lag_s, balanced_s, interval_s))
 
 
 # ---- estimate a lag
@@ -387,79 +303,59 @@ class LagFit:
 
     lag_s: float = 0.0  # time constant, s; 0 if it is not known
     uncertainty_s: float = math.inf  # standard uncertainty, s; infinite if not observable
-    findings: tuple[Finding, ...] = ()  # why it is not observable
+    problem: str = ""  # why it is not observable
 
 
-def estimate_lag(blocks: RestBlocks, *, longest_s: float = 300.0) -> LagFit:
+def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> LagFit:
     """Return the time constant, up to a longest one, at which readings at one temperature agree whatever the ramp was."""
-    direction = cooling(blocks)
-    moved = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & (direction != 0.0)
-    settled = moved & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
-    rows = settled if settled.sum() >= FEWEST and len(np.unique(direction[settled])) > 1 else moved
+    direction, known = cooling(blocks), np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min)
+    settled = known & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
+    rows = settled if settled.sum() >= FEWEST and len(np.unique(np.sign(direction[settled]))) > 1 else known
     blocks, direction = blocks.taken(rows), direction[rows]
-    readings = _readings(blocks)
-    moving = np.abs(blocks.ramp_c_per_min[np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN])
-    if readings.shape[1] == 0 or len(moving) < FEWEST:
-        return _unknown(
-            f"{len(moving)} blocks of rest change by over {MOVING_C_PER_MIN:g} degC/min, and {FEWEST} are needed"
+    readings, temp_c, slope = _readings(blocks), blocks.temp_c, blocks.ramp_c_per_min / 60.0
+    speed = np.sort(np.abs(blocks.ramp_c_per_min[np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN]))
+    if readings.shape[1] == 0 or len(speed) < FEWEST:
+        return LagFit(
+            problem=f"{len(speed)} blocks of rest change by over {MOVING_C_PER_MIN:g} degC/min, and {FEWEST} are needed."
         )
-    temp, slope = blocks.temp_c, blocks.ramp_c_per_min / 60.0
     poses = np.asarray(blocks.pose[:, None] == np.unique(blocks.pose)[1:], dtype=np.float64)
-    q, _ = np.linalg.qr(np.hstack((_spline(temp), poses)))
-    unexplained = float(np.sum((slope - q @ (q.T @ slope)) ** 2) / max(float(slope @ slope), 1e-300))
-    if unexplained < BOTH_WAYS:
-        return _unknown(
-            f"each temperature was passed at one speed: it explains {100.0 * (1.0 - unexplained):.0f} % of the slopes"
-        )
-    steady = np.abs(blocks.ramp_c_per_min[_away_from_ends(blocks)])  # at the ends a ramp is not at its speed
-    steady = steady[steady > MOVING_C_PER_MIN]
-    slow, fast = np.quantile(steady if len(steady) >= FEWEST else moving, (0.1, 0.9))
+    open_share = float(
+        np.sum(_without(slope[:, None], _spline(temp_c), poses) ** 2) / max(float(slope @ slope), 1e-300)
+    )
+    if open_share < BOTH_WAYS:
+        return LagFit(problem="each temperature was passed at one speed.")
+    way = np.cumsum(speed) / speed.sum()
+    slow, fast = speed[np.searchsorted(way, SPEEDS)]
     two_speeds = bool(fast > TWO_SPEEDS * slow)
-    fixed = [poses, direction[:, None]] if two_speeds else [poses]
-    power_on = np.exp(-blocks.power_on_s / WARM_UP_S)
-    if np.ptp(power_on) > 0.1:
-        fixed.append(power_on[:, None])
+    effects = [poses, direction[:, None]] if two_speeds else [poses]
+    power_on = np.exp(-blocks.power_on_s[:, None] / WARM_UP_S)
+    effects += [power_on] if np.ptp(power_on) > 0.1 else []
 
     def residual(lag: float) -> FloatArray:
-        q, r = np.linalg.qr(np.hstack((_spline(temp + lag * slope), *fixed)))
-        q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]
-        return np.asarray(readings - q @ (q.T @ readings))
+        return _without(readings, _spline(temp_c + lag * slope), *effects)
 
-    def loss(lags: FloatArray) -> FloatArray:
+    def losses(lags: FloatArray) -> FloatArray:
         return np.array([float(np.log(np.mean(residual(lag) ** 2, axis=0)).sum()) for lag in lags])
 
     coarse = np.concatenate(([0.0], np.geomspace(1.0, longest_s, 40)))
-    best = int(loss(coarse).argmin())
+    best = int(losses(coarse).argmin())
     lags = np.unique(np.append(np.linspace(coarse[max(best - 1, 0)], coarse[min(best + 1, 40)], 25), longest_s))
-    losses = loss(lags)
-    best = int(losses.argmin())
-    misfit = _independent(residual(lags[best])) * (losses - losses[best])  # twice the loss of log-likelihood
+    loss = losses(lags)
+    best = int(loss.argmin())
+    misfit = _independent(residual(lags[best])) * (loss - loss[best])  # twice the loss of log-likelihood
     if misfit[-1] <= 4.0:  # within two standard deviations
-        return _unknown(f"any lag up to {longest_s:g} s fits")
+        return LagFit(problem=f"any lag up to {longest_s:g} s fits.")
     i, lag = min(max(best, 1), len(lags) - 2), float(lags[best])
     curve, tilt, _ = np.polyfit(lags[i - 1 : i + 2] - lag, misfit[i - 1 : i + 2], 2)
     if curve > 0.0:
         lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
     if not two_speeds:  # then hysteresis may be taken for lag
-        unknown = _unknown(f"ramps have one speed, and a lag of {lag:.3g} s explains the same loop as hysteresis")
-        return LagFit(lag_s=lag, findings=unknown.findings)
+        return LagFit(
+            lag_s=lag, problem=f"ramps have one speed, and a lag of {lag:.3g} s explains the same loop as hysteresis."
+        )
     return LagFit(
         lag_s=lag, uncertainty_s=1.0 / math.sqrt(curve) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
     )
-
-
-def _away_from_ends(blocks: RestBlocks) -> BoolArray:
-    """Return True for blocks away from the coldest and the hottest temperature of their session, (n,)."""
-    away = np.zeros(len(blocks), bool)
-    for session in np.unique(blocks.session):
-        rows = blocks.session == session
-        temp_c = blocks.temp_c[rows]
-        away[rows] = (temp_c > temp_c.min() + CROSSED_C) & (temp_c < temp_c.max() - CROSSED_C)
-    return away
-
-
-def _unknown(problem: str) -> LagFit:
-    return LagFit(findings=(finding("drift.lag_not_observable", "info", problem=problem),))
 
 
 def _readings(blocks: RestBlocks) -> FloatArray:
@@ -473,15 +369,21 @@ def _readings(blocks: RestBlocks) -> FloatArray:
     return np.asarray((columns - columns.mean(axis=0))[:, spread > 0.0] / spread[spread > 0.0])
 
 
-def _spline(temp: FloatArray) -> FloatArray:
+def _spline(temp_c: FloatArray) -> FloatArray:
     """Return a cubic spline basis over the temperatures, (n, k)."""
-    low, high = float(temp.min()), float(temp.max()) + 1e-9
-    return Cubics(low=low, high=high, intervals=int(np.clip(round((high - low) / NODE_C), 1, MOST_KNOTS))).at(temp)
+    low, high = float(temp_c.min()), float(temp_c.max()) + 1e-9
+    return Cubics(low=low, high=high, intervals=int(np.clip(round((high - low) / NODE_C), 1, MOST_KNOTS))).at(temp_c)
+
+
+def _without(values: FloatArray, *effects: FloatArray) -> FloatArray:
+    """Return what effects (n, .) leave of values (n, k) by least squares."""
+    q, r = np.linalg.qr(np.hstack(effects))
+    q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]
+    return np.asarray(values - q @ (q.T @ values))
 
 
 def _independent(residual: FloatArray) -> float:
     """Return how many independent blocks the residuals are worth, by the correlation of neighbours."""
-    before, after = residual[:-1], residual[1:]
-    rho = float((before * after).sum() / max(float((residual**2).sum()), 1e-300))
+    rho = float((residual[:-1] * residual[1:]).sum() / max(float((residual**2).sum()), 1e-300))
     rho = min(max(rho, 0.0), 0.99)
     return max(len(residual) * (1.0 - rho) / (1.0 + rho), 4.0)

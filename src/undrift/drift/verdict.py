@@ -5,16 +5,16 @@ Checked against the calibration's constants, before tables take their place::
     turns      inv(K_c) K    K of each soak, K_c of the calibration: near one; another order or sign of axes is refused
     scale      its diagonal at the reference temperature, minus 1
     offset     table at the reference temperature, or at the nearest node seen, minus the calibration's constant
+    gravity    length of the corrected specific force at the rests nearest the reference temperature, minus g
     sessions   standard deviation from session to session
-    accel      P = M_a(T_ref) M_c^-1 of the accelerometers' poses: near one; and their offset, M_c (o_a - o_c)
 
 Offsets move from one switch-on to the next, and the calibration's temperature may have been read on another thermometer: 2 deg/s
 and the slope over 2 K (and over the distance between reference and node, doubled) are allowed. A larger difference counts from
-three standard uncertainties, of table and calibration together, and can be bad from ten. Accelerometers are more stable: 1 % of a
-matrix' elements and 50 mg are allowed, and three standard uncertainties.
+three standard uncertainties, of table and calibration together, and can be bad from ten.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,32 +22,30 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.plausibility import check_axis_order, check_handedness
 from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import UNKNOWN_SCALE_PER_K, StaticFit, TriadDrift, cooling
-from undrift.drift.rates import ScaleFit, prepared, soak_matrices
-from undrift.drift.temperature import Temperature
-from undrift.errors import CalibrationError, Implausible
-from undrift.findings import Finding, finding
-from undrift.model import AXES, Calibration, TriadModel, Verdict, level_of
-from undrift.units import RADIAN_PER_DEGREE, Quantity, is_physical, si_factor
+from undrift.drift.offset import StaticFit, TriadDrift, cooling, specific_force, split_by
+from undrift.drift.rates import ScaleFit
+from undrift.drift.temperature import LagFit, Temperature
+from undrift.errors import Implausible
+from undrift.findings import finding
+from undrift.model import Calibration, Triad, TriadModel, Verdict, level_of
+from undrift.record import Session, TemperatureSensitivity
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
 
-STATUS_BEFORE = "drift_status_before"  # setting: the calibration's status before a thermal fit
 TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
 FAR_DPS = 10.0  # no switch-on moves an offset so far
 MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
 MOST_BEND = 0.01  # (deg/s)/K2, five times that of consumer gyroscopes [assumed]
 LEAST_MISS_DPS = 0.25  # smallest one reported
+SIGNIFICANT, CERTAIN = 3.0, 10.0  # standard uncertainties from which two values differ, and may be bad
+LEFT_ACCEL_MG = 10.0  # what turn-on and ageing leave of accelerometers, and local gravity elsewhere [assumed]
+NEAR_C = 5.0  # rests within this of the nearest to the reference temperature are compared with gravity
+UNKNOWN_DEPARTURE_C = 10.0  # from the reference temperature, if the calibration does not state one
+TEMPERATURE_OFF_C = 2.0  # between the thermometer of the calibration and that of the session
+SCALE_OFF = (0.02, 0.05)  # marginal, and bad
+SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
 NARROW_C = 5.0  # a table over less is one of one temperature
-_SIGNIFICANT, _CERTAIN = (
-    3.0,
-    10.0,
-)  # standard uncertainties: two values differ from the first on, may be bad from the second
-_TEMPERATURE_OFF_C = 2.0  # between the thermometer of the calibration and that of the session
-_SCALE_OFF = (0.02, 0.05)  # marginal, and bad
-_SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
-_ACCEL_SCALE_OFF, _ACCEL_OFFSET_OFF = (0.01, 0.05), (0.05, 0.25)  # marginal, and bad; of gravity
-_MOST_EXTRAPOLATED = 0.25  # of the nodes
-_SHORTLY_S = 600.0  # after a recording began, with which power-on may have come
-_APART_C, _WIDE_C = 1.0, 2.0  # from the last temperature: another set-point; a wider set-point is a sweep
+MOST_EXTRAPOLATED = 0.25  # of the nodes
+APART_C, WIDE_C = 1.0, 2.0  # from the last temperature: another set-point; a wider set-point is a sweep
 
 # ---- summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor
 
@@ -59,14 +57,14 @@ class TriadSummary:
     unit: str  # rad/s or m/s2; the raw unit if the scale factor is not known
     seen_c: tuple[float, float]  # least and greatest temperature seen, degC
     temp_c: FloatArray  # (n,), nodes, degC
-    against: str  # reference of the departure: the constant offset, zero, or the reading at a temperature
+    against: str  # reference of the departure: the constant offset, or zero
     departure: FloatArray  # (n, 3)
     uncertainty: FloatArray  # (n, 3), standard uncertainty
     extrapolated: BoolArray  # (n,), True if no data were near
-    in_table: bool  # False if only the change is known, so that there is no table
     slope: FloatArray  # (3,), mean over the temperatures seen, per K
     slope_uncertainty: FloatArray  # (3,)
-    left_out_rms: FloatArray  # (3,), cross-validated error; NaN for too few temperatures
+    # (3,), cross-validated error; NaN for too few temperatures
+    left_out_rms: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming; None if not observable
     half_loop_uncertainty: FloatArray | None = None  # (3,)
     turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
@@ -83,7 +81,7 @@ class TriadSummary:
     def loop_shown(self, k: int) -> bool:
         """Return True if the loop of an axis is significant."""
         half, uncertainty = self.half_loop, self.half_loop_uncertainty
-        return half is not None and uncertainty is not None and abs(half[k]) > _SIGNIFICANT * uncertainty[k]
+        return half is not None and uncertainty is not None and abs(half[k]) > SIGNIFICANT * uncertainty[k]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,107 +97,61 @@ class ScaleSummary:
     soak_uncertainty: FloatArray  # (S, 3)
 
 
-def summarise_gyro(static: StaticFit, device: Calibration) -> TriadSummary | None:
-    """Return the gyroscopes' offsets over temperature."""
-    triad, model = static.gyro, device.gyro
-    if triad is None or triad.offset is None:
+def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
+    """Return the offsets of one sensor over temperature, with blocks and loop if they come from one fit; None without a table."""
+    table, model = calibrated.offsets, calibrated.model
+    if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
         return None
-    zero, against = np.zeros(3) if model is None else model.offset, "zero"
-    if model is not None and model.method != "nominal":
-        against = "the constant offset"
-    return _summary_of(triad, static.table.temp_c, triad.offset - zero, zero, against, _factor(model, "rate", ""))
-
-
-def summarise_accel(
-    static: StaticFit, poses: AccelDriftFit | None, device: Calibration, unit: str
-) -> TriadSummary | None:
-    """Return the accelerometers' offsets over temperature: from several poses if possible, otherwise from one."""
-    model, triad, nodes = device.accel, static.accel, static.table.temp_c
-    factor, name = _factor(model, "accel", unit)
-    if poses is not None and model is not None:
-        near = np.flatnonzero(~poses.extrapolated)
-        first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
-        span, uncertainty = poses.temp_c[last] - poses.temp_c[first], poses.offset_uncertainty * factor
-        return TriadSummary(
-            unit=name,
-            seen_c=(float(poses.temp_c[first]), float(poses.temp_c[last])),
-            temp_c=poses.temp_c,
-            against="the constant offset",
-            departure=(poses.offset - model.offset) * factor,
-            uncertainty=uncertainty,
-            extrapolated=poses.extrapolated,
-            in_table=True,
-            slope=(poses.offset[last] - poses.offset[first]) / span * factor,
-            slope_uncertainty=np.hypot(uncertainty[last], uncertainty[first]) / span,
-            left_out_rms=np.full(3, np.nan),
-        )
-    if triad is None:
-        return None
-    reference = device.reference_temp_c if model is not None else np.nan
-    reference = reference if np.isfinite(reference) else float(np.mean(triad.span_c))
-    zero, against = triad.curve.at(np.array([reference])).value[0], f"that at {reference:.1f} degC"
-    return _summary_of(triad, nodes, triad.curve.at(nodes).value - zero, zero, against, (factor, name))
-
-
-def _summary_of(
-    triad: TriadDrift,
-    nodes: FloatArray,
-    departure: FloatArray,
-    zero: FloatArray,
-    against: str,
-    units: tuple[FloatArray, str],
-) -> TriadSummary:
-    (factor, unit), blocks = units, triad.offsets.blocks
-    half, half_uncertainty = triad.hysteresis, triad.hysteresis_uncertainty
-    return TriadSummary(
-        unit=unit,
-        seen_c=triad.span_c,
-        temp_c=nodes,
-        against=against,
-        departure=departure * factor,
-        uncertainty=triad.uncertainty * factor,
-        extrapolated=triad.extrapolated,
-        in_table=triad.offset is not None,
-        slope=triad.slope * factor,
-        slope_uncertainty=triad.slope_uncertainty * factor,
-        left_out_rms=triad.curve.left_out(triad.cells.groups)[0] * factor,
+    factor = model.si_per_reading(calibrated.quantity)
+    departure, uncertainty = (table.value - model.offset) * factor, table.uncertainty * factor
+    near = np.flatnonzero(~table.extrapolated)
+    first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
+    span_c = table.temp_c[last] - table.temp_c[first]
+    summary = TriadSummary(
+        unit=SI_UNIT[calibrated.quantity],
+        seen_c=(float(table.temp_c[first]), float(table.temp_c[last])),
+        temp_c=table.temp_c,
+        against="zero" if model.method == "nominal" else "the constant offset",
+        departure=departure,
+        uncertainty=uncertainty,
+        extrapolated=table.extrapolated,
+        slope=(departure[last] - departure[first]) / span_c,
+        slope_uncertainty=np.hypot(uncertainty[last], uncertainty[first]) / span_c,
+    )
+    if fit is None:
+        return summary
+    half, half_uncertainty = fit.hysteresis, fit.hysteresis_uncertainty
+    return replace(
+        summary,
+        seen_c=fit.span_c,
+        left_out_rms=fit.left_out_rms * factor,
         half_loop=None if half is None else half * factor,
         half_loop_uncertainty=None if half_uncertainty is None else half_uncertainty * factor,
-        turn_on=None if triad.turn_on is None else np.sqrt(triad.turn_on.variance) * factor,
-        block_temp_c=blocks.temp_c,
-        block_departure=(triad.offsets.value - zero) * factor,
-        block_cooling=cooling(blocks),
+        turn_on=None if fit.turn_on is None else np.sqrt(fit.turn_on.variance) * factor,
+        block_temp_c=fit.offsets.blocks.temp_c,
+        block_departure=(fit.offsets.value - fit.gravity - model.offset) * factor,
+        block_cooling=cooling(fit.offsets.blocks),
     )
 
 
-def summarise_scale(fit: ScaleFit, device: Calibration) -> ScaleSummary | None:
+def summarise_scale(fit: ScaleFit | None, device: Calibration) -> ScaleSummary | None:
     """Return scale factors over temperature against those of the calibration."""
-    drift, soaks = fit.drift, fit.soaks
-    if device.gyro is None or drift.gyro_matrix is None or drift.gyro_uncertainty is None:
+    if device.gyro is None or fit is None or fit.drift.gyro_matrix is None or fit.drift.gyro_uncertainty is None:
         return None
+    soaks, matrix, uncertainty = fit.soaks, fit.drift.gyro_matrix, fit.drift.gyro_uncertainty
     unit = si_factor(device.gyro.unit_out, "rate")
     constant = device.gyro.forward_matrix.diagonal() / unit
-    scale = np.linalg.inv(drift.gyro_matrix).diagonal(axis1=1, axis2=2) / unit
-    share = drift.gyro_uncertainty.diagonal(axis1=1, axis2=2) / drift.gyro_matrix.diagonal(axis1=1, axis2=2)
+    scale = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2) / unit
+    share = uncertainty.diagonal(axis1=1, axis2=2) / matrix.diagonal(axis1=1, axis2=2)
     return ScaleSummary(
-        temp_c=drift.temp_c,
+        temp_c=fit.drift.temp_c,
         percent=100.0 * (scale / constant - 1.0),
         uncertainty=100.0 * np.abs(share),
-        extrapolated=np.zeros(len(scale), bool) if drift.gyro_extrapolated is None else drift.gyro_extrapolated,
+        extrapolated=np.zeros(len(scale), bool) if fit.drift.gyro_extrapolated is None else fit.drift.gyro_extrapolated,
         soak_temp_c=soaks.temp_c,
         soak_percent=100.0 * (soaks.forward.diagonal(axis1=1, axis2=2) / constant - 1.0),
         soak_uncertainty=100.0 * np.sqrt(soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(constant),
     )
-
-
-def _factor(model: TriadModel | None, quantity: Quantity, unit: str) -> tuple[FloatArray, str]:
-    """Return the physical unit per raw unit of each sensor, and its name; the raw unit if no scale factor is known."""
-    si = "rad/s" if quantity == "rate" else "m/s2"
-    if model is not None:
-        return model.si_per_reading(quantity), si
-    if is_physical(unit):
-        return np.full(3, si_factor(unit, quantity)), si
-    return np.ones(3), unit or "raw unit"
 
 
 def _dps(model: TriadModel) -> FloatArray:
@@ -207,13 +159,10 @@ def _dps(model: TriadModel) -> FloatArray:
     return model.si_per_reading("rate") / RADIAN_PER_DEGREE
 
 
-def verdict_before(calibration: Calibration) -> Verdict:
-    """Return the verdict of a calibration without the findings of an earlier thermal fit."""
-    status = calibration.provenance.status(STATUS_BEFORE)
-    if status is None:
-        return calibration.verdict
-    kept = tuple(item for item in calibration.verdict.findings if not item.code.startswith("drift."))
-    return Verdict(status=status, findings=kept)
+def without_tables(calibration: Calibration) -> Calibration:
+    """Return a calibration with the verdict that it had before an earlier thermal fit."""
+    before = [item for item in calibration.verdict.findings if not item.code.startswith("drift.")]
+    return calibration if calibration.drift is None else replace(calibration, verdict=Verdict.of(*before))
 
 
 # ---- do sessions and calibration belong to one device?
@@ -233,15 +182,11 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
         )
 
 
-def turns_verdict(steps: RateSteps, device: Calibration, static: StaticFit) -> Verdict:
+def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     """Compare the turns with the calibration's matrix: axes, signs, scale."""
-    if device.gyro is None or static.table.gyro_offset is None or not len(steps):
+    if device.gyro is None or scale is None:
         return Verdict()
-    constant = device.gyro.forward_matrix / si_factor(device.gyro.unit_out, "rate")
-    try:
-        soaks = soak_matrices(prepared(steps, device, static=static.table), device)
-    except CalibrationError:
-        return Verdict()  # the selection of tables reports why
+    soaks, constant = scale.soaks, device.gyro.forward_matrix / si_factor(device.gyro.unit_out, "rate")
     against = np.linalg.inv(constant) @ np.where(np.isfinite(soaks.forward), soaks.forward, constant)
     typical = np.median(against, axis=0)
     ratios = ", ".join(f"{value:.3g}" for value in np.diag(typical))
@@ -256,11 +201,11 @@ def turns_verdict(steps: RateSteps, device: Calibration, static: StaticFit) -> V
             known = np.isfinite(device.reference_temp_c)
             reference_c = device.reference_temp_c if known else temp_c[np.abs(ratio - 1.0).argmin()]
             off[j] = np.interp(reference_c, temp_c, ratio) - 1.0
-            allowed[j] = _SCALE_PER_C * np.abs(temp_c - reference_c).min()
-    level = level_of(float((np.abs(off) - allowed).max()), _SCALE_OFF)
+            allowed[j] = SCALE_PER_C * np.abs(temp_c - reference_c).min()
+    level = level_of(float((np.abs(off) - allowed).max()), SCALE_OFF)
     if level == "info" or device.gyro.method == "nominal":
         return Verdict()
-    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * _SCALE_OFF[0]))
+    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * SCALE_OFF[0]))
 
 
 def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | float = 0.0) -> Verdict:
@@ -270,7 +215,6 @@ def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | f
         return Verdict()
     nodes, reference_c = static.table.temp_c, device.reference_temp_c
     seen = np.flatnonzero((nodes >= triad.span_c[0] - 1.0) & (nodes <= triad.span_c[1] + 1.0))
-    seen = seen if len(seen) else np.arange(len(nodes))
     apart = np.abs(nodes[seen] - reference_c)
     if not np.isfinite(reference_c):  # the best case for the device
         apart = np.abs(offset - model.offset)[seen].max(axis=1)
@@ -278,98 +222,92 @@ def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | f
     away_c = float(apart.min()) if np.isfinite(reference_c) else 0.0
     off = (offset[node] - model.offset) * _dps(model)
     uncertainty = np.hypot(triad.uncertainty[node], model.standard_uncertainty[9:12]) * _dps(model)
-    beyond = np.abs(off) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + _TEMPERATURE_OFF_C)
-    if not ((beyond > TURN_ON_DPS) & (np.abs(off) > _SIGNIFICANT * uncertainty)).any():
+    beyond = np.abs(off) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + TEMPERATURE_OFF_C)
+    if not ((beyond > TURN_ON_DPS) & (np.abs(off) > SIGNIFICANT * uncertainty)).any():
         return Verdict()
-    far = ((beyond > FAR_DPS) & (np.abs(off) > _CERTAIN * uncertainty)).any()
-    values = {"temp_c": float(nodes[node]), "offset_dps": off, "uncertainty_dps": uncertainty}
+    far = ((beyond > FAR_DPS) & (np.abs(off) > CERTAIN * uncertainty)).any()
+    values = {
+        "temp_c": float(nodes[node]),
+        "offset_dps": off,
+        "uncertainty_dps": uncertainty,
+        "turn_on_dps": TURN_ON_DPS,
+    }
     cause = _unit_of(offset[node] + felt, model.offset + felt)
-    return Verdict.of(
-        finding("drift.offset_differs", "fail" if far else "warn", **values, cause=cause, turn_on_dps=TURN_ON_DPS)
+    return Verdict.of(finding("drift.offset_differs", "fail" if far else "warn", **values, cause=cause))
+
+
+def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
+    """Compare the length of the corrected specific force at rest with gravity, by the rms over the poses."""
+    model, rests = device.accel, rests.taken(np.isfinite(rests.accel).all(axis=1))
+    force = specific_force(rests, device)
+    if model is None or model.method == "nominal" or force is None or not len(rests):
+        return Verdict()
+    away_c = np.abs(rests.temp_c - device.reference_temp_c)
+    away_c = away_c if np.isfinite(away_c).all() else np.full(len(rests), UNKNOWN_DEPARTURE_C)
+    near = away_c <= away_c.min() + NEAR_C
+    poses = split_by(np.flatnonzero(near), rests.session[near], rests.pose[near])
+    length = np.linalg.norm([force[rows].mean(axis=0) for rows in poses], axis=1)
+    stated = device.gravity_m_s2  # parameters of other programs do not state it
+    gravity = stated if np.isfinite(stated) else STANDARD_GRAVITY
+    miss_mg = 1e3 * float(np.sqrt(np.mean((length / gravity - 1.0) ** 2)))
+    matrix, offset = model.standard_uncertainty[:9].reshape(3, 3), model.standard_uncertainty[9:12]
+    known = np.nan_to_num(
+        np.hypot(matrix @ model.forward_matrix * gravity, np.diag(offset * model.si_per_reading("accel")))
     )
+    drift_mg = TemperatureSensitivity().accel_offset_mg_per_k * float(away_c[near].mean())
+    usual_mg = float(np.sqrt(1e6 * np.sum(known**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
+    if miss_mg <= SIGNIFICANT * usual_mg:
+        return Verdict()
+    values = {"temp_c": float(rests.temp_c[near].mean()), "poses": len(poses), "miss_mg": miss_mg, "usual_mg": usual_mg}
+    return Verdict.of(finding("drift.accel_differs", "fail" if miss_mg > CERTAIN * usual_mg else "warn", **values))
 
 
-def _unit_of(seen: FloatArray, constant: FloatArray) -> str:
+def _unit_of(reading: FloatArray, constant: FloatArray) -> str:
     """Return which unit explains one offset (3,) by the other, along the same direction."""
-    square = max(float(constant @ constant), 1e-300)
-    along = float(seen @ constant) / square
-    if np.linalg.norm(seen - along * constant) > 0.2 * np.linalg.norm(seen):
-        return ""
+    along = float(reading @ constant) / max(float(constant @ constant), 1e-300)
+    same_direction = np.linalg.norm(reading - along * constant) <= 0.2 * np.linalg.norm(reading)
     for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
-        if abs(along / factor - 1.0) < 0.2:
+        if same_direction and abs(along / factor - 1.0) < 0.2:
             return f"; the offset is {along:.3g} times the calibration's on every axis: gyroscope is in {text}"
     return ""
-
-
-def poses_verdict(accel: AccelDriftFit | None, device: Calibration) -> Verdict:
-    """Compare the accelerometers' matrix and offset from poses with the calibration's."""
-    model = device.accel
-    if accel is None or model is None or model.method == "nominal" or accel.extrapolated.all():
-        return Verdict()
-    near = np.flatnonzero(~accel.extrapolated)
-    away = np.nan_to_num(np.abs(accel.temp_c[near] - device.reference_temp_c))  # 0 if no reference is known
-    node, inverse = int(near[away.argmin()]), model.forward_matrix
-    off = accel.matrix[node] @ inverse - np.eye(3)
-    constant_variance = model.standard_uncertainty[:9].reshape(3, 3) ** 2
-    off_uncertainty = np.sqrt((accel.matrix_uncertainty[node] ** 2 + constant_variance) @ inverse**2)
-    allowed = UNKNOWN_SCALE_PER_K * float(away.min()) * np.eye(3)
-    scale = np.where(np.abs(off) > _SIGNIFICANT * off_uncertainty, np.abs(off) - allowed, 0.0).max()
-    per_g = model.si_per_reading("accel") / device.gravity_m_s2
-    shift = (accel.offset[node] - model.offset) * per_g
-    shift_uncertainty = np.hypot(accel.offset_uncertainty[node], model.standard_uncertainty[9:12]) * per_g
-    moved = np.where(np.abs(shift) > _SIGNIFICANT * shift_uncertainty, np.abs(shift), 0.0).max()
-    if scale <= _ACCEL_SCALE_OFF[0] and moved <= _ACCEL_OFFSET_OFF[0]:
-        return Verdict()
-    i, j = np.unravel_index(int(np.abs(off).argmax()), (3, 3))
-    return Verdict.of(
-        finding(
-            "drift.accel_differs",
-            "fail" if scale > _ACCEL_SCALE_OFF[1] or moved > _ACCEL_OFFSET_OFF[1] else "warn",
-            temp_c=float(accel.temp_c[node]),
-            largest_percent=100.0 * off[i, j],
-            element=AXES[i] + AXES[j],
-            limit_percent=100.0 * _ACCEL_SCALE_OFF[0],
-            offset_mg=1e3 * shift,
-            limit_mg=1e3 * _ACCEL_OFFSET_OFF[0],
-        )
-    )
 
 
 # ---- what the tables are worth
 
 
+def lag_verdict(lag: LagFit) -> Verdict:
+    """Return why a lag was not subtracted, if it is not observable."""
+    missing = finding("drift.not_observable", "info", what="Thermometer lag", problem=f"{lag.problem} {_TWO_SPEEDS}")
+    return Verdict.of(missing) if lag.problem else Verdict()
+
+
+_TWO_SPEEDS = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+
+
+def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Verdict:
+    """Return which recordings gave nothing to the fit, because they never rest."""
+    used = {*rests.session.tolist(), *steps.session.tolist()}
+    names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
+    return Verdict.of(finding("drift.no_rests", "warn", count=len(names), names=names[:5])) if names else Verdict()
+
+
 def static_verdict(
-    static: StaticFit, accel: AccelDriftFit | None, device: Calibration, temperatures: tuple[Temperature, ...]
+    static: StaticFit, accel: AccelDriftFit | None, device: Calibration, temperatures: Sequence[Temperature]
 ) -> Verdict:
     """Return what the offsets are worth; accelerometers of one pose count only if no poses determined them."""
-    findings = [f for f in static.verdict.findings if accel is None or not _of_accelerometers(f)]
+    findings = [f for f in static.verdict.findings if accel is None or "ccel" not in f"{f.code} {f.values.get('what')}"]
+    findings += [item for temperature in temperatures for item in temperature.findings]
+    if all(temperature.source == "set-points" for temperature in temperatures):
+        findings.append(finding("drift.set_points_only", "warn"))
     triad = static.gyro
     if triad is None:
         return Verdict.of(*findings)
     (low_c, high_c), share = triad.span_c, float(triad.extrapolated.mean())
-    if share > _MOST_EXTRAPOLATED:
+    if share > MOST_EXTRAPOLATED:
         findings.append(finding("drift.nodes_extrapolated", "warn", percent=100.0 * share, low_c=low_c, high_c=high_c))
     if high_c - low_c < NARROW_C:
         findings.append(finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c))
-    if all(temperature.source == "set-points" for temperature in temperatures):
-        findings.append(finding("drift.set_points_only", "warn"))
-    measured = any(temperature.source != "means" for temperature in temperatures)
-    if triad.hysteresis is None and triad.warm_up is None and measured and _starts_fast(triad.offsets.blocks):
-        findings.append(finding("drift.power_on_transient", "warn"))
-    findings += [item for temperature in temperatures for item in temperature.findings]
     return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))
-
-
-def _of_accelerometers(item: Finding) -> bool:
-    """Return True if a finding is about the offset of the accelerometers in one pose."""
-    return item.code.startswith("drift.accel_") or item.values.get("sensor") == "accelerometer"
-
-
-def _starts_fast(rests: RestBlocks) -> bool:
-    """Return True if a temperature that went one way may include a power-on transient."""
-    ramps = np.abs(rests.ramp_c_per_min[np.lexsort((rests.time, rests.session))])
-    part = max(len(ramps) // 4, 1)
-    return bool(rests.power_on_s.min() < _SHORTLY_S or ramps[:part].mean() > 2.0 * ramps[-part:].mean())
 
 
 def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
@@ -382,15 +320,14 @@ def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
     blocks, worst = triad.offsets.blocks, (0.0, 0.0, 0.0)
     if model is None:
         return Verdict()
-    for session in np.unique(blocks.session):
-        rows = np.flatnonzero(blocks.session == session)
+    for rows in split_by(np.arange(len(blocks)), blocks.session):
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
-        temp_c, value = blocks.temp_c[rows], triad.offsets.value[rows] * _dps(model)
-        parts = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(temp_c) > _APART_C) + 1)
-        if len(parts) < 4 or max(float(np.ptp(temp_c[part])) for part in parts) > _WIDE_C:  # few, or a sweep
+        parts = np.split(rows, np.flatnonzero(np.diff(blocks.temp_c[rows]) > APART_C) + 1)
+        if len(parts) < 4 or max(float(np.ptp(blocks.temp_c[part])) for part in parts) > WIDE_C:  # few, or a sweep
             continue
-        points = np.array([temp_c[part].mean() for part in parts])
-        means, steps = np.array([value[part].mean(axis=0) for part in parts]), np.diff(points)[:, None]
+        points = np.array([blocks.temp_c[part].mean() for part in parts])
+        means = np.array([triad.offsets.value[part].mean(axis=0) for part in parts]) * _dps(model)
+        steps = np.diff(points)[:, None]
         bend = 2.0 * np.diff(np.diff(means, axis=0) / steps, axis=0) / (steps[1:] + steps[:-1])
         miss = np.where(np.abs(bend) > MOST_BEND, np.abs(bend) * steps[1:] * steps[:-1] / 2.0, 0.0).max(axis=1)
         k = int(miss.argmax())

@@ -19,6 +19,9 @@ GYRO_FLICKER = 8.0 / 3600.0 * RADIAN_PER_DEGREE
 # g-sensitivity of the gyroscopes, rad/s per m/s2; data sheets of consumer parts state 0.1 deg/s/g (MPU-6050).
 G_SENSITIVITY = 0.1 * RADIAN_PER_DEGREE / STANDARD_GRAVITY
 
+# lag of a thermometer behind the sensors, s, if no ramp shows it: seconds on one chip, 80 s for an LM335 beside them. Assumed.
+THERMOMETER_LAG = 60.0
+
 # ---- matrix
 
 # scale factor that was not measured, relative: trimmed in the factory (data sheets state 1 to 3 %), and of counts. Assumed.

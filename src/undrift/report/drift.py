@@ -46,12 +46,10 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
         panels[2 * k].set_ylabel(f"{axis} ({unit})")
     for axes in panels[-2:]:
         axes.set_xlabel("temperature (degC)")
-    what = "offset" if summary.in_table else "reading"
-    panels[0].set_title(
-        what if summary.against == "zero" else f"{what} less {summary.against}", loc="left", fontsize=10
-    )
-    seen = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
-    panels[1].set_title(seen if summary.in_table else "the same less the fit", loc="left", fontsize=10)
+    against = "" if summary.against == "zero" else f" less {summary.against}"
+    panels[0].set_title(f"offset{against}", loc="left", fontsize=10)
+    second = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
+    panels[1].set_title(second, loc="left", fontsize=10)
     if not len(summary.block_temp_c):
         figures.entitle(figure, "All poses together: a pose has no single offset")
     figures.legend_outside(figure, *panels[1].get_legend_handles_labels())
@@ -95,8 +93,7 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
     axes.fill_between(
         temp, value - doubt, value + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2
     )
-    name = "table" if summary.in_table else "fit"
-    axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label=name, zorder=4)
+    axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table", zorder=4)
     half = summary.half_loop
     if summary.loop_shown(k) and half is not None:
         for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
