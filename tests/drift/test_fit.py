@@ -190,7 +190,7 @@ def test_tables_that_are_requested_are_taken_and_the_choice_is_reported(session)
     assert any("Tables requested: dynamic" in reason for reason in taken.verdict.reasons)
     none = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="none"))
     assert none.calibration.drift.dynamic is None
-    assert none.choice.alternatives.chosen == "none"
+    assert none.choice.chosen == "none"
     with pytest.raises(NotObservable, match="scale was requested"):
         fit_drift([warmed(80)], CALIBRATION, settings=DriftSettings(tables="scale"))
 
@@ -361,27 +361,26 @@ def chosen(made, seed=0, temps=TEMPS, steps=None, **kept):
 def test_a_device_gets_the_tables_that_it_needs(name, changes, devices):
     for seed in range(devices):
         choice = chosen(device(seed, **changes), seed)
-        table = choice.alternatives
-        show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(table.left_out_rms_dps, 4))
-        assert table.chosen == name
+        show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(choice.left_out_rms_dps, 4))
+        assert choice.chosen == name
         counts = ("tables", "held_out", "soaks", "set_points")
-        assert [table.why.values[value] for value in counts] == [name, 5, 7, 7]
-        assert table.reason in choice.verdict.reasons
+        assert [choice.why.values[value] for value in counts] == [name, 5, 7, 7]
+        assert choice.why.text in choice.verdict.reasons
         assert (choice.scale_drift is not None) == ("scale" in name)
         assert (choice.dynamic_drift is not None) == ("dynamic" in name)
         # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
         # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
-        assert table.left_out_rms_dps[ALTERNATIVES.index(name)] < 1.25 * 0.008
+        assert choice.left_out_rms_dps[ALTERNATIVES.index(name)] < 1.25 * 0.008
 
 
 def test_soaks_of_one_set_point_are_counted_once_as_set_points():
     # Each set-point twice, as axis by axis or on the way back: of three the middle one alone lies between others.
     choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 35.0, 45.0, 45.3, 34.8, 25.1]))
     counts = ("held_out", "soaks", "set_points")
-    assert [choice.alternatives.why.values[name] for name in counts] == [2, 6, 3]
-    assert "(2 of 6 soaks at 3 set-points left out in turn)" in choice.alternatives.reason
+    assert [choice.why.values[name] for name in counts] == [2, 6, 3]
+    assert "(2 of 6 soaks at 3 set-points left out in turn)" in choice.why.text
     two = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0, 45.3, 25.1]))
-    assert [two.alternatives.why.values[name] for name in counts] == [0, 4, 2]
+    assert [two.why.values[name] for name in counts] == [0, 4, 2]
     assert "drift.tables_unjudged" in {item.code for item in two.verdict.findings}
 
 
@@ -402,7 +401,7 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
     made = device(0, rate_drift=None)
     steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=0.008, axes=(0, 2))
     choice = chosen(made, steps=steps.taken(steps.rate_b.sum(axis=1) > 0.0))
-    assert choice.alternatives.chosen == "scale"
+    assert choice.chosen == "scale"
     assert any("Scale factor y" in item.text for item in choice.verdict.findings if item.code == "drift.not_observable")
 
 
@@ -464,11 +463,10 @@ def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_re
     inside = []
     for seed in range(6):
         choice, true = one_way(seed, TEMPS, scatter_dps=0.02)
-        table = choice.alternatives
-        assert table.chosen == "scale"
+        assert choice.chosen == "scale"
         # 0.5 % of 50 deg/s on the axis that turns; over all three that is 1 / sqrt(3)
-        assert table.left_out_rms_dps[0] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
-        assert table.left_out_rms_dps[1] < 0.02
+        assert choice.left_out_rms_dps[0] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
+        assert choice.left_out_rms_dps[1] < 0.02
         drift = choice.scale_drift
         error = np.diagonal(drift.gyro_matrix - true, axis1=1, axis2=2)
         inside.append((np.abs(error) <= 1.96 * np.diagonal(drift.gyro_uncertainty, axis1=1, axis2=2)).mean())
@@ -480,8 +478,8 @@ def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_re
 
 def test_one_rate_at_two_soaks_cannot_be_judged_and_keeps_the_line_with_a_finding():
     choice, _ = one_way(0, np.array([25.0, 45.0]))
-    assert choice.alternatives.chosen == "scale"
-    why = choice.alternatives.why
+    assert choice.chosen == "scale"
+    why = choice.why
     assert (why.code, why.values["set_points"]) == ("drift.tables_unjudged", 2)
     assert why.values["constant_dps"] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
     assert choice.verdict.status == "marginal"

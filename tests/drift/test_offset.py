@@ -283,6 +283,22 @@ def test_a_log_through_soaks_and_ramps_shows_what_soaks_add():
     assert np.mean(inside) >= 0.88  # 36 curves of twelve soaks: 0.95 +- 0.03; 0.16 where the log counts as one ramp
 
 
+def test_soaks_that_end_while_the_thermometer_lags_state_what_its_lag_may_cost():
+    # Six soaks that still warm by 0.1 degC/min: a thermometer that lags by 80 s reads 0.13 degC too little in each.
+    rng, temp = np.random.default_rng(5), np.repeat(np.linspace(18.0, 73.0, 6), 6)
+    gyro = (temp[:, None] + 80.0 * 0.1 / 60.0) * 0.1 * np.ones(3) + 1e-3 * rng.normal(size=(36, 3))
+    time = 10.0 * np.arange(36) + 3600.0 * np.repeat(np.arange(6), 6)
+    made = replace(blocks(temp, gyro, time=time), ramp_c_per_min=np.full(36, 0.1))
+    inside = {}
+    for lag_s in (0.0, 60.0):
+        fit = fit_static(made, nodes=NODES, settings=StaticSettings(lag_uncertainty_s=lag_s))
+        off = fit.table.gyro_offset - 0.1 * NODES[:, None]
+        inside[lag_s] = float(np.mean(np.abs(off) <= 1.96 * fit.gyro.curve_uncertainty))
+    show("truth inside without and with the lag as a source", inside, "below 0.2, 1")
+    assert inside[0.0] < 0.2
+    assert inside[60.0] == 1.0
+
+
 # ---- g-sensitivity
 
 THREE = np.array([20.0, 30.0, 40.0])

@@ -1,7 +1,5 @@
 """Curves over temperature: the textbook's conditioning, coverage with few rows, and what cannot be determined."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -58,23 +56,6 @@ def test_curve_is_conditioned_as_any_gaussian(regressors):
         gain = prior[:7, 7:] @ np.linalg.inv(rows)
         np.testing.assert_allclose(at.value[:, k], gain @ curve.value[:, k], atol=3e-3)
         np.testing.assert_allclose(at.covariance[k], prior[:7, :7] - gain @ prior[7:, :7], atol=3e-3)
-
-
-def test_rows_left_out_are_missed_by_what_a_fit_without_them_misses():
-    curve, groups = drawn_curve(np.random.default_rng(19)), np.array([0, 1, 1, 2, 2, 2, 3, 4, 5])
-    square = []
-    for number in (1, 2, 3, 4):
-        inside, rest = np.flatnonzero(groups == number), np.flatnonzero(groups != number)
-        fewer = replace(
-            curve, x=curve.x[rest], value=curve.value[rest], basis=curve.basis[rest],
-            stated=curve.stated[:, rest][:, :, rest], correlation=curve.correlation[np.ix_(rest, rest)],
-        )  # fmt: skip
-        shared = curve.visit[:, None, None] * curve.correlation[np.ix_(inside, rest)]
-        guess = fewer.at(curve.x[inside]).value + np.einsum(
-            "kir,krs,sk->ik", shared, fewer.projector, fewer.value
-        )  # what visits share goes over
-        square.append((curve.value[inside] - guess) ** 2)
-    np.testing.assert_allclose(curve.left_out(groups)[0], np.sqrt(np.concatenate(square).mean(axis=0)), rtol=1e-9)
 
 
 def test_covariance_of_bends_is_the_integral_of_two_kernels():

@@ -94,9 +94,8 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     static = static_of(rests)
     choice = choose_tables(steps, constant, static=static, temp_c=NODES, rests=rests)
     tables = DriftTables(static=static, scale=choice.scale_drift, dynamic=choice.dynamic_drift)
-    table = choice.alternatives
-    show(f"device {seed}: none, scale, dynamic, both left out, deg/s rms", np.round(table.left_out_rms_dps, 4))
-    show(f"device {seed}: chosen", table.reason)
+    show(f"device {seed}: none, scale, dynamic, both left out, deg/s rms", np.round(choice.left_out_rms_dps, 4))
+    show(f"device {seed}: chosen", choice.why.text)
     calibrations = [
         constant,
         replace(constant, drift=DriftTables(static=static)),

@@ -20,7 +20,7 @@ from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.drift.fit import Alternatives, DriftFit, DriftSettings
+    from undrift.drift.fit import Choice, DriftFit, DriftSettings
     from undrift.drift.verdict import TriadSummary
     from undrift.model import Calibration
     from undrift.record import Session
@@ -197,10 +197,11 @@ def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ..
     if dynamic is not None and dynamic.error.any():
         sections.append(Section(title="Dynamic drift", pictures=(figure_of("drift:draw_dynamic", dynamic),)))
     if fit.choice is not None:
-        choice = fit.choice.alternatives
-        judged = int(np.isfinite(choice.left_out_rms_dps).sum()) > 1  # one mark compares nothing
-        pictures = (figure_of("drift:draw_alternatives", choice),) if judged else ()
-        sections.append(rows_section("Which tables", choice_rows(choice), text=(choice.reason,), pictures=pictures))
+        judged = int(np.isfinite(fit.choice.left_out_rms_dps).sum()) > 1  # one mark compares nothing
+        pictures = (figure_of("drift:draw_alternatives", fit.choice),) if judged else ()
+        sections.append(
+            rows_section("Which tables", choice_rows(fit.choice), text=(fit.choice.why.text,), pictures=pictures)
+        )
     return tuple(sections)
 
 
@@ -210,23 +211,20 @@ def shown_unit(unit: str) -> tuple[str, float]:
 
 
 def offset_rows(summary: "TriadSummary") -> list[dict[str, str]]:
-    """Return a row for each axis: slope, uncertainty of the table, cross-validated error, hysteresis, sessions."""
+    """Return a row for each axis: slope, uncertainty of the table, hysteresis, sessions."""
     unit, factor = shown_unit(summary.unit)
     rows = []
     for k, axis in enumerate("xyz"):
-        left = summary.left_out_rms[k] * factor
         row = {
             "axis": axis,
             f"slope ({unit} per degC)": plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor),
             f"table +- ({unit})": f"{summary.usual_uncertainty[k] * factor:.2g}",
-            f"held out, rms ({unit})": f"{left:.2g}" if math.isfinite(left) else "too few",
         }
         if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
             half = summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor
             row[f"hysteresis half-width ({unit})"] = plus_minus(*half)
         if summary.turn_on is not None:
-            between = summary.turn_on[k] * factor
-            row[f"between sessions ({unit})"] = f"{between:.2g}" if math.isfinite(between) else "not seen"
+            row[f"between sessions ({unit})"] = f"{summary.turn_on[k] * factor:.2g}"
         rows.append(row)
     return rows
 
@@ -251,16 +249,18 @@ def scale_rows(fit: "DriftFit") -> list[dict[str, str]]:
     return [{"axis": axis, "scale factor (% per degC)": thermal} for axis, thermal in rows]
 
 
-def choice_rows(alternatives: "Alternatives") -> list[dict[str, str]]:
+def choice_rows(choice: "Choice") -> list[dict[str, str]]:
     """Return a row for each choice of tables."""
-    tried = (alternatives.fitted_rms_dps, alternatives.left_out_rms_dps, alternatives.standard_error_dps)
-    none = all(map(math.isnan, alternatives.left_out_rms_dps))
+    from undrift.drift.fit import ALTERNATIVES
+
+    tried = (choice.fitted_rms_dps, choice.left_out_rms_dps, choice.standard_error_dps)
+    none = all(map(math.isnan, choice.left_out_rms_dps))
     return [
         {
             "tables with offsets": name,
             "fitted (deg/s rms)": f"{fitted:.3g}" if math.isfinite(fitted) else "not fitted",
             "held out (deg/s rms)": "nothing held out" if none else plus_minus(error, doubt).lstrip("+"),
-            "chosen": "chosen" * (name == alternatives.chosen),
+            "chosen": "chosen" * (name == choice.chosen),
         }
-        for name, fitted, error, doubt in zip(alternatives.name, *tried, strict=True)
+        for name, fitted, error, doubt in zip(ALTERNATIVES, *tried, strict=True)
     ]

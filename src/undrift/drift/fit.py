@@ -73,28 +73,15 @@ Progress = Callable[[str, float], None]  # next stage, and the share of the work
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Alternatives:
-    """Cross-validated error of each choice of tables, and which was taken."""
+class Choice:
+    """The fits of all alternatives, their cross-validated errors, and which was taken."""
 
-    name: tuple[Alternative, ...]
+    fits: Fits
     fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s; NaN if not observable
     left_out_rms_dps: FloatArray  # (4,), of the soaks that were left out; NaN with fewer than three set-points
     standard_error_dps: FloatArray  # (4,), standard error of ``left_out_rms_dps``
     chosen: Alternative
     why: Finding
-
-    @property
-    def reason(self) -> str:
-        """Why, as a text."""
-        return self.why.text
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Choice:
-    """The fits of all alternatives, whether taken or not, and which were taken."""
-
-    fits: Fits
-    alternatives: Alternatives
     verdict: Verdict  # of the tables that were taken
 
     @property
@@ -105,13 +92,13 @@ class Choice:
     @property
     def scale_drift(self) -> ScaleDrift | None:
         """The matrix table to use."""
-        scale = self.fits[self.alternatives.chosen][0]
+        scale = self.fits[self.chosen][0]
         return None if scale is None else scale.drift
 
     @property
     def dynamic_drift(self) -> DynamicDrift | None:
         """The dynamic table to use."""
-        dynamic = self.fits[self.alternatives.chosen][1]
+        dynamic = self.fits[self.chosen][1]
         return None if dynamic is None else dynamic.drift
 
 
@@ -261,12 +248,11 @@ def fit_drift(
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings)
     steps = steps.taken((steps.temp_c >= nodes[0]) & (steps.temp_c <= nodes[-1]))
-    static = fit_static(
-        rests,
-        nodes=nodes,
-        calibration=device,
-        settings=replace(settings.static, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)),
+    accel, of_accel = _accelerometers(rests, device, nodes)
+    static_settings = replace(
+        settings.static, accel=accel is None, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)
     )
+    static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
     verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
     verdict = verdict.also(judge.gravity_verdict(rests, device))
@@ -274,9 +260,7 @@ def fit_drift(
     choice, of_choice = _chosen(steps, device, static, rests, settings)
     scale = None if choice is None else choice.scale
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(of_choice)
-    report("fitting accelerometers over temperature", 0.95)
-    accel, of_accel = _accelerometers(rests, device, nodes)
-    verdict = verdict.also(of_accel).also(judge.static_verdict(static, accel, device, temperatures))
+    verdict = verdict.also(of_accel).also(judge.static_verdict(static, device, temperatures))
     if lag is not None and lag_s == 0.0:
         verdict = verdict.also(judge.lag_verdict(lag))
     tables = replace(_tables(static.table, choice, accel), lag_s=lag_s, lag_smooth_s=smooth_s)
@@ -290,7 +274,7 @@ def fit_drift(
         rests=rests,
         steps=steps,
         gyro_summary=judge.summarise(calibrated.triad("gyro"), static.gyro),
-        accel_summary=judge.summarise(calibrated.triad("accel"), static.accel if accel is None else None),
+        accel_summary=judge.summarise(calibrated.triad("accel"), static.accel),
         scale_summary=judge.summarise_scale(scale, device),
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
@@ -428,7 +412,7 @@ def _calibrated(
     if not np.isfinite(reference_c) and static is not None:
         reference_c = float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
     before = previous.inputs[: previous.count(INPUTS_BEFORE, len(previous.inputs))]
-    chosen = "none" if choice is None else choice.alternatives.chosen
+    chosen = "none" if choice is None else choice.chosen
     provenance = replace(
         previous,
         inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
@@ -497,15 +481,15 @@ def choose_tables(
     verdict = Verdict.of(why, *missing)
     for fit in fits[chosen]:
         verdict = verdict if fit is None else verdict.also(fit.verdict)
-    alternatives = Alternatives(
-        name=ALTERNATIVES,
+    return Choice(
+        fits=fits,
         fitted_rms_dps=np.sqrt(fitted),
         left_out_rms_dps=left_dps,
         standard_error_dps=0.5 * error / np.maximum(left_dps, 1e-300),
         chosen=chosen,
         why=why,
+        verdict=verdict,
     )
-    return Choice(fits=fits, alternatives=alternatives, verdict=verdict)
 
 
 def _fit_all(

@@ -6,7 +6,7 @@
 
 f      a smooth curve (fit/curve.py) through the means of the cells. A cell holds the blocks of one rest within a narrow range of
        temperature, so that the hot end of a warm-up counts no more than its degrees
-l      lag of the thermometer that is left: one unknown of a stated size, common to all cells; soaks often end before it has settled
+l      lag of the thermometer that is left, one unknown of a stated size: soaks often end before it has settled, all with one sign
 w      flicker noise of a stated size (fit/priors.py): rests of one session share most of it, so residuals do not show it
 v      deviation of one rest, of one variance about the curve: half of it is its own (pose, mounting, a device that moved), and half
        goes over to the rests that follow, as flicker noise does
@@ -49,7 +49,6 @@ OWN = 0.5  # share of the variance of v that one rest does not share with the ne
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
 FLICKER_OF_FLOOR = 2.41  # standard deviation of all of them over the bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
 PAIRED = 30  # blocks of a cell that its correlation is taken from
-GROUPS = 20  # groups of neighbouring cells that are left out in turn, at most
 SHARED_C = 1.0  # sessions with cells nearer than this share a temperature
 # ---- hysteresis
 CROSSED_C = 4.0  # after a turn the loop is crossed over this much of temperature
@@ -67,6 +66,7 @@ class StaticSettings:
 
     not_a_knot: bool = False  # True for the note's spline through the set-point means, False for the smooth curve
     warm_up: bool = False  # fit a power-on transient; recordings begin at power-on
+    accel: bool = True  # False if poses determine the accelerometers, so that one pose by itself is not wanted
     accel_unit: str = "count"  # unit of the accelerometer's readings if no calibration states it
     lag_uncertainty_s: float = THERMOMETER_LAG  # standard uncertainty of the lag that was left, s
 
@@ -98,7 +98,7 @@ class Cells:
     variance: FloatArray  # (n, 3), by noise and steps, raw unit squared
     regressors: FloatArray  # (n, p)
     correlation: FloatArray  # (n, n), of the deviations v, mean diagonal 1
-    ramp_c_per_s: FloatArray  # (n,), slope of the temperature
+    ramp_c_per_s: FloatArray  # (n,), slope of the temperature that soaks have left; 0 on a sweep
     flicker: FloatArray  # (3, n, n), covariance of w, raw unit squared
 
 
@@ -136,12 +136,6 @@ class TriadDrift:
         """Standard uncertainty of the curve itself, the mean over visits, shape (n, 3)."""
         return np.asarray(np.sqrt(np.maximum(self.uncertainty**2 - self.visit**2, 0.0)))
 
-    @property
-    def left_out_rms(self) -> FloatArray:
-        """Root-mean-square error of neighbouring temperatures that are left out in turn, (3,); NaN for too few."""
-        temp_c = self.cells.temp_c
-        return self.curve.left_out(bins_of(temp_c, max(2.0 * CELL_C, float(np.ptp(temp_c)) / GROUPS)))[0]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticFit:
@@ -167,16 +161,17 @@ def fit_static(
         gyro = _fit_triad(rates, nodes, settings)
         findings += gyro.findings
     try:
-        accel = _fit_accel(blocks, nodes, calibration, settings)
+        accel = _fit_accel(blocks, nodes, calibration, settings) if settings.accel else None
+    except (NotObservable, Implausible) as error:
+        level: Level = "warn" if isinstance(error, Implausible) else "info"
+        findings.append(finding("drift.not_observable", level, what=_OF_ACCEL, problem=str(error)))
+    if accel is not None:
         findings += () if gyro is not None else accel.findings  # otherwise those of the gyroscopes at the same rests
         values = {"poses": len(np.unique(blocks.pose)), "span_c": accel.span_c[1] - accel.span_c[0]}
         findings.append(finding("drift.accel_one_pose", "info", **values, percent_per_c=100.0 * UNKNOWN_SCALE_PER_K))
         if accel.offset is None:
             findings.append(finding("drift.not_observable", "info", what=_OF_ACCEL, problem=_NO_TABLE))
-    except (NotObservable, Implausible) as error:
-        level: Level = "warn" if isinstance(error, Implausible) else "info"
-        findings.append(finding("drift.not_observable", level, what=_OF_ACCEL, problem=str(error)))
-    if gyro is None and accel is None:
+    if gyro is None and accel is None and settings.accel:
         raise NotObservable(
             "static drift: expected readings at two temperatures or more, got none; "
             + "; ".join(item.text for item in findings)
@@ -428,7 +423,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
     width = max(CELL_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / MOST_CELLS)
     members = [rows for part in parts for rows in split_by(part, bins_of(blocks.temp_c[part], width))]
     members.sort(key=lambda rows: float(blocks.temp_c[rows].mean()))
-    first = [rows[0] for rows in members]
+    first, at_soak = [rows[0] for rows in members], at_soaks(blocks, used)
     flicker = flicker_correlation(blocks, members)
     return Cells(
         session=blocks.session[first],
@@ -436,7 +431,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
         value=np.array([offsets.value[rows].mean(axis=0) for rows in members]),
         variance=np.array([offsets.variance_of_mean(rows) for rows in members]),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        ramp_c_per_s=np.array([blocks.ramp_c_per_min[rows].mean() for rows in members]) / 60.0,
+        ramp_c_per_s=np.array([(at_soak * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
         correlation=OWN * (rest[first][:, None] == rest[first]) + (1.0 - OWN) * flicker / np.diag(flicker).mean(),
         flicker=offsets.flicker[:, None, None] * flicker,
     )
@@ -479,6 +474,19 @@ def rests_of(blocks: RestBlocks) -> IntArray:
     return number
 
 
+def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
+    """Return True for the blocks of sessions that used temperatures apart from each other, none wider than a rest, (n,).
+
+    On a sweep the thermometer lags in use as it did in the log, and a table that holds the lag is right.
+    """
+    soaked = np.zeros(len(blocks), bool)
+    for rows in split_by(used, blocks.session[used]):
+        temp_c = np.sort(blocks.temp_c[rows])
+        soaks = np.split(temp_c, np.flatnonzero(np.diff(temp_c) > APART_C) + 1)
+        soaked[rows] = max(float(np.ptp(soak)) for soak in soaks) <= APART_C
+    return soaked
+
+
 def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
     """Return the variance of a mean over blocks (n, 3) by their noise and what a converter's steps leave in all, (3,)."""
     noise: FloatArray = variance.mean(axis=0) / len(value)
@@ -506,7 +514,7 @@ def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArr
 # ---- scatter between switch-ons
 
 
-def between_sessions(cells: Cells, lag_s: float = 0.0) -> TurnOn | None:
+def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
     """Return how much the offset moves between sessions that share temperatures; None if no two do.
 
     Their shifts sum to zero; the variance is that which these show (Paule and Mandel), and at least their own: sessions that agree

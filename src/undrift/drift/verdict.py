@@ -20,7 +20,6 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.plausibility import check_axis_order, check_handedness
-from undrift.drift.accel import AccelDriftFit
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.offset import StaticFit, TriadDrift, cooling, specific_force, split_by
 from undrift.drift.rates import ScaleFit
@@ -63,8 +62,6 @@ class TriadSummary:
     extrapolated: BoolArray  # (n,), True if no data were near
     slope: FloatArray  # (3,), mean over the temperatures seen, per K
     slope_uncertainty: FloatArray  # (3,)
-    # (3,), cross-validated error; NaN for too few temperatures
-    left_out_rms: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming; None if not observable
     half_loop_uncertainty: FloatArray | None = None  # (3,)
     turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
@@ -124,7 +121,6 @@ def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
     return replace(
         summary,
         seen_c=fit.span_c,
-        left_out_rms=fit.left_out_rms * factor,
         half_loop=None if half is None else half * factor,
         half_loop_uncertainty=None if half_uncertainty is None else half_uncertainty * factor,
         turn_on=None if fit.turn_on is None else np.sqrt(fit.turn_on.variance) * factor,
@@ -291,12 +287,9 @@ def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSte
     return Verdict.of(finding("drift.no_rests", "warn", count=len(names), names=names[:5])) if names else Verdict()
 
 
-def static_verdict(
-    static: StaticFit, accel: AccelDriftFit | None, device: Calibration, temperatures: Sequence[Temperature]
-) -> Verdict:
-    """Return what the offsets are worth; accelerometers of one pose count only if no poses determined them."""
-    findings = [f for f in static.verdict.findings if accel is None or "ccel" not in f"{f.code} {f.values.get('what')}"]
-    findings += [item for temperature in temperatures for item in temperature.findings]
+def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]) -> Verdict:
+    """Return what the offsets are worth."""
+    findings = [*static.verdict.findings, *(item for temperature in temperatures for item in temperature.findings)]
     if all(temperature.source == "set-points" for temperature in temperatures):
         findings.append(finding("drift.set_points_only", "warn"))
     triad = static.gyro

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import student_factor
 
@@ -37,7 +37,6 @@ JITTER = 1e-11  # share of the variance of the values: keeps a curve through exa
 class NodeValues:
     """Curves at nodes."""
 
-    temp_c: FloatArray  # (m,), degC
     value: FloatArray  # (m, k), unit of the values
     covariance: FloatArray  # (k, m, m), covariance of the nodes of each curve, unit squared
 
@@ -70,20 +69,14 @@ class Curve:
         return self.kernel(self.x, self.x) + self.visit[:, None, None] * self.correlation + self.stated
 
     @property
-    def projector(self) -> FloatArray:
-        """P = V^-1 - V^-1 H (H' V^-1 H)^-1 H' V^-1 of each column, (k, n, n)."""
-        inverse = np.linalg.inv(self.covariance)
-        return inverse - inverse @ self.basis @ self._trend_gain
-
-    @property
     def coefficient(self) -> FloatArray:
         """Coefficients of the regressors, (p, k), unit of the values per unit of the regressor."""
-        return np.asarray(np.einsum("kpn,nk->pk", self._trend_gain, self.value)[2:])
+        return np.asarray(np.einsum("kpn,nk->pk", self.trend_gain, self.value)[2:])
 
     @property
     def coefficient_uncertainty(self) -> FloatArray:
         """Standard uncertainty of each coefficient, (p, k)."""
-        gain = self._trend_gain[:, 2:]
+        gain = self.trend_gain[:, 2:]
         return np.asarray(np.sqrt(np.einsum("kpn,knm,kpm->pk", gain, self.widened.covariance, gain)))
 
     @property
@@ -97,7 +90,7 @@ class Curve:
         return replace(self, bend=self.widening * self.bend, visit=self.widening * self.visit, widening=1.0)
 
     @property
-    def _trend_gain(self) -> FloatArray:
+    def trend_gain(self) -> FloatArray:
         """(H' V^-1 H)^-1 H' V^-1, (k, 2 + p, n)."""
         weighted = np.linalg.solve(self.covariance, self.basis[None]).swapaxes(1, 2)
         return np.linalg.solve(weighted @ self.basis, weighted)
@@ -115,37 +108,13 @@ class Curve:
         nodes = (np.asarray(temp_c, float) - self.origin_c) / self.span_c
         basis = np.column_stack([np.ones(len(nodes)), nodes, np.zeros((len(nodes), self.basis.shape[1] - 2))])
         gain = np.linalg.solve(self.covariance, self.kernel(self.x, nodes)).swapaxes(1, 2)
-        gain = gain + (basis - gain @ self.basis) @ self._trend_gain
+        gain = gain + (basis - gain @ self.basis) @ self.trend_gain
         wide = self.widened
         shared = gain @ wide.kernel(self.x, nodes)
         covariance = wide.kernel(nodes, nodes) - shared - shared.swapaxes(1, 2)
         return NodeValues(
-            temp_c=np.array(temp_c, float),
             value=np.einsum("kmn,nk->mk", gain, self.value),
             covariance=covariance + gain @ wide.covariance @ gain.swapaxes(1, 2),
-        )
-
-    def left_out(self, groups: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Predict each group of rows (n,) from the others, without a second fit: errors P_II^-1 (P y)_I, covariance P_II^-1.
-
-        Returns the rms error of groups between others, and the rms of all groups' mean errors over their stated deviations, both
-        (k,); NaN if no group can be left out.
-        """
-        projector, ends = self.projector, groups[[np.argmin(self.x), np.argmax(self.x)]]
-        between, scaled = list[FloatArray](), list[FloatArray]()
-        for number in np.unique(groups):
-            rows, others = groups == number, self.basis[groups != number]
-            if np.linalg.matrix_rank(others) < others.shape[1]:
-                continue
-            stated = np.linalg.inv(projector[:, rows][:, :, rows])
-            error = np.einsum("kij,kjn,nk->ik", stated, projector[:, rows], self.value)
-            scaled.append(error.mean(axis=0) ** 2 / stated.mean(axis=(1, 2)))
-            if number not in ends:
-                between.append(error**2)
-        nothing = np.full(self.value.shape[1], np.nan)
-        return (
-            np.sqrt(np.concatenate(between).mean(axis=0)) if between else nothing,
-            np.sqrt(np.mean(scaled, axis=0)) if scaled else nothing,
         )
 
 
@@ -195,9 +164,8 @@ def fit_curve(
     )
     curve = _likeliest(curve)
     freedom = _visit_freedom(curve)
-    return replace(
-        curve, widening=student_factor(freedom) if freedom >= 1.0 else 1.0
-    )  # without a contrast the prior speaks
+    # without a contrast the prior speaks
+    return replace(curve, widening=student_factor(freedom) if freedom >= 1.0 else 1.0)
 
 
 def log_restricted_likelihood(contrasts: FloatArray, covariance: FloatArray) -> float:
@@ -240,11 +208,15 @@ def _log_half_t(size: float, scale: float, freedom: float) -> float:
 
 
 def _visit_freedom(curve: Curve) -> float:
-    """Return the degrees of freedom from which the visit variance of all columns is known: tr(P C)^2 / tr(P C P C)."""
-    product = curve.visit[:, None, None] * (curve.projector @ curve.correlation)
-    return float(
-        np.trace(product, axis1=1, axis2=2).sum() ** 2 / max(float((product * product.swapaxes(1, 2)).sum()), 1e-300)
-    )
+    """Return the degrees of freedom from which the visit variance of all columns is known: tr(P C)^2 / tr(P C P C).
+
+    P = V^-1 - V^-1 H (H' V^-1 H)^-1 H' V^-1 for the covariance V of the rows and their basis H.
+    """
+    inverse = np.linalg.inv(curve.covariance)
+    projector = inverse - inverse @ curve.basis @ curve.trend_gain
+    product = curve.visit[:, None, None] * (projector @ curve.correlation)
+    squares = (product * product.swapaxes(1, 2)).sum()
+    return float(np.trace(product, axis1=1, axis2=2).sum() ** 2 / max(float(squares), 1e-300))
 
 
 def bending(one: FloatArray, two: FloatArray) -> FloatArray:
@@ -271,7 +243,7 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
         raise InputError("spline: set-points must increase. Sort them and join equal ones.")
     basis = np.asarray(CubicSpline(temp_c, np.eye(len(temp_c)), bc_type="not-a-knot")(nodes))
     covariance = np.einsum("mi,ik,ni->kmn", basis, variance, basis)
-    return NodeValues(temp_c=np.array(nodes, float), value=basis @ value, covariance=covariance)
+    return NodeValues(value=basis @ value, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

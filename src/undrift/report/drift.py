@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.arrays import BoolArray, FloatArray
-    from undrift.drift.fit import Alternatives, DriftFit
+    from undrift.drift.fit import Choice, DriftFit
     from undrift.drift.verdict import ScaleSummary, TriadSummary
     from undrift.model import DynamicDrift
 
@@ -161,17 +161,19 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
     return figure
 
 
-def draw_alternatives(alternatives: "Alternatives") -> "Figure":
+def draw_alternatives(choice: "Choice") -> "Figure":
     """Draw the cross-validated error of each choice of tables."""
+    from undrift.drift.fit import ALTERNATIVES
+
     figure, (axes,) = figures.new_figure(1, height=1.9)
-    rows = [k for k, value in enumerate(alternatives.left_out_rms_dps) if np.isfinite(value)]
+    rows = [k for k, value in enumerate(choice.left_out_rms_dps) if np.isfinite(value)]
     names = []
     for place, k in enumerate(rows):
-        error, taken = alternatives.left_out_rms_dps[k], alternatives.name[k] == alternatives.chosen
+        error, taken = choice.left_out_rms_dps[k], ALTERNATIVES[k] == choice.chosen
         style: Any = {"markersize": 7.0 if taken else 5.0, "color": figures.ERROR if taken else figures.DEVICE}
-        reach = min(alternatives.standard_error_dps[k], 0.9 * error)
+        reach = min(choice.standard_error_dps[k], 0.9 * error)
         axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
-        names.append(alternatives.name[k] + " (chosen)" * taken)
+        names.append(ALTERNATIVES[k] + " (chosen)" * taken)
     axes.set_yticks(range(len(rows)), names)
     label = "error of soaks left out\n(deg/s rms, with standard error)"
     axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
