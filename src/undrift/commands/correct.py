@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from undrift.arrays import FloatArray
     from undrift.correction.correct import Corrector, CorrectorState, OffsetLeft
-    from undrift.correction.coverage import Beyond
     from undrift.correction.rest import Stretch
     from undrift.findings import Finding
     from undrift.model import Calibration
@@ -51,7 +50,6 @@ class CorrectedFile:
     state: "CorrectorState"
     notes: tuple[str, ...]
     findings: "tuple[Finding, ...]"  # Where the calibration did not cover it, and signs that it was not read rightly
-    beyond: "tuple[Beyond, ...]"  # Readings beyond the range of the fits; in the findings too
     rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
     # Of each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2); and the rms of |a| - g and of |w|
     rests: "list[FloatArray]"
@@ -67,12 +65,6 @@ class CorrectedFile:
             "output": str(self.output),
             "samples": self.state.samples,
             **{key: getattr(self.state.reach, key) for key in keys},
-            "beyond_range": [
-                {key: getattr(one, key) for key in ("sensor", "samples", "share", "worst")}
-                | {"range": one.seen, "unit": "rad/s" if one.sensor == "gyro" else "m/s2"}
-                for one in self.beyond
-                if one.samples
-            ],
             "rest": self.rest and self.rest.figures,
             "at_rest": self.at_rest,
             "notes": self.notes,
@@ -284,7 +276,6 @@ def _correct_one(
     from undrift.calibration.triads import check_force
     from undrift.correction.consistency import check_corrected
     from undrift.correction.correct import read_ahead
-    from undrift.correction.coverage import find_beyond
     from undrift.io.formats import detect
     from undrift.io.inspect import find_saturated
     from undrift.io.parquet import ParquetWriter, parquet_rows
@@ -296,7 +287,6 @@ def _correct_one(
         stream, notes = corrector(offset=rest), {item.text: None for item in rest.findings}
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
-    beyond: tuple[Beyond, ...] = ()
     whole, total = not part.name.endswith(".parquet"), parquet_rows(record) if detect(record) == "parquet" else None
     with (
         reading(progress, READ, record),
@@ -319,15 +309,13 @@ def _correct_one(
             written.result()
             written = pool.submit(write, done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
-            found = find_beyond(done.record, model)
-            beyond = tuple(a.joined(b) for a, b in zip(beyond, found, strict=True)) if beyond else found
             progress(record.name, stream.state.samples / total if total else READ)
         written.result()
     suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
-    findings = (*suspicions, *stream.findings, *(item for one in beyond for item in one.findings))
+    findings = (*suspicions, *stream.findings)
     return CorrectedFile(
         record=record, output=part, state=stream.state, notes=tuple(notes), findings=findings,
-        beyond=beyond, rest=rest, rests=rests, at_rest=at_rest,
+        rest=rest, rests=rests, at_rest=at_rest,
     )  # fmt: skip
 
 

@@ -318,14 +318,12 @@ def corrected(
 ) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
     """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
     from undrift.correction.correct import correct_checked
-    from undrift.correction.coverage import find_beyond
 
     if model is None:
         check_physical(readings, path)
         return readings, (), ()
     done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
-    beyond = (item for one in find_beyond(done.record, model) for item in one.findings)
-    return done.record, (*(one for one in done.findings if one.level == "warn"), *beyond), done.notes
+    return done.record, tuple(one for one in done.findings if one.level == "warn"), done.notes
 
 
 def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":

@@ -7,12 +7,11 @@
     extrapolated   it lies inside, but the correction draws on a node that no data were near
     departure      constant offsets are used far from the temperature at which they were determined
     turn rate      beyond the dynamic table
-    beyond range   a corrected reading exceeds ``valid_range``, the inputs of the fit of its triad
 
 Temperatures are those of the sensors, the thermometer's lag subtracted (correction/plan.py).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,15 +21,11 @@ from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding, told_apart
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, seen_span
 from undrift.record import Record
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
+from undrift.units import si_factor
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
 ON_NODE = 1e-9  # of a cell: a value so near to a node draws on that node only
-MARGIN = 0.1  # of the larger end of valid_range: noise alone carries a device that lies on a face past +-1 g
-# share of samples beyond it that counts: single impacts exceed the range of a calibration from the same recording, whose fit takes
-# means, and do not change an orientation
-LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,62 +211,3 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
         largest_dps, end_s = np.degrees(np.abs(rates).max()), warm_up.power_on_s[-1]
         findings.append(finding("correct.warm_up", "info", largest_dps=largest_dps, end_s=end_s))
     return tuple(findings)
-
-
-# ---- corrected readings beyond the inputs of the fit of a triad
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Beyond:
-    """Readings of one triad beyond ``valid_range``; of a record, or of all chunks of a stream so far."""
-
-    sensor: str  # gyro or accel
-    seen: Span  # least and greatest value in the fit, SI
-    samples: int = 0  # with a value on any axis that lies beyond by more than a tenth of the larger end
-    of: int = 0  # samples in all
-    worst: float = 0.0  # the value that lies furthest beyond, SI; 0 if there is none
-
-    @property
-    def share(self) -> float:
-        """Share of the samples."""
-        return self.samples / self.of if self.of else 0.0
-
-    def joined(self, later: "Beyond") -> "Beyond":
-        """Return both."""
-        samples, of, worst = self.samples + later.samples, self.of + later.of, (self.worst, later.worst)
-        return replace(self, samples=samples, of=of, worst=_furthest(*worst, self.seen))
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """The finding, none if nothing lies beyond, or single samples only."""
-        if self.share < LEAST_SHARE:
-            return ()
-        gyro = self.sensor == "gyro"
-        low, high, worst = np.array((*self.seen, self.worst)) / (RADIAN_PER_DEGREE if gyro else STANDARD_GRAVITY)
-        sensor, unit = ("gyroscope", "deg/s") if gyro else ("accelerometer", "g")
-        values = {"percent": 100.0 * self.share, "low": low, "high": high, "worst": worst}
-        return (finding("correct.beyond_range", "warn", sensor=sensor, unit=unit, **values),)
-
-
-def find_beyond(record: Record, calibration: Calibration) -> tuple[Beyond, ...]:
-    """Find the corrected readings beyond the inputs of the fits: the model is extrapolated there."""
-    beyond = []
-    for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True):
-        model = triad.model
-        if values is None or model is None or not model.valid_range[0] < model.valid_range[1]:
-            continue
-        seen = (model.valid_range[0] * triad.si, model.valid_range[1] * triad.si)
-        margin = MARGIN * max(abs(seen[0]), abs(seen[1]))
-        low, high = seen[0] - margin, seen[1] + margin
-        least, greatest = extremes(values)
-        samples, worst = 0, 0.0
-        if least < low or greatest > high:  # most recordings end before this second pass
-            samples = int(((values < low) | (values > high)).any(axis=1).sum())
-            worst = _furthest(least, greatest, seen)
-        beyond.append(Beyond(sensor=triad.sensor, seen=seen, samples=samples, of=len(values), worst=worst))
-    return tuple(beyond)
-
-
-def _furthest(first: float, second: float, seen: Span) -> float:
-    """Return the value that lies further beyond."""
-    return max(first, second, key=lambda value: max(seen[0] - value, value - seen[1], 0.0))

@@ -32,7 +32,6 @@ from undrift.base.summary import Shown
 from undrift.calibration.codes import device_adc
 from undrift.calibration.triads import check_triads
 from undrift.correction.correct import OffsetLeft, Policy, correct_checked, correct_whole, offset_left
-from undrift.correction.coverage import find_beyond
 from undrift.correction.rest import IN_MOTION, RestOffset, find_rest_offset, mean_variance
 from undrift.drift.observe import nominal_triad
 from undrift.errors import AlignmentError, InputError, check_choices
@@ -789,8 +788,7 @@ def _corrected(
         gyro = calibration.gyro
         calibration = replace(calibration, adc=None, gyro=None if gyro is None else replace(gyro, code_offset=None))
     done = correct_checked(record, calibration, policy=settings.policy, power_on_s=settings.power_on_s)
-    beyond = (item for one in find_beyond(done.record, calibration) for item in one.findings)
-    return done.record.in_si(), (*padded, *done.findings, *beyond)
+    return done.record.in_si(), (*padded, *done.findings)
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
