@@ -17,7 +17,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 LIMIT_NAMES = ("wanted", "limit_k", "limit_percent", "limit_deg", "limit_mg", "limit_c", "limit", "least_deg", "span_c")
 COUNTS = {
-    "session.too_few_poses",
     "study.too_few_for_agreement",
 }
 # "over 5 K"; spans that are no limits

@@ -106,7 +106,7 @@ class Finding:
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
     >>> finding = calibration.verdict.findings[0]
     >>> finding.code, finding.level, finding.headline
-    ('gyro.not_observable', 'info', 'Gyroscope not observable')
+    ('session.not_observable', 'info', 'Gyroscope not observable')
     """
 
     code: str

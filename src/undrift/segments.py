@@ -160,6 +160,11 @@ class _Moments:
     window: int  # samples
     smooth: int  # samples
 
+    @property
+    def edge(self) -> int:
+        """Samples from the start of a window to its centre."""
+        return (self.window + self.smooth - 1) // 2
+
     @cached_property
     def white(self) -> float:
         """Spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
@@ -225,9 +230,12 @@ def _find(
                 quiet &= ~_turning(triad.mean, triad.spread, threshold)
     if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
         quiet[:] = False
-    edge = (triads[0].window + triads[0].smooth - 1) // 2 if triads else 0
-    shortest = sample_count(settings.min_duration_s, record.sample_rate_hz)
-    stills = _phases(quiet, len(record), edge, shortest, recording)
+    edge, shortest = triads[0].edge if triads else 0, sample_count(settings.min_duration_s, record.sample_rate_hz)
+    spans = [
+        (first + edge if first else 0, last + edge if last < len(quiet) else len(record))
+        for first, last in runs(quiet).tolist()
+    ]
+    stills = tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
     longest = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
     reason = "" if stills else _why_none(thresholds, triads, settings, longest)
     return StillSearch(stills=stills, thresholds=tuple(thresholds), settings=settings, reason=reason)
@@ -319,14 +327,6 @@ def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) ->
     return turning
 
 
-def _phases(quiet: BoolArray, count: int, edge: int, shortest: int, recording: int) -> tuple[Still, ...]:
-    spans = [
-        (0 if first == 0 else int(first) + edge, count if last == len(quiet) else int(last) + edge)
-        for first, last in runs(quiet)
-    ]
-    return tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
-
-
 # ---- rows that fill a file up: they repeat the first or the last reading, and nothing rests there
 
 _PADDED_S, _PADDED = 0.2, 10  # shorter runs of one reading are chance
@@ -409,7 +409,6 @@ class LeftOut:
 
 def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     """Return the quiet stretches, up to four thresholds, that touch no still phase, and why they are none."""
-    least_s, fs = search.settings.min_duration_s, record.sample_rate_hz
     pairs = [
         (triad, threshold)
         for triad, threshold in zip(_moments(record, search.settings), search.thresholds, strict=True)
@@ -418,25 +417,20 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
     if not pairs:
         return ()
     ratio = np.array([triad.spread / max(threshold.value, threshold.noise_floor) for triad, threshold in pairs])
-    worst, edge = ratio.max(axis=0), (pairs[0][0].window + pairs[0][0].smooth - 1) // 2
-    spans, stretches = list[list[int]](), list[LeftOut]()
+    worst, edge, stretches = ratio.max(axis=0), pairs[0][0].edge, list[LeftOut]()
     for first, last in runs(worst <= _NEAR).tolist():
         if any(still.start < last + 2 * edge and first < still.stop for still in search.stills):
             continue
-        if spans and first - spans[-1][1] <= 2 * edge:
-            spans[-1][1] = last  # a jerk does not divide a pause
-        else:
-            spans.append([first, last])
-    for first, last in spans:
         quietest = first + int(np.argmin(worst[first:last]))
         triad, threshold = pairs[int(np.argmax(ratio[:, quietest]))]
         spread, limit = max(float(triad.spread[quietest]), threshold.noise_floor), threshold.value
-        rest_s = max((b - a for a, b in runs(worst[first:last] <= 1.0).tolist()), default=0) / fs
+        rest = max((stop - start for start, stop in runs(worst[first:last] <= 1.0).tolist()), default=0)
         if spread > limit:
             value, most = told_apart(spread, ".3g", limit), told_apart(limit, ".3g", spread)
             why = f"too restless: {value} {triad.unit} rms, limit {most}"
-        elif round(rest_s * fs) < sample_count(least_s, fs):
-            why = f"too short: {rest_s:.2g} s at rest, wanted {least_s:g} s"
+        elif rest < sample_count(search.settings.min_duration_s, record.sample_rate_hz):
+            rest_s = rest / record.sample_rate_hz
+            why = f"too short: {rest_s:.2g} s at rest, wanted {search.settings.min_duration_s:g} s"
         else:
             why = f"in a steady turn: {np.linalg.norm(pairs[0][0].mean[quietest]):.3g} {pairs[0][0].unit}"
         stretches.append(LeftOut(start=first + edge, stop=last + edge, why=why))
@@ -464,68 +458,54 @@ def find_poses(records: Sequence[Record], settings: StillSettings = StillSetting
     poses are taken, and of these the one with the fewest interruptions and the lowest threshold.
     """
     first = tuple(find_still(record, settings, recording=number) for number, record in enumerate(records))
-    count = sum(len(record) for record in records)
+    samples = sum(len(record) for record in records)
     still = sum(still.stop - still.start for search in first for still in search.stills)
-    if (
-        settings.threshold_floors is not None
-        or all(record.accel is None for record in records)
-        or still > _ALL_STILL * count
-        or count > _MOST_SAMPLES
-        or _all_around(records, first)
-    ):
+    fixed = settings.threshold_floors is not None or all(record.accel is None for record in records)
+    if fixed or samples > _MOST_SAMPLES or still > _ALL_STILL * samples or _all_around(_directions(records, first)):
         return first
-    searches = [tried for tried in _tries(records, settings) if _all_around(records, tried)]
-    if not searches:
-        return first
-    counts = [_count_poses(records, tried) for tried in searches]
-    agreed = max(counts, key=lambda poses: (counts.count(poses), poses))
-    alike = [tried for tried, poses in zip(searches, counts, strict=True) if poses == agreed]
-    return min(alike, key=lambda tried: sum(len(search.stills) for search in tried))
+    tries = [(tried, _directions(records, tried)) for tried in _tries(records, settings)]
+    searches = [(tried, _count_poses(up)) for tried, up in tries if _all_around(up)]
+    counts = [poses for _, poses in searches]
+    agreed = max(counts, key=lambda poses: (counts.count(poses), poses), default=0)
+    alike = [tried for tried, poses in searches if poses == agreed]
+    return min(alike, key=lambda tried: sum(len(search.stills) for search in tried), default=first)
 
 
 def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[StillSearch, ...]]:
     """Yield the searches with every multiple of the floor, lowest first, and every window, longest first."""
     windows = []
     for window_s in WINDOWS_S:
-        trial = replace(
-            settings,
-            window_s=window_s,
-            smooth_s=min(settings.smooth_s, window_s / 4.0),
-            min_duration_s=min(settings.min_duration_s, window_s),
-        )
-        if all(record.duration_s > 2.0 * (window_s + trial.smooth_s) for record in records):
+        smooth_s, shortest_s = min(settings.smooth_s, window_s / 4.0), min(settings.min_duration_s, window_s)
+        trial = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=shortest_s)
+        if all(record.duration_s > 2.0 * (window_s + smooth_s) for record in records):
             windows.append((trial, [_moments(record, trial) for record in records]))
     for floors in FLOORS:
         for trial, moments in windows:
-            own = replace(trial, threshold_floors=floors)
-            yield tuple(_find(record, moments[k], own, k) for k, record in enumerate(records))
+            with_threshold = replace(trial, threshold_floors=floors)
+            yield tuple(_find(record, moments[k], with_threshold, k) for k, record in enumerate(records))
 
 
 def _directions(records: Sequence[Record], searches: Sequence[StillSearch]) -> FloatArray:
     """Return the unit direction of gravity in each still of the records with accelerometers, (P, 3)."""
-    means = [
-        still_means(record.accel, search.stills)
-        for record, search in zip(records, searches, strict=True)
-        if record.accel is not None
-    ]
-    up = np.concatenate(means)
-    if len(up) >= 5 and not all(is_physical(record.accel_unit) for record in records if record.accel is not None):
+    pairs = [(r, search.stills) for r, search in zip(records, searches, strict=True) if r.accel is not None]
+    up = np.concatenate([still_means(np.asarray(record.accel), stills) for record, stills in pairs])
+    if len(up) >= 5 and not all(is_physical(record.accel_unit) for record, _ in pairs):
         up = up - sphere_of(up)[0]
     return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny))
 
 
-def _count_poses(records: Sequence[Record], searches: Sequence[StillSearch]) -> int:
-    """Return how many poses the stills contain: neighbours that point alike are one."""
+def _count_poses(directions: FloatArray) -> int:
+    """Return how many poses the stills contain, by their directions (P, 3): neighbours that point alike are one."""
     count, last = 0, np.zeros(3)
-    for up in _directions(records, searches):
+    for up in directions:
         if up @ last < _SAME:
             count, last = count + 1, up
     return count
 
 
-def _all_around(records: Sequence[Record], searches: Sequence[StillSearch]) -> bool:
-    """Return True if stills lie on all six faces, or in nine poses all around."""
-    directions, apart = _directions(records, searches), list[FloatArray]()
+def _all_around(directions: FloatArray) -> bool:
+    """Return True if stills, by their directions (P, 3), lie on all six faces, or in nine poses all around."""
+    apart = list[FloatArray]()
     for up in directions:
         if all(up @ other < _APART for other in apart):
             apart.append(up)
@@ -634,51 +614,50 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
         raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")
     fs = record.sample_rate_hz
     mean, spread = sliding_moments(record.gyro, sample_count(_STEADY_S, fs), max(1, round(_AVERAGED_S * fs)))
-    seen, rest = np.isfinite(spread), [record.gyro[s.start : s.stop] for s in stills]
-    floor = float(np.quantile(spread[seen], FLOOR_QUANTILE)) if seen.any() else np.inf  # none: a gap in each window
-    usual = np.median(mean[seen], axis=0) if seen.any() else np.zeros(3)
-    offset = np.nanmean(np.concatenate(rest), axis=0) if rest else usual
-    plateaus, rates = _plateaus(record, (mean, spread), (offset, floor), stills)
-    rotations, angles = _rotations(record, stills, offset, _LEAST_FLOORS * floor)
-    return TurnSearch(plateaus=plateaus, plateau_rate=rates, rotations=rotations, rotation_angle=angles)
+    finite = np.isfinite(spread)
+    floor = float(np.quantile(spread[finite], FLOOR_QUANTILE)) if finite.any() else np.inf  # none: a gap in each window
+    offset = np.median(mean[finite], axis=0) if finite.any() else np.zeros(3)
+    if stills:
+        offset = np.nanmean(np.concatenate([record.gyro[s.start : s.stop] for s in stills]), axis=0)
+    recording = stills[0].recording if stills else 0
+    plateaus = [
+        Turn(start=start, stop=stop, recording=recording)
+        for start, stop in _steady_stretches(mean - offset, spread, floor, stills, len(record), fs)
+    ]
+    rates = [np.nanmean(record.gyro[turn.start : turn.stop], axis=0) - offset for turn in plateaus]
+    rotations, angles = list[Turn](), list[FloatArray]()
+    for before, after in itertools.pairwise(stills):
+        reading = record.gyro[before.stop : after.start] - offset
+        if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > _LEAST_FLOORS * floor:
+            time = record.time[before.stop : after.start]
+            angles.append(np.asarray(np.trapezoid(np.nan_to_num(reading), time, axis=0)))
+            rotations.append(Turn(start=before.stop, stop=after.start, recording=recording))
+    return TurnSearch(
+        plateaus=tuple(replace(turn, axis=_axis(rate)) for turn, rate in zip(plateaus, rates, strict=True)),
+        plateau_rate=np.array(rates).reshape(-1, 3),
+        rotations=tuple(replace(turn, axis=_axis(angle, 0.9)) for turn, angle in zip(rotations, angles, strict=True)),
+        rotation_angle=np.array(angles).reshape(-1, 3),
+    )
 
 
-def _plateaus(
-    record: Record, moments: tuple[FloatArray, FloatArray], rest: tuple[FloatArray, float], stills: Sequence[Still]
-) -> tuple[tuple[Turn, ...], FloatArray]:
-    (mean, spread), (offset, floor), gyro = moments, rest, np.asarray(record.gyro)
-    rate, shortest = mean - offset, sample_count(_STEADY_S, record.sample_rate_hz)
-    edge = (len(gyro) - len(rate)) // 2
-    size = np.linalg.norm(rate, axis=1)
+def _axis(reading: FloatArray, least_share: float = 0.0) -> Axis | None:
+    """Return the axis that reads most (3,), None if it has no more than a share of the length."""
+    axis = int(np.argmax(np.abs(reading)))
+    return _AXES[axis] if abs(reading[axis]) > least_share * np.linalg.norm(reading) else None
+
+
+def _steady_stretches(
+    rate: FloatArray, spread: FloatArray, floor: float, stills: Sequence[Still], count: int, sample_rate_hz: float
+) -> Iterator[tuple[int, int]]:
+    """Yield start and stop of the plateaus in a record of so many samples, by the mean rate (M, 3) and spread (M,) of windows."""
+    edge, size = (count - len(rate)) // 2, np.linalg.norm(rate, axis=1)
     steady = (size > _LEAST_FLOORS * floor) & (spread <= np.maximum(_STEADINESS * size, 4.0 * floor))
     for still in stills:
         steady[max(0, still.start - edge) : max(0, still.stop - edge)] = False
-    turns: list[Turn] = []
-    rates: list[FloatArray] = []
-    for first, last in runs(steady):
+    for first, last in runs(steady).tolist():
         # A ramp at an end is trimmed off and a step between two rates cuts the run: both exceed the run's quietest quarter.
-        own = spread[first:last]
-        for start, stop in runs(own <= max(4.0 * float(np.quantile(own, 0.25)), 4.0 * floor)):
-            begin = int(first + start) + edge if first + start else 0
-            end = int(first + stop) + edge if first + stop < len(rate) else len(gyro)
-            if end - begin < shortest:
-                continue
-            reading = np.nanmean(gyro[begin:end], axis=0) - offset
-            axis = _AXES[int(np.argmax(np.abs(reading)))]
-            turns.append(Turn(start=begin, stop=end, axis=axis, recording=stills[0].recording if stills else 0))
-            rates.append(reading)
-    return tuple(turns), np.array(rates).reshape(-1, 3)
-
-
-def _rotations(
-    record: Record, stills: Sequence[Still], offset: FloatArray, least: float
-) -> tuple[tuple[Turn, ...], FloatArray]:
-    rotations: list[tuple[Turn, FloatArray]] = []
-    for before, after in itertools.pairwise(stills):
-        reading = np.asarray(record.gyro)[before.stop : after.start] - offset
-        if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > least:
-            angle = np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[before.stop : after.start], axis=0))
-            share = np.abs(angle) / max(float(np.linalg.norm(angle)), np.finfo(float).tiny)
-            axis: Axis | None = _AXES[int(np.argmax(share))] if share.max() > 0.9 else None
-            rotations.append((Turn(start=before.stop, stop=after.start, axis=axis, recording=before.recording), angle))
-    return tuple(turn for turn, _ in rotations), np.array([angle for _, angle in rotations]).reshape(-1, 3)
+        limit = max(4.0 * float(np.quantile(spread[first:last], 0.25)), 4.0 * floor)
+        for start, stop in (first + runs(spread[first:last] <= limit)).tolist():
+            begin, end = start + edge if start else 0, stop + edge if stop < len(rate) else count
+            if end - begin >= sample_count(_STEADY_S, sample_rate_hz):
+                yield begin, end

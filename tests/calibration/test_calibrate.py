@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.findings import codes, only
-from undrift.calibration.calibrate import (
-    calibrate,
-    each_once,
-)
+from testkit.findings import only
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError, NotObservable
-from undrift.findings import finding
 from undrift.record import Record, Session, Still, Turn
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
@@ -53,7 +49,6 @@ def test_mode_paper_removes_the_offset_first_and_reports_it():
     assert relative(found.accel, DEVICE.accel) < 2e-3
     assert relative(found.gyro, DEVICE.gyro) < 2e-3
     assert np.abs(found.accel.offset).max() > 0.0
-    assert codes(found.verdict.findings).count("paper_mode.offset_removed") == 1  # once for both triads
     raw = calibrate(made("bench"), mode="paper", settings=CalibrateSettings(remove_offset=False))
     left = [f for f in raw.verdict.findings if f.code == "paper_mode.offset_left"]
     assert {f.values["unit"] for f in left} <= {"rad/s", "m/s2"}
@@ -90,7 +85,8 @@ def test_faces_are_found_in_an_unlabelled_session():
     found = calibrate(made("six_face", labelled=False))
     assert found.accel.method == "six-face/affine"
     assert relative(found.accel, DEVICE.accel) < 2e-3
-    assert only(found.verdict.findings, "gyro.not_observable").level == "info"  # faces are for the accelerometer
+    gyro = only(found.verdict.findings, "session.not_observable")
+    assert (gyro.level, gyro.values["what"]) == ("info", "Gyroscope")  # faces are for the accelerometer
     assert found.verdict.status == "good"
     assert found.gyro is None
 
@@ -101,9 +97,8 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     few = tuple(still for still in made("bench").stills[:6])  # its faces alone: nine rests would give the gyroscopes
     found = calibrate(replace(session, stills=few))
     assert found.gyro is None
-    steady = only(found.verdict.findings, "rate_table.rates_not_stated")
-    assert steady.values["turns"] == 102
-    assert steady.action.startswith("state the turn_rate_dps")
+    steady = [f for f in found.verdict.findings if f.action.startswith("state the turn_rate_dps")]
+    assert [f.values["why"] for f in steady] == ["102 steady turns have no rate"]
 
 
 @pytest.mark.slow
@@ -165,9 +160,8 @@ def test_a_single_rest_gives_the_rate_offset_alone():
     np.testing.assert_allclose(found.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
     np.testing.assert_allclose(found.gyro.matrix, np.eye(3) * np.pi / 180.0)
     assert np.isnan(found.reference_temp_c)
-    few = only(found.verdict.findings, "session.too_few_poses")
-    assert (few.values["wanted"], few.values["rests"]) == (9, 1)
-    assert few.text.startswith("Accelerometer not observable: wanted rests on six faces or 9 free poses, got 1;")
+    text = "Accelerometer not observable: wanted rests on six faces or 9 free poses, got 1;"
+    assert any(item.text.startswith(text) for item in found.verdict.findings)
 
 
 def test_nothing_to_fit_is_an_error_that_says_what_to_record():
@@ -281,12 +275,9 @@ def test_axis_without_a_turn_keeps_its_prior():
     np.testing.assert_allclose(share, [0.003, 0.2, 0.003], rtol=0.2)  # counts: nobody states a scale
 
 
-def test_mode_paper_is_reported_where_it_was_not_used():
-    found = calibrate(made("multi_position"), mode="paper")
-    assert found.verdict.status != "good"
-    unused = [f for f in found.verdict.findings if f.code == "paper_mode.not_used"]
-    assert [f.values["triad"] for f in unused] == ["accelerometer", "gyroscope"]
-    assert {(f.level, f.values["mode"], f.values["method"]) for f in unused} == {("warn", "paper", "multi-position")}
+def test_mode_paper_is_refused_for_free_poses():
+    with pytest.raises(InputError, match="mode paper of the accelerometer requires"):
+        calibrate(made("multi_position"), mode="paper")
 
 
 def test_pauses_shorter_than_the_usual_window_are_found():
@@ -340,7 +331,7 @@ def test_a_tenth_of_a_second_of_saturated_gyroscope_costs_one_move_and_is_named(
     rests = observe(session, CalibrateSettings()).stills
     found = calibrate(saturated(session, (rests[4].stop + rests[5].start) // 2))
     assert (found.accel.method, found.gyro.method) == ("multi-position", "multi-position")
-    left_out = only(found.verdict.findings, "gyro.saturated")
+    left_out = only(found.verdict.findings, "session.saturated")
     assert (left_out.values["count"], left_out.values["what"]) == (1, "moves")
     assert left_out.values["pieces"][0].startswith("the move after still 5 (")
     whole = calibrate(session)
@@ -355,7 +346,7 @@ def test_a_turn_with_a_saturated_gyroscope_is_left_out_by_its_number_and_time(ki
     middle = (turn.start + turn.stop) // 2
     found = calibrate(saturated(session, middle))
     assert found.accel.method == "six-face/affine"
-    left_out = only(found.verdict.findings, "gyro.saturated")
+    left_out = only(found.verdict.findings, "session.saturated")
     time_s = session.records[0].time
     assert left_out.values["pieces"] == (
         f"[[turn]] 2 (recording 0, {time_s[turn.start]:.1f}-{time_s[turn.stop - 1]:.1f} s)",
@@ -372,7 +363,7 @@ def test_turns_that_are_all_saturated_leave_the_accelerometer():
         session = saturated(session, (turn.start + turn.stop) // 2)
     found = calibrate(session)
     assert (found.accel.method, found.gyro) == ("six-face/affine", None)
-    assert only(found.verdict.findings, "gyro.saturated").values["count"] == 3
+    assert only(found.verdict.findings, "session.saturated").values["count"] == 3
 
 
 @pytest.mark.parametrize("kind", ["ferraris", "multi_position"])
@@ -425,7 +416,8 @@ def test_a_face_that_was_not_recorded_is_named_where_rests_and_turns_are_found()
     found = calibrate(shaken, settings=CalibrateSettings(turn_angle_deg=360.0))
     assert found.accel is None
     assert found.gyro.method == "known-rotation/affine"  # three turns need no accelerometer
-    assert only(found.verdict.findings, "session.too_few_poses").values["missing"] == ("-y",)
+    (accel,) = (item for item in found.verdict.findings if item.headline == "Accelerometer not observable")
+    assert "faces without a rest: -y" in accel.detail
 
 
 # ---- settings that reach a fit change it as they say
@@ -490,9 +482,6 @@ def test_settings_that_are_none_are_refused(settings):
 # ---- a verdict names what the kind of session does not show and which recording would, and stays good for it
 
 LIMITED = random_device(np.random.default_rng(21))
-MOUNTING, FIXTURE, NO_ACCEL = "multi_position.mounting", "six_face.fixture", "rate_table.no_accel"
-QUADRATIC = "quadratic.unseen"
-KINDS = (MOUNTING, FIXTURE, NO_ACCEL, QUADRATIC)
 
 
 def limited(kind):
@@ -500,53 +489,26 @@ def limited(kind):
 
 
 @pytest.mark.parametrize(
-    ("kind", "limits"),
+    ("kind", "unknown"),
     [
-        ("multi_position", (MOUNTING,)),
-        ("ferraris", (FIXTURE,)),
-        ("bench", (FIXTURE,)),
-        ("six_face", (FIXTURE,)),
+        ("multi_position", ["Mounting of the sensors in the case"]),
+        ("ferraris", []),
+        ("six_face", ["Gyroscope"]),
     ],
 )
-def test_each_kind_of_session_names_its_own_limits_and_no_other(kind, limits):
+def test_each_kind_of_session_names_what_it_never_determines_and_stays_good(kind, unknown):
     verdict = calibrate(limited(kind)).verdict
-    assert tuple(code for code in codes(verdict.findings) if code in KINDS) == limits
-
-
-def test_the_limits_alone_leave_a_verdict_good():
-    verdict = calibrate(limited("multi_position")).verdict
+    named = [item for item in verdict.findings if item.code == "session.not_observable"]
+    assert ([item.values["what"] for item in named], {item.level for item in named} - {"info"}) == (unknown, set())
     assert verdict.status == "good"
-    assert codes(verdict.findings) == [MOUNTING, "session.one_temperature"]
-    assert {item.level for item in verdict.findings} == {"info"}
 
 
 @pytest.mark.slow
-def test_a_rate_table_without_an_accelerometer_asks_for_one_once():
+def test_a_rate_table_without_an_accelerometer_asks_for_one():
     session = limited("bench")
     numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records), stills=())
-    assert codes(calibrate(numb).verdict.findings).count(NO_ACCEL) == 1
-
-
-def test_a_thermal_session_is_not_sent_to_record_one():
-    warm = replace(limited("six_face"), kind="thermal")
-    assert not any("temperature" in code for code in codes(calibrate(warm).verdict.findings))
-
-
-def test_one_temperature_is_named_with_its_figure_or_with_the_lack_of_one():
-    session = limited("six_face")
-    found = calibrate(session)
-    assert (
-        only(found.verdict.findings, "session.one_temperature").values["where"]
-        == f"near {found.reference_temp_c:.1f} degC"
-    )
-    blind = replace(
-        session,
-        records=tuple(replace(r, temp_c=None) for r in session.records),
-        stills=tuple(replace(s, temp_c=None) for s in session.stills),
-        turns=tuple(replace(t, temp_c=None) for t in session.turns),
-    )
-    unknown = calibrate(blind).verdict.findings
-    assert "not recorded" in only(unknown, "session.one_temperature").values["where"]
+    unknown = only(calibrate(numb).verdict.findings, "session.not_observable")
+    assert unknown.values["what"] == "g-sensitivity of the gyroscopes"
 
 
 def test_a_session_of_several_temperatures_is_sent_to_drift_once():
@@ -555,13 +517,3 @@ def test_a_session_of_several_temperatures_is_sent_to_drift_once():
     turns = tuple(replace(t, temp_c=40.0 if k % 10 == 9 else 25.0) for k, t in enumerate(session.turns))
     reasons = calibrate(replace(session, stills=stills, turns=turns)).verdict.reasons
     assert sum("undrift drift" in reason for reason in reasons) == 1
-
-
-def test_a_finding_of_both_triads_is_given_once_with_both():
-    reason = "multi-position: wanted poses that change the length by 0.02 g or more, got less; add poses"
-    accel = finding("session.fit_failed", "warn", triad="accelerometer", reason=reason)
-    gyro = finding("session.fit_failed", "warn", triad="gyroscope", reason=reason)
-    other = finding("session.fit_failed", "warn", triad="gyroscope", reason="no turns")
-    both, rest = each_once((accel, gyro, other, gyro))
-    assert both.text == f"Full fit not possible: accelerometer and gyroscope: {reason}"
-    assert rest == other

@@ -235,7 +235,7 @@ def test_moves_beyond_the_range_are_left_out_by_number_and_time_and_the_scale_st
     top = 0.9 * float(np.abs(record.gyro).max())
     fit = fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
     assert fit.gyro is not None
-    left_out = only(fit.gyro.verdict.findings, "gyro.saturated")
+    left_out = only(fit.gyro.verdict.findings, "session.saturated")
     assert 0 < left_out.values["count"] < left_out.values["of"] == 19
     for name in left_out.values["pieces"]:
         number, first, last = re.fullmatch(r"the move after still (\d+) \((.+)-(.+) s\)", name).groups()

@@ -13,6 +13,7 @@ from undrift.calibration.plausibility import (
     check_axis_order,
     check_faces,
     check_gravity,
+    check_gyro_scale,
     check_handedness,
     check_own_scale,
     check_range,
@@ -25,7 +26,7 @@ from undrift.calibration.plausibility import (
 )
 from undrift.errors import Implausible
 from undrift.record import FACES
-from undrift.units import STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
 READING = 9.81 * face_vectors(FACES) @ FORWARD.T + np.array([0.3, -0.2, 0.1])
@@ -158,6 +159,27 @@ def test_the_scale_factor_that_is_named_is_the_one_furthest_off_either_way():
     ):
         with pytest.raises(Implausible, match=f"got {off}"):
             check_own_scale(np.array(scales), "rad/s", "rate", 0.25, "gyroscope")
+
+
+@pytest.mark.parametrize(
+    ("scale", "level"), [((1.0, 0.853, 1.0), ["fail"]), ((1.0, 1.0, 0.93), ["warn"]), ((1.03, 0.97, 1.0), [])]
+)
+def test_a_gyroscope_s_scale_is_judged_by_what_data_sheets_allow(scale, level):
+    found = list(check_gyro_scale(np.array(scale) / RADIAN_PER_DEGREE, "dps", 1.0, stated=True))
+    assert [item.level for item in found] == level
+    if level == ["fail"]:
+        assert found[0].values["off_percent"] == pytest.approx(-14.7)
+        assert "gyroscope y" in found[0].detail
+
+
+def test_counts_are_judged_by_the_range_that_16_bit_would_have():
+    def levels(per_dps, largest, stated):
+        scale = np.full(3, per_dps / RADIAN_PER_DEGREE)
+        return [item.level for item in check_gyro_scale(scale, "count", largest, stated=stated)]
+
+    assert (levels(16.4, 3000.0, False), levels(16.4, 3000.0, True)) == ([], ["info"])
+    assert levels(942.0, 30000.0, False) == ["warn"]  # ends at 35 deg/s
+    assert levels(942.0, 1e6, False) == []  # more than 16 bit
 
 
 # ---- what the columns of a gyroscope see, in words

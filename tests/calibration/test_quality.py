@@ -70,8 +70,8 @@ def test_stills_that_creep_are_refused_by_their_tilt(creep_dps):
 def test_stills_that_creep_a_little_are_a_finding_and_make_the_verdict_marginal():
     found = calibrate(faces(0.25))  # 1 deg from the first to the last third of 6 s, the limit is 0.5
     assert found.verdict.status == "marginal"
-    tilt = only(found.verdict.findings, "still.moving")
-    assert tilt.values["stills"] == 6
+    tilt = only(found.verdict.findings, "session.piece")
+    assert tilt.values["pieces"] == 6
     assert re.search(r"a tilt of (0\.9[5-9]|1(\.0\d)?) deg", str(tilt.values["what"]))
 
 
@@ -174,12 +174,12 @@ def test_sound_turns_give_no_finding_and_0_1_s_of_ramp_are_allowed(kind: str) ->
 
 def test_a_dwell_that_overlaps_a_stop_is_named_with_the_share() -> None:
     session = shifted(made("bench"), 90, which=70)  # 0.9 s late: the table brakes and stands still at its end
-    stop = only(check_turns(session, session.stills, 0.3), "turn.unsteady")
+    stop = only(check_turns(session, session.stills, 0.3), "session.piece")
     assert stop.level == "fail"
     assert "overlaps a stop" in stop.detail
-    assert str(stop.values["turn"]).startswith("[[turn]] 71 (recording 0, ")
-    assert stop.values["turns"] == 1
-    assert 5.0 < float(stop.values["percent"]) < 35.0  # a third of a dwell of 3 s at most
+    assert str(stop.values["piece"]).startswith("[[turn]] 71 (recording 0, ")
+    assert stop.values["pieces"] == 1
+    assert 23.0 < float(stop.values["percent"]) < 75.0  # a stop in a third of a dwell, at most, varies by 71 %
 
 
 @pytest.mark.slow
@@ -187,9 +187,9 @@ def test_dwells_that_all_end_in_a_stop_make_the_verdict_bad() -> None:
     session = made("bench")
     late = calibrate(shifted(replace(session, turns=session.turns[:-1]), 60))  # the last one has nothing after it
     assert late.verdict.status == "bad"
-    stop = next(item for item in late.verdict.findings if item.code == "turn.unsteady")
+    stop = next(item for item in late.verdict.findings if item.code == "session.piece")
     assert "overlaps a stop" in stop.detail
-    assert stop.values["turns"] > 90  # of 102
+    assert stop.values["pieces"] > 90  # of 102
 
 
 def test_a_rate_that_sways_is_named_with_its_spread() -> None:
@@ -201,16 +201,16 @@ def test_a_rate_that_sways_is_named_with_its_spread() -> None:
     level = float(np.abs(part - np.median(gyro[session.stills[0].start : session.stills[0].stop, axis])).mean())
     part += 0.2 * level * np.sin(2.0 * np.pi * 1.5 * np.arange(len(part)) / 100.0)
     shaken = replace(session, records=(replace(record, gyro=gyro),))
-    uneven = only(check_turns(shaken, session.stills, 0.3), "turn.unsteady")
-    assert (uneven.level, uneven.values["turns"]) == ("warn", 1)
+    uneven = only(check_turns(shaken, session.stills, 0.3), "session.piece")
+    assert (uneven.level, uneven.values["pieces"]) == ("warn", 1)
     assert uneven.values["percent"] == pytest.approx(100.0 * 0.2 / np.sqrt(2.0), rel=0.1)  # 0.1 s take 4 % off
 
 
 def test_a_turn_by_an_angle_that_is_cut_off_is_named() -> None:
     session = shifted(made("ferraris"), 60, which=1)
-    cut = only(check_turns(session, session.stills, 0.3), "turn.unsteady")
+    cut = only(check_turns(session, session.stills, 0.3), "session.piece")
     assert cut.level == "fail"
-    assert str(cut.values["turn"]).startswith("[[turn]] 2 ")
+    assert str(cut.values["piece"]).startswith("[[turn]] 2 ")
     assert float(cut.values["percent"]) > 50.0
 
 

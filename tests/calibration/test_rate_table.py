@@ -11,7 +11,6 @@ from undrift.calibration.rate_table import (
     RestMeans,
     check_dwells,
     fit_rate_table,
-    scale_verdict,
 )
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, spline_filter
 from undrift.errors import Implausible, InputError, NotObservable
@@ -393,19 +392,6 @@ def test_a_reversed_or_foreign_column_is_refused(dwells, reads, unit):
 def test_a_scale_beyond_the_tolerance_is_refused():
     with pytest.raises(Implausible, match=r"within 3 % of the unit's own, got 0\.8530"):
         fit_rate_table(turned(0.853), scale_tolerance=0.03)
-
-
-def test_a_wrong_conversion_is_a_bad_verdict():
-    verdict = scale_verdict(np.array([0.853]) / DPS, "dps", "y")
-    off = only(verdict.findings, "gyro.scale_factor")
-    assert (verdict.status, off.level, off.values["axis"]) == ("bad", "fail", "y")
-    assert off.values["off_percent"] == pytest.approx(-14.7)
-
-
-@pytest.mark.parametrize(("scale", "status"), [([0.93], "marginal"), ([1.03, 0.97, 1.0], "good")])
-def test_a_scale_is_judged_by_what_a_data_sheet_allows(scale, status):
-    assert scale_verdict(np.array(scale) / DPS, "dps").status == status
-    assert scale_verdict(np.array([12.0]), "count").status == "good"
 
 
 def test_axes_that_were_not_turned_keep_their_prior():

@@ -127,7 +127,7 @@ def test_saturated_readings_are_left_out_and_named(noisy):
     model = fit.triad.model
     # as without saturation, with the shorter windows that fit between the gaps; clipped readings would miss by 0.02
     assert np.abs(model.matrix - np.linalg.inv(FORWARD)).max() < 2e-3
-    found = [item.values for item in fit.triad.verdict.findings if item.code == "reference.saturated"]
+    found = [item.values for item in fit.triad.verdict.findings if item.code == "session.saturated"]
     beyond = [int((np.abs(record.gyro) >= 1.6).any(axis=1).sum()) for record in noisy[0]]
     assert [values["count"] for values in found] == beyond
 

@@ -90,7 +90,7 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
     )
     made = calibrate(session)
     assert abs(made.reference_temp_c - 27.0) < 1.5  # the thermometer's trim and the soak's tolerance
-    visited = only(made.verdict.findings, "session.temperatures")
+    visited = only(made.verdict.findings, "session.temperature")
     assert (visited.level, visited.values["groups"]) == ("warn", 3)
     assert "undrift drift" in visited.action
     truth = true_calibration(device, temp_c=27.0)
@@ -120,7 +120,7 @@ def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() 
     assert truth is not None
     off = np.abs(np.diag(made.accel.matrix @ np.linalg.inv(truth.matrix)) - 1.0)
     assert off.max() < 2e-3
-    assert "session.temperature_creep" in {item.code for item in made.verdict.findings}
+    assert "session.temperature" in {item.code for item in made.verdict.findings}
 
 
 def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:

@@ -113,7 +113,7 @@ def test_a_fit_to_references_takes_local_gravity_from_options_or_the_session(und
     out, bare, source = fitted(*records)
     assert (bare.gravity_m_s2, source) == (9.80665, "standard")
     assert "gravity 9.80665 m/s2 (standard)" in out
-    assert only(bare.verdict.findings, "session.gravity_assumed").level == "info"
+    assert only(bare.verdict.findings, "session.gravity").level == "info"
     _, stated, source = fitted(*records, "--gravity-m-s2", 9.82, "--serial", "B7")
     assert (stated.gravity_m_s2, source, stated.device) == (9.82, "stated", "B7")
     ratio = np.diag(stated.accel.matrix) / np.diag(bare.accel.matrix)

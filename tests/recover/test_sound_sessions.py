@@ -77,7 +77,7 @@ def test_a_session_whose_numbers_are_in_doubt_is_never_good(kind, devices):
     counts, _ = verdicts(sessions(kind, devices=devices, temp_c=(22.0, 27.0)))  # 5 K within the session
     assert counts["good"] == 0
     counts, reasons = verdicts(replace(s, gravity_source="standard") for s in sessions(kind, **MILD)[:devices])
-    assert (counts["good"], reasons["session.gravity_assumed"]) == (0, devices)
+    assert (counts["good"], reasons["session.gravity"]) == (0, devices)
 
 
 @pytest.mark.slow
@@ -88,7 +88,7 @@ def test_full_turns_that_give_no_scale_are_no_information_alone():
     made = calibrate(replace(session, records=(replace(record, **kept),), stills=(), turns=()))
     assert made.gyro is None
     assert made.verdict.status == "marginal"
-    assert only(made.verdict.findings, "gyro.not_observable").level == "warn"
+    assert only(made.verdict.findings, "session.not_observable").level == "warn"
 
 
 def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():

@@ -151,7 +151,7 @@ def test_a_log_with_few_steady_poses_names_the_restless_ones():
         accel=np.concatenate((calm.accel, shaky.accel)),
     )
     findings = observe(session_of(one), CalibrateSettings()).findings
-    restless = next(item for item in findings if item.code == "session.pauses")
+    restless = next(item for item in findings if item.code == "session.no_still")
     assert restless.values["pauses"] == pytest.approx(4, abs=1)  # a strong jerk may part one
     assert "too restless" in restless.text
 

@@ -53,8 +53,8 @@ def test_a_hand_turned_session_shows_its_faces_and_its_three_full_turns():
 def test_what_a_calibration_used_and_left_out_is_shown_with_the_reason():
     session = nilspod()
     pieces, _, text = drawn(session, made=calibrate(session))
-    assert {piece.why for piece in pieces} == {"", "not a full turn"}
-    for label in ("13 stills used", "3 turns used", "9 turns left out", "left out: 9 turns (not a full turn)"):
+    assert {piece.why for piece in pieces} == {"", "not used"}
+    for label in ("13 stills used", "3 turns used", "9 turns left out", "left out: 9 turns (not used)"):
         assert label in text, label
 
 
@@ -107,8 +107,8 @@ def test_a_recording_without_rest_gives_the_reason():
     ("turn", "label", "why"),
     [
         (Turn(start=0, stop=50, axis="z", turn_rate=np.pi), "z 180 deg/s", ""),
-        (Turn(start=0, stop=50, axis="x", angle=2.0 * np.pi), "x 360 deg", "no stated rate"),
-        (Turn(start=0, stop=50), "", "no stated rate"),
+        (Turn(start=0, stop=50, axis="x", angle=2.0 * np.pi), "x 360 deg", "not used"),
+        (Turn(start=0, stop=50), "", "not used"),
     ],
 )
 def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):

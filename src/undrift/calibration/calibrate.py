@@ -1,20 +1,20 @@
 """From a session to a Calibration, with the fits that its recordings allow.
 
-    accelerometer   six-face if faces are labelled or all six are found; otherwise multi-position, from nine free poses
-    gyroscope       rate-table        turns with an achieved rate about x, y and z
-                    known-rotation    turns with an angle, or three full turns found between rests
-                    multi-position    moves between nine still phases or more
-                    rest              only the offset, if the readings are in a physical unit
+    accelerometer   six-face         rests on six faces, or on five that are labelled
+                    multi-position   nine free poses or more
+    gyroscope       rate-table       turns at a stated rate about x, y and z
+                    known-rotation   turns by a stated angle, or three full turns found between rests
+                    multi-position   moves between nine rests or more
+                    rest             only the offset, if the readings are in a physical unit
 
 The first that the session allows is used, unless the caller names one. Readings whose codes are found to be truncated are
 corrected by half a step before anything is fitted, as ``correct`` does. A parameter that the session does not determine is a
 finding, which names the recording that would determine it.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -25,9 +25,9 @@ from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
 from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_poses
-from undrift.calibration.plausibility import missing_faces, range_in_doubt
-from undrift.calibration.quality import check_accel
-from undrift.calibration.rate_table import calibrate_rates, scale_verdict
+from undrift.calibration.plausibility import check_gyro_scale, missing_faces
+from undrift.calibration.quality import check_accel, mean_reading
+from undrift.calibration.rate_table import calibrate_rates
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, Outcome, at_one_temperature, in_one_unit, observe
@@ -35,12 +35,12 @@ from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, M
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.sources import creep_of, offset_drift
 from undrift.calibration.triads import check_triads
-from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, PoorFit, check_choice
+from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, Level, finding
 from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
-from undrift.model import AdcModel, Calibration, Provenance, Verdict, versions_used
+from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict, versions_used
 from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
 from undrift.segments import unpadded
 from undrift.sync import LagSettings, padding
@@ -52,6 +52,7 @@ Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 MIN_FREE_POSES = 9  # of a multi-position fit
 LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # as degrees a place at the equator, as radians 23 to 70 deg, where people live
 GRAVITY_SPREAD = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
+RECORD_TURNS = "record turns by known rates or angles"
 
 
 def calibrate_rest(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
@@ -59,16 +60,21 @@ def calibrate_rest(seen: Observed, mode: Mode | None, accel: TriadFit | None) ->
     unit = seen.session.records[0].gyro_unit
     # Faces and poses are meant for the accelerometers; full turns were meant for the gyroscopes.
     level: Level = "warn" if accel is None or seen.turns_of(2.0 * np.pi) else "info"
-    if not is_physical(unit):  # a model turns readings into rad/s, and the scale of counts is unknown
-        return Outcome(findings=(finding("gyro.not_observable", level),))
+    if not seen.stills or not is_physical(
+        unit
+    ):  # a model turns readings into rad/s, and the scale of counts is unknown
+        return Outcome(findings=(_not_observable("Gyroscope", level, record=RECORD_TURNS),))
     factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
     offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
+    records = seen.session.records
+    means = np.array([mean_reading(records[still.recording].gyro, still.start, still.stop) for still in seen.stills])
     if np.isnan(offset).any():
-        return Outcome(findings=(finding("gyro.not_observable", "warn"),))
+        return Outcome(findings=(_not_observable("Gyroscope", "warn", record=RECORD_TURNS),))
     share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, seen.settings.cross_axis_prior)
+    nominal = f"the unit's own scale is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
     fit = triad_fit(
-        (seen.rest_means() - offset) * factor,
-        Verdict.of(finding("gyro.offset_alone", level, scale_percent=100.0 * SCALE_FACTOR)),
+        (means[~np.isnan(means).any(axis=1)] - offset) * factor,
+        Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=RECORD_TURNS)),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -172,32 +178,18 @@ def calibrated(
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
     adc, seen = _observed(session, settings)
-    with_accel, with_gyro = seen.with_triad("accel"), seen.with_triad("gyro")
-    accel_outcome = _calibrate_accel(with_accel, accel, mode)
-    if accel_outcome.fit is not None:
-        unused = with_accel.unused_stills(accel_outcome.used)
-        doubts = check_accel(with_accel.session, accel_outcome.fit.model, unused)
-        accel_outcome = accel_outcome.after(*doubts)
-    together = any(record.accel is not None for record in with_gyro.session.records)
-    gyro_outcome = _calibrate_gyro(with_gyro, gyro, mode, accel_outcome if together else Outcome())
-    findings = each_once(
-        (
-            *other_temperatures,
-            *_doubts(seen, accel_outcome, gyro_outcome),
-            *accel_outcome.findings,
-            *gyro_outcome.findings,
-            *_mode_not_used(mode, "accelerometer", accel_outcome),
-            *_mode_not_used(mode, "gyroscope", gyro_outcome),
-        )
-    )
+    accel_outcome = _calibrate_accel(seen.with_triad("accel"), accel, mode)
+    rotated = seen.with_triad("gyro")
+    together = any(record.accel is not None for record in rotated.session.records)
+    gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if together else None)
+    outcomes = (accel_outcome, gyro_outcome)
+    findings = (*other_temperatures, *_doubts(seen, *outcomes), *(f for outcome in outcomes for f in outcome.findings))
     if accel_outcome.fit is None and gyro_outcome.fit is None:
         reasons = "; ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")
-    verdict = Verdict.of(*findings)
-    for outcome in (accel_outcome, gyro_outcome):
+    verdict = _verdict_of(findings)
+    for outcome in outcomes:
         verdict = verdict if outcome.fit is None else verdict.also(outcome.fit.verdict)
-    thermal = session.kind == "thermal" or bool(other_temperatures)
-    limits = limits_of(accel_outcome, gyro_outcome, seen.mean_temperature(), thermal=thermal)
     calibration = Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=seen.mean_temperature(),
@@ -205,26 +197,43 @@ def calibrated(
         gyro=None if gyro_outcome.fit is None else gyro_outcome.fit.model,
         accel=None if accel_outcome.fit is None else accel_outcome.fit.model,
         adc=adc,
-        verdict=verdict.also(Verdict.of(*limits)),
-        provenance=_provenance(seen, accel_outcome.method, gyro_outcome.method, mode),
+        verdict=verdict,
+        provenance=_provenance(_choices(seen, *(each.method for each in outcomes), mode), session.inputs),
         file_map=session.file_map,
     )
     return calibration, seen
+
+
+def _verdict_of(findings: Iterable[Finding]) -> Verdict:
+    """Return the verdict of findings, each once."""
+    return Verdict.of(*{item.text: item for item in findings}.values())
+
+
+def _not_observable(what: str, level: Level, *, record: str, why: str = "", **values: object) -> Finding:
+    return finding("session.not_observable", level, what=what, why=why, record=record, **values)
+
+
+def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
+    why = (
+        f"standard gravity assumed, {gravity_m_s2:.5f} m/s2; the accelerometers' scale is off by as much, 0.3 % at most"
+    )
+    return finding("session.gravity", level, why=why)
 
 
 def _doubts(seen: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
     """Yield what speaks against what the session states, and how far its rests drift."""
     latitude_deg = seen.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
-        as_radians_deg = latitude_deg / RADIAN_PER_DEGREE
-        yield finding("session.latitude_in_radians", "warn", latitude_deg=latitude_deg, as_radians_deg=as_radians_deg)
+        degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
+        yield finding(
+            "session.gravity", "warn", why=f"the latitude of {latitude_deg:g} deg may be in radians; {degrees}"
+        )
     if seen.session.gravity_source == "standard" and accel.fit is not None:
-        yield finding("session.gravity_assumed", "warn", gravity_m_s2=seen.session.gravity_m_s2)
-    if gyro.fit is not None and gyro.fit.model.unit_in == "count":
-        readings = [record.gyro for record in seen.session.records if record.gyro is not None]
-        largest = max(float(np.nanmax(np.abs(gyro_counts))) for gyro_counts in readings)
+        yield _gravity_assumed(seen.session.gravity_m_s2, "warn")
+    if gyro.fit is not None:
+        largest = max(float(np.nanmax(np.abs(r.gyro))) for r in seen.session.records if r.gyro is not None)
         stated = gyro.method in ("rate-table", "known-rotation")
-        yield from range_in_doubt(float(np.median(gyro.fit.model.scale_factor)), largest, stated=stated)
+        yield from check_gyro_scale(gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, stated=stated)
     yield from seen.findings
     if gyro.fit is not None:
         yield from offset_drift(seen, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
@@ -247,153 +256,151 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
     return replace(session, stills=stills, turns=turns), () if turns else seen.plateaus()
 
 
-def each_once(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings, those that differ in their triad alone as one with both triads."""
-    merged: dict[tuple[str, str, str], Finding] = {}
-    for item in findings:
-        key = (item.code, item.level, repr({name: value for name, value in item.values.items() if name != "triad"}))
-        first, triad = merged.setdefault(key, item), str(item.values.get("triad", ""))
-        if triad not in str(first.values.get("triad", "")):
-            merged[key] = replace(first, values={**first.values, "triad": f"{first.values['triad']} and {triad}"})
-    return tuple(merged.values())
+# ---- one triad: the fit that was named, or the first that the session allows
 
 
 def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
+    """Return the accelerometers' fit, compared with the rests that it did not use."""
     if all(record.accel is None for record in seen.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: wanted its readings, got none; map the accel columns")
         return Outcome()
-    if method is not None:
-        return _required("accelerometer", method, ACCEL_FITS[method](seen, mode, None))
     missing = missing_faces([still.face for still in seen.faced if still.face is not None])
-    faces = not missing or (not seen.found and len(missing) == 1)
-    if faces and (not seen.found or seen.mostly_faces):
-        return calibrate_faces(seen, mode)
-    rests = len(seen.stills)
-    too_few = finding("session.too_few_poses", "warn", wanted=MIN_FREE_POSES, rests=rests, missing=missing)
-    if rests < FEWEST_POSES:
-        return Outcome(findings=(too_few,))
+    faces = seen.mostly_faces if seen.found else len(missing) < 2
     try:
-        return calibrate_poses(seen, mode)
-    except (NotObservable, PoorFit) as error:
-        if faces:
-            return calibrate_faces(seen, mode)
-        if rests < MIN_FREE_POSES:
-            return Outcome(findings=(too_few,))
-        if isinstance(error, PoorFit):
+        if method is None and not faces and len(seen.stills) < FEWEST_POSES:
+            raise NotObservable(f"wanted rests on six faces or {MIN_FREE_POSES} free poses, got {len(seen.stills)}")
+        outcome = ACCEL_FITS[method or ("six-face" if faces else "multi-position")](seen, mode, None)
+    except NotObservable as error:
+        if method is not None or faces:
             raise
-        failed = finding("session.fit_failed", "warn", triad="accelerometer", reason=str(error))
-        return Outcome(findings=(too_few, failed))
+        why = f"{error}; faces without a rest: {', '.join(missing) or 'none'}"
+        return Outcome(findings=(_not_observable("Accelerometer", "warn", why=why, record="record them"),))
+    _check_mode("accelerometer", mode, outcome, "rests on all six faces")
+    if outcome.fit is None:
+        return outcome
+    if outcome.method == "multi-position":
+        why, record = (
+            "free poses determine only lengths; the axes are those of the sensors",
+            "rest on six faces of the case",
+        )
+        outcome = outcome.after(_not_observable("Mounting of the sensors in the case", "info", why=why, record=record))
+    return outcome.after(*check_accel(seen.session, outcome.fit.model, seen.unused_stills(outcome.used)))
 
 
-def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, accel: Outcome) -> Outcome:
-    if method == "none":
-        return Outcome()
-    if all(record.gyro is None for record in seen.session.records):
-        if method is not None:
+def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:
+    """Return the gyroscopes' fit; if none is possible, their offset at rest."""
+    if method == "none" or all(record.gyro is None for record in seen.session.records):
+        if method not in (None, "none"):
             raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
         return Outcome()
     sound, saturated = seen.without_saturated_turns()
     try:
-        if method is not None:
-            outcome = _required("gyroscope", method, GYRO_FITS[method](sound, mode, accel.fit))
-        elif saturated and not sound.session.turns:
-            outcome = calibrate_rest(seen, mode, accel.fit)
-        else:
-            outcome = _best_gyro(sound, mode, accel.fit)
+        chosen, findings = (method, ()) if method is not None else _choose_gyro_fit(sound, accel, saturated)
+        outcome = GYRO_FITS[chosen](sound, mode, accel).after(*findings)
+        if outcome.fit is None and method is not None:
+            raise NotObservable(f"gyroscope by {method}: " + "; ".join(item.text for item in outcome.findings))
+        if outcome.fit is None and chosen != "rest":
+            outcome = calibrate_rest(seen, mode, accel).after(*outcome.findings)
     except NotObservable as error:
         if method is not None:
             raise NotObservable("; ".join((str(error), *(item.text for item in saturated))), **error.numbers) from error
-        outcome = calibrate_rest(seen, mode, accel.fit)
+        outcome = calibrate_rest(seen, mode, accel)
         outcome = replace(outcome, findings=()) if outcome.fit is None else outcome
         outcome = outcome.after(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)))
     outcome = outcome.after(*saturated)
     if outcome.fit is None:
         return outcome
-    model = outcome.fit.model
-    verdict = outcome.fit.verdict.also(scale_verdict(model.scale_factor, model.unit_in))
-    return replace(outcome, fit=replace(outcome.fit, verdict=verdict))
-
-
-def _required(triad: str, method: str, outcome: Outcome) -> Outcome:
-    if outcome.fit is None:
-        raise NotObservable(f"{triad} by {method}: " + "; ".join(item.text for item in outcome.findings))
+    _check_mode("gyroscope", mode, outcome, "turns by known rates or angles")
+    if accel is None and outcome.method in ("rate-table", "known-rotation"):
+        record = "record rests on six faces with accelerometers in the same session"
+        outcome = outcome.after(_not_observable("g-sensitivity of the gyroscopes", "info", record=record))
     return outcome
 
 
-def _best_gyro(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
-    """Return the first of rate-table, known-rotation and multi-position that gives a fit, otherwise rest."""
-    turns, outcome = seen.session.turns, Outcome()
-    plateaus: tuple[Turn, ...] = ()
+def _choose_gyro_fit(
+    seen: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]
+) -> tuple[str, tuple[Finding, ...]]:
+    """Return the first fit of the table above that the session allows, and what it lacks for a better one."""
+    turns = seen.session.turns
     if any(turn.turn_rate is not None for turn in turns):
-        outcome = calibrate_rates(seen, mode, accel)
-    elif any(turn.angle is not None for turn in turns) or seen.full_turns():
-        outcome = calibrate_turns(seen, mode, accel)
-    else:
-        plateaus = seen.plateaus()
-        with_force = any(record.accel is not None for record in seen.session.records)
-        if with_force and len(seen.stills) >= MIN_FREE_POSES:
-            # Slow moves between poses are steady too. On a rate table without its rates the poses fail, for any reason.
-            by_hand = accel is not None and accel.model.method == "multi-position"
-            try:
-                outcome = calibrate_moves(seen, mode, accel)
-            except CalibrationError:
-                if by_hand or not plateaus:
-                    raise
-            if plateaus and outcome.fit is not None and outcome.fit.verdict.status == "bad":
-                outcome = Outcome()  # turns of a table whose rates are not stated, fitted as moves
-    if outcome.fit is not None:
-        return outcome
-    unknown_rates = (finding("rate_table.rates_not_stated", "warn", turns=len(plateaus)),) if plateaus else ()
-    return calibrate_rest(seen, mode, accel).after(*(unknown_rates or outcome.findings))
+        return "rate-table", ()
+    if saturated and not turns:
+        return "rest", ()
+    if any(turn.angle is not None for turn in turns) or seen.full_turns():
+        return "known-rotation", ()
+    # Slow moves between free poses are steady too; beside six faces, steady turns are those of a table.
+    by_poses = accel is not None and accel.model.method == "multi-position"
+    steady = () if by_poses else seen.plateaus()
+    if steady:
+        why, record = f"{len(steady)} steady turns have no rate", "state the turn_rate_dps and axis of each"
+        return "rest", (_not_observable("Gyroscope scale", "warn", why=why, record=record),)
+    with_force = any(record.accel is not None for record in seen.session.records)
+    return "multi-position" if with_force and len(seen.stills) >= MIN_FREE_POSES else "rest", ()
 
 
-def _mode_not_used(mode: Mode | None, triad: str, outcome: Outcome) -> Iterator[Finding]:
-    if outcome.fit is not None and mode == "paper" and outcome.method == "multi-position":
-        needs = "rests on all six faces" if triad == "accelerometer" else "turns by known rates or angles"
-        yield finding("paper_mode.not_used", "warn", mode=mode, triad=triad, method=outcome.method, needs=needs)
+def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) -> None:
+    if mode == "paper" and outcome.method == "multi-position":
+        raise InputError(f"calibrate: mode paper of the {triad} requires {record}. Record them, or use mode affine.")
 
 
-def limits_of(accel: Outcome, gyro: Outcome, temp_c: float, *, thermal: bool) -> Iterator[Finding]:
-    """Return what this kind of session never shows, however well it was recorded."""
-    if accel.fit is not None and accel.method in ("multi-position", "six-face"):
-        yield finding("multi_position.mounting" if accel.method == "multi-position" else "six_face.fixture", "info")
-    if gyro.fit is not None and gyro.method in ("rate-table", "known-rotation") and accel.fit is None:
-        yield finding("rate_table.no_accel", "info")
-    if not thermal:
-        unknown = "at the temperature of the session, which was not recorded"
-        where = f"near {temp_c:.1f} degC" if np.isfinite(temp_c) else unknown
-        yield finding("session.one_temperature", "info", where=where)
+# ---- where a calibration came from
 
 
-def _provenance(seen: Observed, accel: str, gyro: str, mode: Mode | None) -> Provenance:
-    """Return the inputs and every setting that a fit used."""
-    session, turns = seen.session, seen.session.turns
-    if gyro == "known-rotation" and not turns:
-        turns = seen.full_turns()
-    names = (
-        "window_s", "polynomial_degree", "settle_s", "spline_cutoff_hz", "latitude_deg", "angle_uncertainty_deg",
-        "axis_uncertainty_deg",
-    )  # fmt: skip
-    numbers = {name: getattr(seen.settings, name) for name in names}
-    for stated in (*((session.rate_table,) if gyro == "rate-table" else ()), session.sensitivity):
-        numbers |= {item.name: getattr(stated, item.name) for item in fields(stated)}
+def _provenance(choices: Mapping[str, object], inputs: tuple[tuple[str, str], ...] = ()) -> Provenance:
     return Provenance(
-        inputs=session.inputs,
-        settings=(
-            *(("accel", accel), ("gyro", gyro), ("mode", mode or "default")),
-            *((name, "none" if value is None else f"{value:g}") for name, value in numbers.items()),
-            ("gravity", session.gravity_source),
-            ("stills", f"{len(seen.stills)} {'found' if seen.found else 'stated'}"),
-            ("faces", ", ".join(face for face in FACES if face in {still.face for still in seen.faced}) or "none"),
-            ("turns", f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none"),
+        inputs=inputs,
+        settings=tuple(
+            (name, "none" if value is None else value if isinstance(value, str) else f"{value:g}")
+            for name, value in choices.items()
         ),
         versions=versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
 
 
-# ---- calibrate from recordings with an orientation reference: no rig, no poses, only motion
+def _choices(seen: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
+    """Return every setting that a fit of a session used, and what it used of the session."""
+    session, settings = seen.session, asdict(seen.settings)
+    turns = session.turns or (seen.full_turns() if gyro == "known-rotation" else ())
+    faces = {still.face for still in seen.faced}
+    return {
+        "accel": accel,
+        "gyro": gyro,
+        "mode": mode or "default",
+        **{name: value for name, value in settings.items() if name != "still"},
+        **(asdict(session.rate_table) if gyro == "rate-table" else {}),
+        **asdict(session.sensitivity),
+        "gravity": session.gravity_source,
+        "stills": f"{len(seen.stills)} {'found' if seen.found else 'stated'}",
+        "faces": ", ".join(face for face in FACES if face in faces) or "none",
+        "turns": f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none",
+    }
+
+
+def _check_raw(records: Sequence[Record]) -> None:
+    if any(r.state == "corrected" for r in records):
+        raise InputError(
+            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
+            "recording"
+        )
+
+
+def _of_recordings(session: Session, choices: Mapping[str, object], **of_calibration: Any) -> Calibration:
+    """Return the calibration of whole recordings, at their mean temperature."""
+    temps = [float(np.nanmean(record.temp_c)) for record in session.records if record.temp_c is not None]
+    recordings = {"gravity": session.gravity_source, "recordings": len(session.records)}
+    return Calibration(
+        device=session.serial,
+        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
+        gravity_m_s2=session.gravity_m_s2,
+        provenance=_provenance({**choices, **recordings}),
+        file_map=session.file_map,
+        **of_calibration,
+    )
+
+
+# ---- recordings with an orientation reference: no rig, no poses, only motion
 
 
 def calibrate_to_references(
@@ -431,49 +438,42 @@ def calibrate_to_references(
     InputError
         All that ``fit_reference`` raises.
     """
-    if gravity_m_s2 is None:
-        gravity_m_s2, gravity_source = STANDARD_GRAVITY, "standard"
+    session = _session_of(records, gravity_m_s2, gravity_source)
     check_choice(adc, Adc, "calibrate", "adc")
-    check_local_gravity(gravity_m_s2, "reference")
+    check_local_gravity(session.gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
     fit = fit_reference(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
-    accel, more = _accel_of(records, references, rounding, fit, gravity_m_s2)
-    if accel is not None and gravity_source == "standard":
-        more += (finding("session.gravity_assumed", "info", gravity_m_s2=gravity_m_s2),)
-    return _calibration(
-        records,
-        gravity_m_s2=gravity_m_s2,
-        gyro=fit.triad.model,
-        accel=None if accel is None else accel.model,
-        adc=rounding,
-        verdict=fit.triad.verdict.also(Verdict.of(*more) if accel is None else Verdict.of(*more).also(accel.verdict)),
-        settings=(
-            ("gyro", "reference"),
-            ("adc", adc),
-            ("mounting", settings.mounting),
-            ("gravity", gravity_source),
-        ),
-    )
+    verdict, accel = fit.triad.verdict, None
+    if all(record.accel is not None for record in records):
+        readings = [restored(record, rounding) for record in records]
+        accel, accel_verdict = _accel_by_reference(readings, references, fit, session.gravity_m_s2)
+        verdict = verdict.also(accel_verdict)
+    if accel is not None and session.gravity_source == "standard":
+        verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
+    choices = {"gyro": "reference", "adc": adc, "mounting": settings.mounting}
+    return _of_recordings(session, choices, gyro=fit.triad.model, accel=accel, adc=rounding, verdict=verdict)
 
 
-def _calibration(
-    records: Sequence[Record], serial: str = "", *, settings: tuple[tuple[str, str], ...], **fields: Any
-) -> Calibration:
-    """Return the calibration of whole recordings: at their mean temperature, with where it came from."""
-    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
-    return Calibration(
-        device=serial or records[0].device,
-        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
-        provenance=Provenance(
-            settings=(*settings, ("recordings", f"{len(records)}")),
-            versions=versions_used(),
-            created=datetime.now(UTC).isoformat(timespec="seconds"),
-        ),
-        **fields,
-    )
+def _accel_by_reference(
+    readings: Sequence[Record], references: Sequence[Reference], fit: ReferenceFit, gravity_m_s2: float
+) -> tuple[TriadModel | None, Verdict]:
+    """Return the accelerometers fitted to the references, or those that turn with the gyroscopes, and why they were not fitted."""
+    try:
+        accel = fit_reference_accel(
+            readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
+        )
+    except (CalibrationError, InputError) as error:
+        failed = finding("session.fit_failed", "info", triad="accelerometer", reason=str(error))
+        return turned_like(fit.triad.model, readings[0].accel_unit), Verdict.of(failed)
+    if (np.diag(accel.model.matrix) < 0.0).all():
+        raise Implausible(
+            "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "
+            "opposite sign; reverse its columns"
+        )
+    return accel.model, accel.verdict
 
 
-# ---- calibrate from recordings in motion: nothing else
+# ---- recordings in motion: nothing else
 
 
 def calibrate_from_motion(
@@ -530,50 +530,38 @@ def calibrate_from_motion(
 def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
     _check_raw(session.records)
-    given = in_one_unit(session).records
-    stretches = [stretch for record in given for stretch in without_gaps(record)]
+    stretches = [stretch for record in in_one_unit(session).records for stretch in without_gaps(record)]
     records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
     findings = [item for pair in zip(stretches, records, strict=True) for item in padding(*pair)]
-    missing = sum(map(len, given)) - sum(map(len, stretches))
-    if missing:
-        findings.append(finding("motion.gaps", "info", missing=missing, stretches=len(stretches)))
     findings += [item for record in records for item in check_triads(record)]
     assumed = session.gravity_source == "standard"
     if assumed:
-        findings.append(finding("session.gravity_assumed", "info", gravity_m_s2=session.gravity_m_s2))
+        findings.append(_gravity_assumed(session.gravity_m_s2, "info"))
     adc = device_adc(records) if identify_adc else None
     readings = [restored(record, adc) for record in records]
-    fit_readings = partial(
-        fit_in_motion,
-        gravity_m_s2=session.gravity_m_s2,
-        gravity_uncertainty=GRAVITY_SPREAD if assumed else 0.0,
-    )
-    fit = fit_readings(readings)
-    field = None
+    gravity = {"gravity_m_s2": session.gravity_m_s2, "gravity_uncertainty": GRAVITY_SPREAD if assumed else 0.0}
+    fit = fit_in_motion(readings, **gravity)
+    verdict = fit.gyro.verdict
     if magnetometer:  # the field is then a second direction beside gravity
         field = _fit_field(readings, fit)
-        for number, record in enumerate(readings):
-            if record.mag_ut is not None:
-                mag_ut = field.magnetometer.corrected(record.mag_ut, _rate_in_motion(record, fit, number))
-                readings[number] = replace(record, mag_ut=mag_ut)
-        fit = replace(fit_readings(readings, field=True), field=field)
-    verdict = fit.gyro.verdict.also(Verdict.of(*each_once(findings)))
-    calibration = _calibration(
-        records,
-        session.serial,
-        gravity_m_s2=session.gravity_m_s2,
+        readings = [
+            record
+            if record.mag_ut is None
+            else replace(
+                record, mag_ut=field.magnetometer.corrected(record.mag_ut, _rate_in_motion(record, fit, number))
+            )
+            for number, record in enumerate(readings)
+        ]
+        fit = replace(fit_in_motion(readings, field=True, **gravity), field=field)
+        verdict = fit.gyro.verdict.also(field.verdict)
+    calibration = _of_recordings(
+        replace(session, serial=session.serial or records[0].device, records=tuple(records)),
+        {"gyro": "motion", "accel": "motion", "adc": "auto" if identify_adc else "none"},
         gyro=fit.gyro.model,
         accel=fit.accel.model,
-        magnetometer=None if field is None else field.magnetometer,
+        magnetometer=None if fit.field is None else fit.field.magnetometer,
         adc=adc,
-        verdict=verdict if field is None else verdict.also(field.verdict),
-        settings=(
-            ("gyro", "motion"),
-            ("accel", "motion"),
-            ("adc", "auto" if identify_adc else "none"),
-            ("gravity", session.gravity_source),
-        ),
-        file_map=session.file_map,
+        verdict=verdict.also(_verdict_of(findings)),
     )
     return calibration, fit
 
@@ -585,54 +573,16 @@ def _rate_in_motion(record: Record, fit: InMotion, number: int) -> FloatArray:
 
 def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
     """Fit the magnetometer to the recordings that have one; the gyroscopes and gravity give the attitude."""
-    readings: list[FieldReadings | None] = []
+    readings: list[FieldReadings | None] = [None] * len(records)
     for number, record in enumerate(records):
-        if record.mag_ut is None:
-            readings.append(None)
-            continue
-        force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
-        offset_sigma = float(fit.offset_uncertainty[number].max()) * fit.units[0]
-        attitude = filtered_attitude(
-            record.time, _rate_in_motion(record, fit, number), force, offset_sigma=offset_sigma
-        )
-        readings.append((record.time, record.mag_ut, attitude))
+        if record.mag_ut is not None:
+            rate = _rate_in_motion(record, fit, number)
+            force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
+            offset_sigma = float(fit.offset_uncertainty[number].max()) * fit.units[0]
+            attitude = filtered_attitude(record.time, rate, force, offset_sigma=offset_sigma)
+            readings[number] = (record.time, record.mag_ut, attitude)
     if not any(readings):
         raise InputError(
             "magnetometer: wanted its readings in a recording, got none; map their columns (mag), or leave the option out"
         )
     return fit_magnetometer(readings)
-
-
-def _check_raw(records: Sequence[Record]) -> None:
-    if any(r.state == "corrected" for r in records):
-        raise InputError(
-            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
-            "recording"
-        )
-
-
-def _accel_of(
-    records: Sequence[Record],
-    references: Sequence[Reference],
-    adc: AdcModel | None,
-    fit: ReferenceFit,
-    gravity_m_s2: float,
-) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    """Return the accelerometers' fit to the references, or why there is none."""
-    if any(record.accel is None for record in records):
-        return None, ()
-    readings = [restored(record, adc) for record in records]
-    try:
-        accel_fit = fit_reference_accel(
-            readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
-        )
-    except (CalibrationError, InputError) as error:
-        nominal, why = turned_like(fit.triad.model, records[0].accel_unit), str(error)
-        failed = (finding("reference.accel_failed", "info", reason=why),)
-        return None if nominal is None else TriadFit(model=nominal, residuals=np.zeros(0), verdict=Verdict()), failed
-    if (np.diag(accel_fit.model.matrix) < 0.0).all():
-        raise Implausible(
-            "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "
-            "opposite sign; reverse its columns"
-        )
-    return accel_fit, ()

@@ -421,7 +421,7 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
         f"the move after still {before + 1} ({moves.time[first]:.1f}-{moves.time[last]:.1f} s)"
         for before, first, last in zip(moves.before[stuck], moves.first[stuck], moves.last[stuck], strict=True)
     )
-    left = finding("gyro.saturated", "warn", what="moves", count=int(stuck.sum()), of=len(stuck), pieces=names)
+    left = finding("session.saturated", "warn", what="moves", count=int(stuck.sum()), of=len(stuck), pieces=names)
     return replace(moves, first=moves.first[~stuck], last=moves.last[~stuck], before=moves.before[~stuck]), (left,)
 
 

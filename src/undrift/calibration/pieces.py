@@ -1,23 +1,22 @@
 """Stills, faces and turns of a session, and why a calibration did not use one."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from undrift.calibration.plausibility import stuck_windows
 from undrift.calibration.quality import saturated_turns
-from undrift.calibration.session import Observed, at_one_temperature, look
+from undrift.calibration.session import FULL_TURN, FULL_TURN_TOLERANCE, Observed, at_one_temperature, look
 from undrift.calibration.settings import CalibrateSettings
 from undrift.model import Calibration, TriadModel
 from undrift.record import Session, Still, Turn
 from undrift.segments import LeftOut, left_out
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-SATURATED = "gyroscope saturated"
+NOT_USED, SATURATED = "not used", "gyroscope saturated"
 MIN_MOVE_DEG, MIN_MOVE_SHARE = 5.0, 0.02  # a smaller move is not drawn; in counts: this share of the largest
-WHOLE_TURN_SHARE = 0.1  # a move this near to a full turn is one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,9 +43,12 @@ def pieces_of(
     """
     seen = look(session, settings) if seen is None else seen
     stills = session.stills or seen.stills
-    pieces = [*_stated(seen, session, calibration)]
-    if not session.turns:
-        pieces += _found_turns(seen, calibration)
+    kept = session if calibration is None else at_one_temperature(session)[0]
+    accel, gyro = ("", "") if calibration is None else (_method(calibration.accel), _method(calibration.gyro))
+    pieces = [*(_stated_turns(session, kept, gyro, seen.settings) if session.turns else _found_turns(seen, gyro))]
+    for still in stills:
+        unused = (session.stills and still not in kept.stills) or (accel == "six-face" and still.face is None)
+        pieces.append(_piece(still, still.recording, str(still.face or ""), NOT_USED if unused else ""))
     for number, (record, search) in enumerate(zip(seen.session.records, seen.searches, strict=False)):
         pieces += [_piece(pause, number, why=pause.why) for pause in left_out(record, search)]
     reason = "" if stills else next((search.reason for search in seen.searches if search.reason), "")
@@ -62,58 +64,42 @@ def _method(model: TriadModel | None) -> str:
     return "none" if model is None else model.method.partition("/")[0]
 
 
-def _stated(seen: Observed, session: Session, calibration: Calibration | None) -> Iterator[Piece]:
-    """Yield the stills, stated or found, and the stated turns."""
-    kept = at_one_temperature(session)[0]
-    saturated = () if calibration is None else saturated_turns(session, seen.settings.settle_s)
-    for still in session.stills or seen.stills:
-        why = ""
-        if calibration is not None and session.stills and still not in kept.stills:
-            why = "another temperature"
-        elif calibration is not None and _method(calibration.accel) == "six-face" and still.face is None:
-            why = "no face up"
-        yield _piece(still, still.recording, str(still.face or ""), why)
+def _is_used(turn: Turn, method: str) -> bool:
+    """Return True if a method uses a turn with what is known of it; true without a method."""
+    return method == "" or {"rate-table": turn.turn_rate, "known-rotation": turn.angle}.get(method) is not None
+
+
+def _stated_turns(session: Session, kept: Session, method: str, settings: CalibrateSettings) -> Iterator[Piece]:
+    saturated = saturated_turns(session, settings.settle_s) if method else ()
     for number, turn in enumerate(session.turns):
-        method = "" if calibration is None else _method(calibration.gyro)
-        label, why = str(turn.axis or ""), ""
+        label = turn.axis or ""
         if turn.turn_rate is not None:
             label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
         elif turn.angle is not None:
             label = f"{label} {turn.angle / RADIAN_PER_DEGREE:.0f} deg"
-        if calibration is not None and turn not in kept.turns:
-            why = "another temperature"
-        elif number in saturated:
-            why = SATURATED
-        elif method == "rate-table":
-            why = "no stated rate" if turn.turn_rate is None else ""
-        elif method == "known-rotation":
-            why = "no stated angle" if turn.angle is None else ""
-        elif method:
-            why = "not needed"
-        yield _piece(turn, turn.recording, label, why)
+        why = "" if turn in kept.turns and _is_used(turn, method) else NOT_USED
+        yield _piece(turn, turn.recording, label, SATURATED if number in saturated else why)
 
 
-def _found_turns(seen: Observed, calibration: Calibration | None) -> Iterator[Piece]:
+def _found_turns(seen: Observed, method: str) -> Iterator[Piece]:
     """Yield the steady turns and the moves between stills that the gyroscopes show."""
-    method = "" if calibration is None else _method(calibration.gyro)
-    for number, record, search in seen.turn_searches():
+    for number, record, search in seen.turn_searches:
         physical = is_physical(record.gyro_unit)
         factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if physical else 1.0
         for turn, rate in zip(search.plateaus, search.plateau_rate * factor, strict=True):
             in_move = any(turn.start < move.stop and move.start < turn.stop for move in search.rotations)
             if not in_move or method not in ("", "multi-position", "known-rotation"):  # a move is drawn as a whole
-                size = rate["xyz".index(turn.axis or "x")]
-                label = f"{turn.axis} {size:.0f} {'deg/s' if physical else record.gyro_unit}"
-                yield _piece(turn, number, label, "no stated rate" if method else "")
-        sizes = np.linalg.norm(search.rotation_angle, axis=1) * factor
+                label = (
+                    f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {'deg/s' if physical else record.gyro_unit}"
+                )
+                yield _piece(turn, number, label, NOT_USED if method else "")
         stuck = stuck_windows([np.asarray(record.gyro)[turn.start : turn.stop] for turn in search.rotations])
-        least = MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0)
-        for turn, angle, size, saturated in zip(search.rotations, search.rotation_angle, sizes, stuck, strict=True):
-            if size < least:
-                continue
-            along = angle[np.argmax(np.abs(angle))] * factor
-            whole = turn.axis is not None and abs(abs(along) / 360.0 - 1.0) < WHOLE_TURN_SHARE
-            used = method in ("", "multi-position") or (method == "known-rotation" and whole)
+        sizes = np.linalg.norm(search.rotation_angle, axis=1) * factor
+        drawn = sizes >= (MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0))
+        for k in np.flatnonzero(drawn):
+            turn, angle = search.rotations[k], search.rotation_angle[k] * factor
+            along = angle[np.argmax(np.abs(angle))]
+            whole = turn.axis is not None and abs(abs(along) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
+            used = method == "multi-position" or _is_used(replace(turn, angle=FULL_TURN if whole else None), method)
             label = f"{turn.axis} {along:.0f} deg" if turn.axis and physical else turn.axis or ""
-            why = SATURATED if saturated and method else "" if used else "not a full turn"
-            yield _piece(turn, number, label, why)
+            yield _piece(turn, number, label, SATURATED if stuck[k] and method else "" if used else NOT_USED)

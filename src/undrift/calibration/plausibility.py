@@ -12,7 +12,8 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, above, finding
+from undrift.fit.priors import SCALE_LIMIT
 from undrift.io.inspect import saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
@@ -126,13 +127,9 @@ def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
     for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
         limits = [limit for limit, _ in saturated_runs(column)]
         values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
-        if (
-            len(values) > MANY_VALUES
-        ):  # most readings at one end of many: ``saturated_runs`` takes that for the usual level
-            ends = (
-                (values[k], counts[k]) for k in (0, -1) if abs(values[k]) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
-            )
-            limits += [float(value) for value, count in ends if 2 * count > len(column)]
+        if len(values) > MANY_VALUES:  # most readings at one end: ``saturated_runs`` takes that for the usual level
+            far = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
+            limits += [float(values[k]) for k in (0, -1) if far[k] and 2 * counts[k] > len(column)]
         if limits:
             return Stuck(axis, limits[0], int((column == limits[0]).sum()))
     return None
@@ -162,21 +159,24 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
     findings, changed = list[Finding](), dict[str, Any]()
     for channel in ("gyro", "accel"):
         readings = getattr(record, channel)
-        limits = [] if readings is None else [[limit for limit, _ in saturated_runs(column)] for column in readings.T]
-        if not any(limits):
+        if readings is None:
             continue
-        saturated = np.column_stack([np.isin(column, ends) for column, ends in zip(readings.T, limits, strict=True)])
-        axes = ", ".join(axis for axis, ends in zip(AXES, limits, strict=True) if ends)
-        item = {"channel": channel, "axes": axes, "count": int(saturated.any(axis=1).sum()), "of": len(record)}
-        findings.append(finding("reference.saturated", "warn", **item))
-        changed[channel] = np.where(saturated, np.nan, readings)
+        ends = [np.isin(column, [limit for limit, _ in saturated_runs(column)]) for column in readings.T]
+        saturated = np.column_stack(ends)
+        if saturated.any():
+            axes = tuple(f"{channel} {axis}" for axis, rows in zip(AXES, ends, strict=True) if rows.any())
+            count = int(saturated.any(axis=1).sum())
+            findings.append(
+                finding("session.saturated", "warn", what="samples", count=count, of=len(record), pieces=axes)
+            )
+            changed[channel] = np.where(saturated, np.nan, readings)
     return replace(record, **changed), tuple(findings)
 
 
 # ---- labels, gravity, scale
 
 SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from the stated unit
-MIN_RANGE = 100.0 * RADIAN_PER_DEGREE  # rad/s; gyroscopes of 16 bit end at 125 deg/s or beyond
+MIN_RANGE_DPS = 100.0  # gyroscopes of 16 bit end at 125 deg/s or beyond
 FORCE_UNITS = {  # length of the specific force in g -> what is wrong
     STANDARD_GRAVITY: "acceleration is in m/s2, not g",
     1.0 / STANDARD_GRAVITY: "acceleration is in g, not m/s2",
@@ -218,22 +218,18 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     read = [FACES[2 * axis + int(row[axis] < 0.0)] for axis, row in zip(axes, away, strict=True)]
     if read == list(faces):
         return
-    shown: dict[Face, set[Face]] = {}
-    order = np.zeros((3, 3))  # columns that would give these readings, if all labels are right
-    for label, face in zip(faces, read, strict=True):
-        shown.setdefault(label, set()).add(face)
-        order[AXES.index(face[1]), AXES.index(label[1])] += 1.0 if face[0] == label[0] else -1.0
-    labels = [face for face in FACES if face in shown]
-    wrong = [label for label in labels if shown[label] != {label}]
-    alike = next((pair for pair in itertools.combinations(labels, 2) if shown[pair[0]] & shown[pair[1]]), None)
+    pairs = dict.fromkeys(zip(faces, read, strict=True))  # label and face, each combination once
+    labels, shown = [label for label, _ in pairs], [face for _, face in pairs]
+    wrong = [label for label in FACES if any(label == one and one != face for one, face in pairs)]
+    # columns that would give these readings, if all labels are right
+    order = face_vectors(shown).T @ face_vectors(labels)
     nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
-    if any(len(faces_read) > 1 for faces_read in shown.values()):
-        label = next(label for label in labels if len(shown[label]) > 1)
+    if twice := [label for label in FACES if labels.count(label) > 1]:
         missing = missing_faces(faces)
-        cause = f"face {label} is stated twice{f', and {_listed(missing)} is missing' if missing else ''}"
-    elif alike:
-        cause = f"faces {_listed(alike)} read alike, so that one face was recorded twice"
-    elif np.array_equal(order != 0.0, nearest != 0.0) and np.abs(order).sum() == len(faces):
+        cause = f"face {twice[0]} is stated twice{f', and {_listed(missing)} is missing' if missing else ''}"
+    elif alike := [label for label, face in pairs if shown.count(face) > 1]:
+        cause = f"faces {_listed(alike[:2])} read alike, so that one face was recorded twice"
+    elif np.array_equal(order != 0.0, nearest != 0.0) and np.abs(order).sum() == len(pairs):
         reversed_ = [f"+{AXES[j]} and -{AXES[j]}" for j in range(3) if nearest[j, j] < 0.0]
         cause = (
             "acceleration has the opposite sign" if len(reversed_) == 3 else f"accelerometer {columns_text(nearest)}"
@@ -290,16 +286,29 @@ def check_own_scale(
         )
 
 
-def range_in_doubt(scale_factor: float, largest: float, *, stated: bool) -> Iterator[Finding]:
-    """Yield the range that a scale factor, counts per rad/s, means for readings of 16 bit.
+def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, stated: bool) -> Iterator[Finding]:
+    """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit, or counts with the ranges of devices.
 
-    It is a warning if no gyroscope has a range as small; otherwise a note if only stated turns determine the scale.
+    In counts it is a warning if no gyroscope has a range as small as 16 bit mean; otherwise a note if only stated turns determine
+    the scale.
     """
-    range_ = 2.0**15 / scale_factor
-    small = range_ < MIN_RANGE and largest < 2.0**15
+    if is_physical(unit):
+        ratio = scale_factor * si_factor(unit, "rate") - 1.0
+        axis = int(np.abs(ratio).argmax())
+        percent = 100.0 * float(ratio[axis])
+        what = f"that of gyroscope {AXES[axis]} is {percent:+.1f} % off the unit's own"
+        yield from above(
+            "gyro.scale_factor", abs(ratio[axis]), (SCALE_LIMIT, 2.0 * SCALE_LIMIT), what=what, off_percent=percent
+        )
+        return
+    per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
+    small = 2.0**15 / per_dps < MIN_RANGE_DPS and largest < 2.0**15
     if small or stated:
-        per_dps, range_dps = scale_factor * RADIAN_PER_DEGREE, range_ / RADIAN_PER_DEGREE
-        yield finding("gyro.range", "warn" if small else "info", per_dps=per_dps, range_dps=range_dps)
+        what = (
+            "it comes from the stated turns only, and a wrong angle, rate or sample rate changes it: with "
+            f"{per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
+        )
+        yield finding("gyro.scale_factor", "warn" if small else "info", what=what)
 
 
 def force_words(median_g: float, spread_g: float) -> str:

@@ -10,8 +10,7 @@ Above the limit of a bench the worst still is a finding; above three times the l
 have no such limit, and a still is then compared with the other stills. A turn is judged by r, the reading of the turned axis minus
 its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 
-    stop     share of a settled dwell in stretches of 0.2 s or more with abs(r) below a fifth
-    spread   standard deviation of the rest of r, relative to its mean
+    spread   standard deviation of abs(r) over a settled dwell, relative to its mean: a stop in 5 % of it makes 0.23
     edge     abs(r) at the start or end of a turn by an angle: part of the angle is missing
 """
 
@@ -23,11 +22,11 @@ from typing import Literal
 import numpy as np
 
 from undrift import segments
-from undrift.arrays import FloatArray, runs
+from undrift.arrays import FloatArray
 from undrift.calibration.codes import code_steps, mean_rounding
 from undrift.calibration.plausibility import stuck_axis
 from undrift.errors import Implausible, InputError
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, Level, finding, told_apart
 from undrift.fit.gls import block_size, noise_of_means
 from undrift.model import AXES, TriadModel
 from undrift.record import Session, Still, Turn
@@ -85,7 +84,6 @@ class _Figure:
     text: str
     values: FloatArray
     limit: float
-    unit: str
 
 
 def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
@@ -96,13 +94,10 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
     ratios = np.nan_to_num([figure.values / figure.limit for figure in figures])
     if not (ratios > 1.0).any():
         return ()
-    which, number = (int(k) for k in np.unravel_index(ratios.argmax(), ratios.shape))
-    unit, value = figures[which].unit.replace("dps", "deg/s"), figures[which].values[number]
-    if unit == "rad/s":
-        unit, value = "deg/s", value / RADIAN_PER_DEGREE
+    worst, number = (int(k) for k in np.unravel_index(ratios.argmax(), ratios.shape))
     name = piece_name(session, stills[number], number, stated=stated)
-    what = figures[which].text.format(value=f"{value:.3g} {unit}")
-    moving = finding("still.moving", "warn", still=name, stills=int((ratios > 1.0).any(axis=0).sum()), what=what)
+    what = figures[worst].text.format(figures[worst].values[number])
+    moving = finding("session.piece", "warn", piece=name, pieces=int((ratios > 1.0).any(axis=0).sum()), what=what)
     # Stills found in one recording may drift while it warms up; separate recordings may be in different units.
     if ratios.max() > REFUSED_RATIO and (stated or len(session.records) > 1):
         raise Implausible(f"{name}: expected a device at rest, got {what}; {moving.action}", still=number)
@@ -110,71 +105,77 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
 
 
 def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "accel"]) -> _Figure:
-    gyro, unit, values = triad == "gyro", getattr(session.records[0], f"{triad}_unit"), np.full(len(stills), np.nan)
-    for number, still in enumerate(stills):
+    rate, unit = triad == "gyro", getattr(session.records[0], f"{triad}_unit")
+    spreads = []
+    for still in stills:
         record = session.records[still.recording]
         readings, smooth = getattr(record, triad), max(1, round(SMOOTH_S * record.sample_rate_hz))
         window = min(segments.sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
+        spread = np.zeros(0)
         if readings is not None and window > 1:
             spread = segments.sliding_moments(readings[still.start : still.stop], window, smooth)[1]
-            values[number] = np.max(spread[np.isfinite(spread)], initial=0.0)
-    known, limit = values[np.isfinite(values)], np.inf
-    if is_physical(unit):
-        bench_limit = segments.BENCH_RATE_LIMIT if gyro else segments.BENCH_ACCEL_LIMIT
-        limit = bench_limit / si_factor(unit, "rate" if gyro else "accel")
-    elif len(known) > 2:  # a reading at rest may toggle between two codes
-        step = float(np.nan_to_num(code_steps(session.records, rate=gyro)).max())
-        limit = max(COUNTS_RATIO * float(np.median(known)), step, 1e-300)
-    return _Figure(text="readings that sway by up to {value} rms", values=values, limit=limit, unit=unit)
+        spreads.append(float(np.max(spread[np.isfinite(spread)], initial=0.0)))
+    values = np.array(spreads)
+    if not is_physical(unit):  # a reading at rest may toggle between two codes
+        step = float(np.nan_to_num(code_steps(session.records, rate=rate)).max())
+        limit = max(COUNTS_RATIO * float(np.median(values)), step, 1e-300) if len(stills) > 2 else np.inf
+    elif rate:
+        values, unit = values * si_factor(unit, "rate") / RADIAN_PER_DEGREE, "deg/s"
+        limit = segments.BENCH_RATE_LIMIT / RADIAN_PER_DEGREE
+    else:
+        limit = segments.BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
+    return _Figure(text=f"readings that sway by up to {{:.3g}} {unit} rms", values=values, limit=limit)
 
 
 def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
-    text = "a tilt of {value} from its first to its last third"
-    tilts: FloatArray = np.full(len(stills), np.nan)
+    def force(still: Still, start: int, stop: int) -> FloatArray:
+        return mean_reading(session.records[still.recording].accel, start, stop) - centre
+
     centre: FloatArray = np.zeros(3)
     limit = TILT_LIMIT_DEG
     if not is_physical(session.records[0].accel_unit):  # counts: about the centre of a sphere through enough rests
-        means = np.array([mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in stills])
-        if len(means) < 6 or not np.isfinite(means).all():
-            return _Figure(text=text, values=tilts, limit=limit, unit="deg")
-        centre, radius = segments.sphere_of(means)
-        step = float(np.nan_to_num(code_steps(session.records, rate=False)).max())
-        limit += 2.0 * step / radius / RADIAN_PER_DEGREE
-    for number, still in enumerate(stills):
-        accel, third = session.records[still.recording].accel, (still.stop - still.start) // 3
-        first = mean_reading(accel, still.start, still.start + third) - centre
-        last = mean_reading(accel, still.stop - third, still.stop) - centre
-        tilts[number] = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE
-    return _Figure(text=text, values=tilts, limit=limit, unit="deg")
+        means = np.array([force(still, still.start, still.stop) for still in stills]).reshape(-1, 3)
+        enough = len(means) >= 6 and np.isfinite(means).all()
+        centre, radius = segments.sphere_of(means) if enough else (np.full(3, np.nan), 1.0)
+        limit += 2.0 * float(np.nan_to_num(code_steps(session.records, rate=False)).max()) / radius / RADIAN_PER_DEGREE
+    tilts = []
+    for still in stills:
+        third = (still.stop - still.start) // 3
+        first, last = force(still, still.start, still.start + third), force(still, still.stop - third, still.stop)
+        tilts.append(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE)
+    return _Figure(text="a tilt of {:.3g} deg from its first to its last third", values=np.array(tilts), limit=limit)
 
 
 def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
     unit, temps = session.records[0].gyro_unit, piece_temperatures(session, stills)
-    means = np.array([mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills]).reshape(-1, 3)
-    away, limit = np.full(len(stills), np.nan), np.inf
     warmed = np.isfinite(temps).any() and float(np.nanmax(temps) - np.nanmin(temps)) > WARMED_K
-    comparable = len(stills) > 2 and is_physical(unit) and session.kind != "thermal" and not warmed
-    if comparable and np.isfinite(means).any():
-        away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
-        limit = segments.BENCH_RATE_LIMIT / si_factor(unit, "rate")
-    return _Figure(text="a mean rate {value} off that of the other stills", values=away, limit=limit, unit=unit)
+    away: FloatArray = np.full(len(stills), np.nan)
+    if len(stills) > 2 and is_physical(unit) and session.kind != "thermal" and not warmed:
+        rates = [mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills]
+        means = np.array(rates) * si_factor(unit, "rate") / RADIAN_PER_DEGREE
+        if np.isfinite(means).any():
+            away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
+    limit = segments.BENCH_RATE_LIMIT / RADIAN_PER_DEGREE
+    return _Figure(text="a mean rate {:.3g} deg/s off that of the other stills", values=away, limit=limit)
 
 
 def check_counted_once(session: Session) -> None:
     """Raise if readings would count twice: the same recording, still or turn is stated again."""
-    for (one, first), (two, second) in combinations(enumerate(session.records), 2):
-        if _same(first.gyro, second.gyro) and _same(first.accel, second.accel):
+    triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
+    for first, second in combinations(range(len(triads)), 2):
+        pairs = list(zip(triads[first], triads[second], strict=False))
+        if len(triads[first]) == len(triads[second]) and all(np.array_equal(*pair, equal_nan=True) for pair in pairs):
             raise InputError(
-                f"recording {two}: it contains the readings of recording {one} again. Remove one of the two."
+                f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )
     pieces: tuple[tuple[str, tuple[Still | Turn, ...]], ...] = (("still", session.stills), ("turn", session.turns))
     for what, stated in pieces:
         order = sorted(range(len(stated)), key=lambda k: (stated[k].recording, stated[k].start))
-        for one, two in pairwise(order):
-            a, b = stated[one], stated[two]
+        for pair in pairwise(order):
+            a, b = (stated[k] for k in pair)
             shared = min(a.stop, b.stop) - b.start if a.recording == b.recording else 0
             if shared > SHARED_LIMIT * min(a.stop - a.start, b.stop - b.start):
-                early, late = min(one, two), max(one, two)
+                early, late = sorted(pair)
                 share = 100.0 * shared / (stated[late].stop - stated[late].start)
                 raise InputError(
                     f"{piece_name(session, stated[late], late, what=what)}: it shares {share:.0f} % of its samples with "
@@ -182,16 +183,11 @@ def check_counted_once(session: Session) -> None:
                 )
 
 
-def _same(one: FloatArray | None, two: FloatArray | None) -> bool:
-    return one is two or (one is not None and two is not None and np.array_equal(one, two, equal_nan=True))
-
-
 # ---- turns
 
-STOPPED_SHARE, STOP_S = 0.2, 0.2  # of the level, and s
-MIN_NOISES = 8.0  # the level in white noises of r, below which a turn is not judged
-CUT_OFF_SHARE = 0.5  # of the level: a turn that starts or ends so fast is cut off
-STOP_LIMITS, SPREAD_LIMITS, EDGE_LIMITS = (0.0, 0.05), (0.05, np.inf), (0.2, CUT_OFF_SHARE)  # warn and fail above them
+MIN_NOISES = 8.0  # the 90 % quantile in white noises of r, below which a turn is not judged
+CUT_OFF_SHARE = 0.5  # of that quantile: a turn that starts or ends so fast is cut off
+SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail above them
 
 
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
@@ -202,31 +198,19 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
         rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
         if not len(rate) or number in saturated:
             continue
-        rate /= np.quantile(rate, 0.9)
         if turn.angle is not None:
-            edge = float(rate[[0, -1]].max())
-            what = f"it is cut off: at its start or end it still turns at {100.0 * edge:.3g} % of its largest rate"
-            shares = [(edge, EDGE_LIMITS, what)]
+            share, (warn, fail) = float(rate[[0, -1]].max() / np.quantile(rate, 0.9)), EDGE_LIMITS
+            what = f"it is cut off: at its start or end it still turns at {100.0 * share:.3g} % of its largest rate"
         else:
-            least = STOP_S * session.records[turn.recording].sample_rate_hz
-            lengths = np.diff(runs(rate < STOPPED_SHARE))
-            stop, steady = float(lengths[lengths >= least].sum()) / len(rate), rate[rate >= STOPPED_SHARE]
-            spread = float(steady.std() / steady.mean())
-            what = (
-                f"it overlaps a stop: in {100.0 * stop:.3g} % of it the device turned at less than a fifth of its rate"
-            )
-            shares = [
-                (stop, STOP_LIMITS, what),
-                (spread, SPREAD_LIMITS, f"its rate varies by {100.0 * spread:.3g} % rms"),
-            ]
-        faults += [(share > fail, share, number, what) for share, (warn, fail), what in shares if share > warn]
+            share, (warn, fail) = float(rate.std() / rate.mean()), SPREAD_LIMITS
+            what = f"its rate varies by {100.0 * share:.3g} % rms{', it overlaps a stop' if share > fail else ''}"
+        if share > warn:
+            faults.append((share > fail, share, number, what))
     if faults:
-        fail, share, number, what = max(faults)
+        fails, share, number, what = max(faults)
         name = piece_name(session, session.turns[number], number, what="turn")
-        count = len({turn for _, _, turn, _ in faults})
-        yield finding(
-            "turn.unsteady", "fail" if fail else "warn", turn=name, turns=count, percent=100.0 * share, what=what
-        )
+        level: Level = "fail" if fails else "warn"
+        yield finding("session.piece", level, piece=name, pieces=len(faults), percent=100.0 * share, what=what)
 
 
 def settling(length: int, settle_s: float, rate_hz: float) -> int:
@@ -234,39 +218,38 @@ def settling(length: int, settle_s: float, rate_hz: float) -> int:
     return min(round(settle_s * rate_hz), length // 2)
 
 
+def _settled(session: Session, turn: Turn, settle_s: float) -> FloatArray:
+    """Return the gyroscope readings (n, 3) of a turn, without the settling of a dwell at a rate; empty without gyroscopes."""
+    record = session.records[turn.recording]
+    skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
+    return np.zeros((0, 3)) if record.gyro is None else record.gyro[turn.start + skip : turn.stop]
+
+
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
-    numbers = []
-    for number, turn in enumerate(session.turns):
-        record, start = session.records[turn.recording], turn.start
-        if turn.turn_rate is not None:
-            start += settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
-        if record.gyro is not None and stuck_axis([record.gyro[start : turn.stop]]):
-            numbers.append(number)
-    return tuple(numbers)
+    windows = [_settled(session, turn, settle_s) for turn in session.turns]
+    return tuple(number for number, window in enumerate(windows) if len(window) and stuck_axis([window]))
 
 
 def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
-    """Return r (N,) of a turn, raw unit; empty if it has no axis, rate or reading, or is near the noise."""
+    """Return r (N,) of a turn, raw unit; empty if it has no axis, rate, reading or rest for its offset, or is near the noise."""
     record = session.records[turn.recording]
+    rests = [record.gyro[s.start : s.stop] for s in stills if s.recording == turn.recording and record.gyro is not None]
     if record.gyro is None or turn.axis is None or not (turn.turn_rate or turn.angle):
         return np.empty(0)
-    column = record.gyro[:, AXES.index(turn.axis)]
+    axis = AXES.index(turn.axis)
+    column = record.gyro[:, axis]
     if len(column) > 1 and np.isfinite(column).all() and not np.ptp(column):
         raise Implausible(
             f"gyroscope {turn.axis}: it reads {column[0]:g} throughout, also while the device turns about {turn.axis}: the sensor "
             "is dead, or another column is mapped. Check the map and the device."
         )
-    rests = [column[still.start : still.stop] for still in stills if still.recording == turn.recording]
-    if not rests:
-        return np.empty(0)  # nothing shows the offset
-    offset = float(np.mean([np.nanmean(readings) for readings in rests]))
-    skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
-    width, values = max(1, round(SMOOTH_S * record.sample_rate_hz)), column[turn.start + skip : turn.stop] - offset
-    if len(values) < 2 * width or np.isnan(values).any():
+    width, readings = max(1, round(SMOOTH_S * record.sample_rate_hz)), _settled(session, turn, settle_s)[:, axis]
+    if not rests or len(readings) < 2 * width or np.isnan(readings).any():
         return np.empty(0)
-    rate = np.convolve(values, np.full(width, 1.0 / width), mode="valid")
-    noise = float(np.diff(values).std()) / np.sqrt(2.0 * width)
+    rate = np.convolve(readings, np.full(width, 1.0 / width), mode="valid")
+    rate -= np.mean([np.nanmean(rest[:, axis]) for rest in rests])
+    noise = float(np.diff(readings).std()) / np.sqrt(2.0 * width)
     return rate if np.quantile(np.abs(rate), 0.9) > MIN_NOISES * noise else np.empty(0)
 
 
@@ -287,38 +270,20 @@ MIN_MISSES = 2  # stills that fail: one may be no rest
 def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) -> Iterator[Finding]:
     """Compare a fitted accelerometer with the axes of a case, and with gravity in the stills that it did not use."""
     angles = np.arccos(np.clip(np.diag(model.sensor_axes), -1.0, 1.0)) / RADIAN_PER_DEGREE
-    worst = int(np.argmax(angles))
-    if angles[worst] > LARGEST_ANGLE_DEG:
-        angle_deg = angles[worst]
-        yield finding("accel.cross_axis", "fail", axis=AXES[worst], angle_deg=angle_deg, limit_deg=LARGEST_ANGLE_DEG)
-    yield from check_gravity_length(session, unused, model)
-
-
-def unused_stills(session: Session, candidates: Sequence[Still], used: Sequence[Still | Turn]) -> tuple[Still, ...]:
-    """Return the stills that share nothing with what a fit used or with a turn, at the temperature of the fit."""
-    taken: list[Still | Turn] = [*used, *session.turns]
-    unused: list[Still] = []
-    for still in candidates:
-        if not any(p.recording == still.recording and p.start < still.stop and still.start < p.stop for p in taken):
-            unused.append(still)
-            taken.append(still)
-    temps, fit_temps = piece_temperatures(session, unused), piece_temperatures(session, used)
-    if session.kind == "thermal" and not np.isfinite(temps).all():
-        return ()
-    middle = float(np.mean(fit_temps[np.isfinite(fit_temps)])) if np.isfinite(fit_temps).any() else np.nan
-    return tuple(s for s, temp_c in zip(unused, temps, strict=True) if not abs(temp_c - middle) > SAME_TEMPERATURE_K)
-
-
-def check_gravity_length(session: Session, stills: Sequence[Still], model: TriadModel) -> Iterator[Finding]:
-    """Compare the length of the corrected specific force in stills that a fit did not use with gravity."""
-    records = session.records
-    readings = [whole_readings(records[still.recording].accel, still.start, still.stop) for still in stills]
-    stills = [still for still, window in zip(stills, readings, strict=True) if len(window) > 1]
+    axis = int(np.argmax(angles))
+    if angles[axis] > LARGEST_ANGLE_DEG:
+        angle = told_apart(angles[axis], ".2g", LARGEST_ANGLE_DEG)
+        what = (
+            f"sensor {AXES[axis]} is {angle} deg off its axis of the case, {LARGEST_ANGLE_DEG:g} deg or less is usual"
+        )
+        yield finding("accel.implausible", "fail", what=what, angle_deg=angles[axis])
+    readings = [whole_readings(session.records[still.recording].accel, still.start, still.stop) for still in unused]
+    stills = [still for still, window in zip(unused, readings, strict=True) if len(window) > 1]
     windows = [window for window in readings if len(window) > 1]
     if not stills:
         return
     white = np.array([window.std(axis=0) / np.sqrt(len(window)) for window in windows])
-    blocks = noise_of_means(windows, [block_size(records[still.recording].sample_rate_hz) for still in stills])
+    blocks = noise_of_means(windows, [block_size(session.records[still.recording].sample_rate_hz) for still in stills])
     noise = np.hypot(white if blocks is None else np.maximum(white, blocks), mean_rounding(windows, windows))
     away = np.array([window.mean(axis=0) for window in windows]) - model.offset
     force = away @ model.matrix.T
@@ -331,13 +296,9 @@ def check_gravity_length(session: Session, stills: Sequence[Still], model: Triad
     beyond = int((np.abs(miss) > BEYOND_SIGMAS * np.sqrt(variance)).sum())
     rms, worst = float(np.sqrt(np.mean(miss**2))), int(np.argmax(np.abs(miss)))
     if rms > WARN_MISS and beyond:
-        yield finding(
-            "accel.unused_stills",
-            "fail" if rms > FAIL_MISS and beyond >= MIN_MISSES else "warn",
-            stills=len(stills),
-            beyond=beyond,
-            rms_m_s2=rms,
-            worst_m_s2=miss[worst],
-            still=piece_name(session, stills[worst], worst, stated=False),
-            tilt_deg=np.arctan2(rms, session.gravity_m_s2) / RADIAN_PER_DEGREE,
+        what = (
+            f"{len(stills)} other rests miss gravity by {rms:.2g} m/s2 rms, {beyond} of them by more than the "
+            f"uncertainty, the worst by {miss[worst]:+.2g} m/s2: {piece_name(session, stills[worst], worst, stated=False)}"
         )
+        level: Level = "fail" if rms > FAIL_MISS and beyond >= MIN_MISSES else "warn"
+        yield finding("accel.implausible", level, what=what, stills=len(stills), beyond=beyond, rms_m_s2=rms)

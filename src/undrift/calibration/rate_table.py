@@ -42,11 +42,10 @@ from undrift.fit.priors import (
     GYRO_FLICKER,
     SCALE_FACTOR,
     SCALE_FACTOR_IN_COUNTS,
-    SCALE_LIMIT,
     UNCERTAIN_PERCENT,
 )
 from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of, scaled_condition
-from undrift.model import AXES, TriadModel, Verdict, level_of
+from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -272,19 +271,6 @@ def axes_missing(turned: Sequence[str], unit: str, cross_axis_prior: float) -> F
         scale_percent=100.0 * (SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS),
         cross_percent=100.0 * cross_axis_prior,
     )
-
-
-def scale_verdict(scale_factor: FloatArray, unit: str, axes: str = "xyz") -> Verdict:
-    """Return marginal if a scale factor (K,) differs from the stated unit by more than data sheets allow, bad at twice that."""
-    if not is_physical(unit):
-        return Verdict()
-    ratio = np.asarray(scale_factor) * si_factor(unit, "rate")
-    worst = int(np.abs(ratio - 1.0).argmax())
-    off = float(ratio[worst] - 1.0)
-    if abs(off) <= SCALE_LIMIT:
-        return Verdict()
-    level = level_of(abs(off), (SCALE_LIMIT, 2.0 * SCALE_LIMIT))
-    return Verdict.of(finding("gyro.scale_factor", level, axis=axes[worst], off_percent=100.0 * off))
 
 
 # ---- false dwells: a rate stated with a wrong sign, value or axis

@@ -309,7 +309,7 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
         if 3 * count <= unknown and solution is not None:
             break  # the recordings are too short for longer windows
         if 3 * count <= unknown:
-            saturated = [item.text for r in recordings for item in r.findings if item.code == "reference.saturated"]
+            saturated = [item.text for r in recordings for item in r.findings if item.code == "session.saturated"]
             raise NotObservable(
                 f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
                 f"got {count}. {' '.join((*saturated, 'Record longer motion.'))}",

@@ -5,9 +5,10 @@ keeps the pieces of one set-point: a constant matrix holds at one temperature. `
 ``calibrate``.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -22,18 +23,17 @@ from undrift.calibration.quality import (
     check_counted_once,
     check_stills,
     check_turns,
+    mean_reading,
     piece_name,
     piece_temperatures,
     saturated_turns,
-    unused_stills,
     whole_readings,
 )
 from undrift.calibration.settings import CalibrateSettings
-from undrift.errors import Implausible, InputError
+from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve
 from undrift.fit.triad import TriadFit
-from undrift.model import Verdict
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -86,39 +86,36 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     """Return a session with the stated pieces of one temperature.
 
     If stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those with at least half as
-    many pieces as the largest. Faces that it lacks come from the group with most faces; sources.py states what their temperature
-    adds.
+    many pieces as the largest. If it lacks faces, the stills on faces of the nearest group with most faces are used as well;
+    sources.py states what their temperature adds.
     """
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
     temps = piece_temperatures(session, pieces)
-    if len(temps) < 2 or np.isnan(temps).any() or not (np.diff(np.sort(temps)) > SAME_TEMPERATURE_K).any():
+    order = np.argsort(temps)
+    apart = np.diff(temps[order]) > SAME_TEMPERATURE_K
+    if np.isnan(temps).any() or not apart.any():
         return session, ()
-    group, order = np.empty(len(temps), dtype=np.int64), np.argsort(temps)
-    group[order] = np.concatenate(([0], np.cumsum(np.diff(temps[order]) > SAME_TEMPERATURE_K)))
+    group = np.empty(len(temps), dtype=np.int64)
+    group[order] = np.concatenate(([0], np.cumsum(apart)))
     counts = np.bincount(group)
     means = np.bincount(group, temps) / counts
     chosen = min(np.flatnonzero(2 * counts >= counts.max()), key=lambda k: abs(means[k] - ROOM_C))
     face = [piece.face if isinstance(piece, Still) else None for piece in pieces]
-    faces = [
-        len({f for f, k in zip(face, group, strict=True) if k == number} - {None}) for number in range(len(counts))
-    ]
+    faces = [len({face[n] for n in np.flatnonzero(group == k)} - {None}) for k in range(len(counts))]
+    most = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen])))
     used = group == chosen
-    if faces[chosen] < max(faces):
-        nearest = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen])))
-        used |= (group == nearest) & np.array([f is not None for f in face])
+    if faces[chosen] < faces[most]:
+        used |= (group == most) & np.array([each is not None for each in face])
     kept = [piece for piece, use in zip(pieces, used, strict=True) if use]
-    temperatures = finding(
-        "session.temperatures",
-        "warn",
-        groups=len(counts),
-        least_temp_c=means.min(),
-        most_temp_c=means.max(),
-        pieces=len(kept),
-        temp_c=temps[used].mean(),
+    what = (
+        f"stills and turns in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC; the {len(kept)} at "
+        f"{temps[used].mean():.1f} degC were used"
     )
-    stills = tuple(piece for piece in kept if isinstance(piece, Still))
-    turns = tuple(piece for piece in kept if isinstance(piece, Turn))
-    return replace(session, stills=stills, turns=turns), (temperatures,)
+    return replace(
+        session,
+        stills=tuple(piece for piece in kept if isinstance(piece, Still)),
+        turns=tuple(piece for piece in kept if isinstance(piece, Turn)),
+    ), (finding("session.temperature", "warn", what=what, groups=len(counts)),)
 
 
 def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
@@ -137,7 +134,7 @@ def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatA
 # ---- what a session contains
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
     """A session with its stills, stated or found."""
 
@@ -147,7 +144,6 @@ class Observed:
     found: bool  # True if they were found
     findings: tuple[Finding, ...] = ()
     searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if they were found
-    _turns: dict[int, segments.TurnSearch] = field(default_factory=dict)  # by recording, searched once
 
     @property
     def faced(self) -> tuple[Still, ...]:
@@ -176,29 +172,21 @@ class Observed:
             turns=renumbered(self.session.turns),
         )
         searches = tuple(self.searches[k] for k in numbers if self.searches)
-        return replace(self, session=session, stills=renumbered(self.stills), searches=searches, _turns={})
-
-    def rest_means(self) -> FloatArray:
-        """Return the mean rate reading of each still with a gyroscope, (P, 3)."""
-        rests = [(r.gyro, [s for s in self.stills if s.recording == k]) for k, r in enumerate(self.session.records)]
-        return np.concatenate([segments.still_means(gyro, stills) for gyro, stills in rests if gyro is not None])
+        return replace(self, session=session, stills=renumbered(self.stills), searches=searches)
 
     def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the mean rate reading over all rests and its variance, (3,) each; creep (P,) of each rest, unit of the reading."""
-        windows, sizes, rows = [], [], []
-        for row, still in enumerate(self.stills):
-            record = self.session.records[still.recording]
-            window = whole_readings(record.gyro, still.start, still.stop)
-            if len(window):
-                windows.append(window)
-                sizes.append(block_size(record.sample_rate_hz))
-                rows.append(row)
-        if not windows:
+        records = self.session.records
+        windows = [whole_readings(records[s.recording].gyro, s.start, s.stop) for s in self.stills]
+        rests = [k for k, window in enumerate(windows) if len(window)]
+        if not rests:
             return np.full(3, np.nan), np.full(3, np.nan)
-        mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rows])
+        windows = [windows[k] for k in rests]
+        sizes = [block_size(records[self.stills[k].recording].sample_rate_hz) for k in rests]
+        mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rests])
         # the offset lies at the same place between two codes in all rests
         scatter = np.mean([window.var(axis=0) for window in windows], axis=0)
-        return mean, variance + code_variance(code_steps(self.session.records, rate=True), scatter)
+        return mean, variance + code_variance(code_steps(records, rate=True), scatter)
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns, NaN if it was not recorded."""
@@ -206,32 +194,42 @@ class Observed:
         return float(np.nanmean(temps)) if np.isfinite(temps).any() else float("nan")
 
     def unused_stills(self, used: Sequence[Still | Turn]) -> tuple[Still, ...]:
-        """Return the stills, stated or found, that share nothing with what a fit used, at its temperature."""
-        candidates = list(self.stills)
-        if not self.found:
-            for number, record in enumerate(self.session.records):
-                with suppress(InputError):  # shorter than a window
-                    search = segments.find_still(record, self.settings.still, recording=number)
-                    candidates += search.stills
-        return unused_stills(self.session, candidates, used)
+        """Return the stills, stated or found, that share nothing with what a fit used or with a turn, at the fit's temperature."""
+        candidates, taken = list(self.stills), [*used, *self.session.turns]
+        for number, record in enumerate(() if self.found else self.session.records):
+            with suppress(InputError):  # shorter than a window
+                candidates += segments.find_still(record, self.settings.still, recording=number).stills
+        unused: list[Still] = []
+        for still in candidates:
+            if not any(p.recording == still.recording and p.start < still.stop and still.start < p.stop for p in taken):
+                unused.append(still)
+                taken.append(still)
+        temps, fit_temps = piece_temperatures(self.session, unused), piece_temperatures(self.session, used)
+        if self.session.kind == "thermal" and not np.isfinite(temps).all():
+            return ()
+        middle = float(np.nanmean(fit_temps)) if np.isfinite(fit_temps).any() else np.nan
+        return tuple(
+            s for s, temp_c in zip(unused, temps, strict=True) if not abs(temp_c - middle) > SAME_TEMPERATURE_K
+        )
 
     # ---- turns between rests
 
-    def turn_searches(self) -> Iterator[tuple[int, Record, segments.TurnSearch]]:
-        """Yield the number of each recording with gyroscopes, the recording, and the turns found in it, searched once."""
-        for number, record in enumerate(self.session.records):
-            if record.gyro is not None:
-                if number not in self._turns:
-                    self._turns[number] = segments.find_turns(record, [s for s in self.stills if s.recording == number])
-                yield number, record, self._turns[number]
+    @cached_property
+    def turn_searches(self) -> tuple[tuple[int, Record, segments.TurnSearch], ...]:
+        """The number of each recording with gyroscopes, the recording, and the turns found in it."""
+        return tuple(
+            (number, record, segments.find_turns(record, [s for s in self.stills if s.recording == number]))
+            for number, record in enumerate(self.session.records)
+            if record.gyro is not None
+        )
 
     def plateaus(self) -> tuple[Turn, ...]:
         """Return the steady turns that the recordings contain."""
-        return tuple(turn for _, _, search in self.turn_searches() for turn in search.plateaus)
+        return tuple(turn for _, _, search in self.turn_searches for turn in search.plateaus)
 
     def full_turns(self) -> tuple[Turn, ...]:
         """Return one full turn each about x, y and z between rests, if there are exactly these, read in a physical unit."""
-        if not all(is_physical(record.gyro_unit) for _, record, _ in self.turn_searches()):
+        if not all(is_physical(record.gyro_unit) for _, record, _ in self.turn_searches):
             return ()
         turns = self.turns_of(FULL_TURN, tolerance=FULL_TURN_TOLERANCE)
         return turns if sorted(turn.axis or "" for turn in turns) == ["x", "y", "z"] else ()
@@ -243,16 +241,14 @@ class Observed:
         """
         turned: list[tuple[Turn, float]] = []
         whole = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
-        for _, record, search in self.turn_searches():
-            physical = is_physical(record.gyro_unit)
-            factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
-            for turn, read in zip(search.rotations, search.rotation_angle, strict=True):
-                along = float(read[np.argmax(np.abs(read))]) * factor
-                returns = self._returns(turn)
-                if physical:  # a move between faces that reads twice as large is no full turn
-                    near = abs(abs(along) - angle) < tolerance * angle and (returns is not False or not whole)
-                else:
+        for _, record, search in self.turn_searches:
+            factor = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else None
+            for turn, reading in zip(search.rotations, search.rotation_angle, strict=True):
+                along, returns = reading[np.argmax(np.abs(reading))], self._returns(turn)
+                if factor is None:
                     near = whole and returns is True
+                else:  # a move between faces that reads twice as large is no full turn
+                    near = abs(abs(along) * factor - angle) < tolerance * angle and not (whole and returns is False)
                 if turn.axis is not None and near:
                     turned.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
         most = max((size for _, size in turned), default=0.0)
@@ -269,40 +265,38 @@ class Observed:
         return bool(np.linalg.norm(moved) < SAME_POSE * segments.sphere_of(segments.still_means(accel, stills))[1])
 
     def with_turns(self) -> "Observed":
-        """Return it with its turns by the known angle if they are found about x, y and z, otherwise with a finding."""
+        """Return it with its turns by the known angle; raise, with the likely cause, unless there are some about x, y and z."""
         angle_deg = self.settings.turn_angle_deg
         if angle_deg is None or self.session.turns:
             return self
         turns = self.turns_of(angle_deg * RADIAN_PER_DEGREE)
-        axes = tuple(axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns})
-        if not axes:
-            return replace(self, session=replace(self.session, turns=turns))
-        why = self._why_missing(angle_deg)
-        missing = finding("session.turns_missing", "warn", angle_deg=angle_deg, axes=axes, count=len(turns), why=why)
-        return replace(self, findings=(*self.findings, missing))
+        if axes := [axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns}]:
+            raise NotObservable(
+                f"turns by {angle_deg:g} deg: expected one or more about x, y and z with a rest before and after, got none about "
+                f"{', '.join(axes)}{self._cause_of_missing_turns(angle_deg)}. Record them, or leave the angle out.",
+                count=len(turns),
+            )
+        return replace(self, session=replace(self.session, turns=turns))
 
-    def _why_missing(self, angle_deg: float) -> str:
-        """Return why turns by a known angle may be missing; raise if they read the multiple that a mistaken unit gives."""
-        for number, record, search in self.turn_searches():
-            unit = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else np.nan
-            back = [self._returns(turn) is True for turn in search.rotations]
-            read_deg = np.abs(search.rotation_angle[back]).max(axis=1) * unit / RADIAN_PER_DEGREE
-            ratio = float(np.median(read_deg)) / angle_deg if len(read_deg) else np.nan
-            if cause := rate_unit_words(ratio):
-                raise Implausible(
-                    f"gyroscope: recording {number} is declared in {record.gyro_unit}, but its turns by {angle_deg:g} deg read "
-                    f"{ratio:.3g} times that angle: {cause}. Correct the unit of the gyroscope columns.",
-                    ratio=ratio,
-                )
+    def _cause_of_missing_turns(self, angle_deg: float) -> str:
+        """Return why turns by a known angle were not found, empty if it is unknown."""
+        for number, record, search in self.turn_searches:
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
+            back = [self._returns(turn) is True for turn in search.rotations]
+            if is_physical(record.gyro_unit) and any(back):
+                read = np.abs(search.rotation_angle[back]).max(axis=1) * si_factor(record.gyro_unit, "rate")
+                ratio = float(np.median(read)) / (angle_deg * RADIAN_PER_DEGREE)
+                if abs(ratio - 1.0) > SCALE_TOLERANCE:
+                    cause = (
+                        rate_unit_words(ratio)
+                        or "the angle, the unit or range of the gyroscope or the sample rate is wrong"
+                    )
+                    return (
+                        f": turns back to the same pose read {ratio:.3g} times that angle; {cause} "
+                        f"({record.sample_rate_hz:.3g} samples a second stated, not {ratio * record.sample_rate_hz:.3g})"
+                    )
             if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
-                return f"; recording {number} still turns at its end: its last turn is cut off"
-            if abs(ratio - 1.0) > SCALE_TOLERANCE:
-                rate_hz = record.sample_rate_hz
-                return (
-                    f"; turns back to the same pose read {ratio:.3g} times that angle: the angle, the unit or range of the "
-                    f"gyroscope or the sample rate is another ({rate_hz:.3g} samples a second stated, not {ratio * rate_hz:.3g})"
-                )
+                return f": recording {number} still turns at its end, so that its last turn is cut off"
         return ""
 
     def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
@@ -312,7 +306,9 @@ class Observed:
             return self, ()
         names = tuple(piece_name(session, session.turns[k], k, what="turn") for k in numbers)
         sound = tuple(turn for k, turn in enumerate(session.turns) if k not in numbers)
-        left = finding("gyro.saturated", "warn", what="turns", count=len(numbers), of=len(session.turns), pieces=names)
+        left = finding(
+            "session.saturated", "warn", what="turns", count=len(numbers), of=len(session.turns), pieces=names
+        )
         return replace(self, session=replace(session, turns=sound)), (left,)
 
 
@@ -330,14 +326,17 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     """Return a session with its stills as stated, or found and labelled, and with its turns; raise if they cannot be such."""
     check_counted_once(in_one_unit(session))
     seen = look(session, settings)
-    session, stills = seen.session, seen.stills
-    findings = [
-        finding("session.no_still", "warn", recording=number, reason=search.reason)
-        for number, search in enumerate(seen.searches)
-        if not search.stills
-    ]
-    if seen.found and len(stills) < FEW_STILLS and len({still.face for still in stills} - {None}) < len(FACES):
-        findings += _pauses_left_out(session, seen.searches)
+    session, stills, findings = seen.session, seen.stills, list[Finding]()
+    few = len(stills) < FEW_STILLS and len({still.face for still in stills} - {None}) < len(FACES)
+    for number, (record, search) in enumerate(zip(session.records, seen.searches, strict=False)):
+        # without a rest nothing shows what rest is for this device; the search has given the reason
+        pauses = segments.left_out(record, search) if few and search.stills else ()
+        pauses = tuple(pause for pause in pauses if pause.why.startswith("too "))
+        first = (
+            f"the first pause left out, from {record.time[pauses[0].start]:.1f} s, is {pauses[0].why}" if pauses else ""
+        )
+        if why := search.reason or first:
+            findings.append(finding("session.no_still", "warn", recording=number, pauses=len(pauses), reason=why))
     for number, record in enumerate(session.records):
         rests = [still for still in stills if still.recording == number]
         if rests and record.accel is not None and is_physical(record.accel_unit):
@@ -352,16 +351,15 @@ def in_one_unit(session: Session) -> Session:
     """Return the session with each triad in one unit: that of the first recording that has the triad."""
     units = {}
     for triad in ("gyro", "accel"):
-        with_triad = {n: r for n, r in enumerate(session.records) if getattr(r, triad) is not None}
-        stated = {n: getattr(record, f"{triad}_unit") for n, record in (with_triad or {0: session.records[0]}).items()}
-        first = next(iter(stated))
-        for number, unit in stated.items():
-            if unit != stated[first] and not (is_physical(unit) and is_physical(stated[first])):
+        have = [n for n, record in enumerate(session.records) if getattr(record, triad) is not None] or [0]
+        units[triad] = unit = getattr(session.records[have[0]], f"{triad}_unit")
+        for number in have:
+            other = getattr(session.records[number], f"{triad}_unit")
+            if other != unit and not (is_physical(other) and is_physical(unit)):
                 raise InputError(
-                    f"recording {number}: its {triad} readings are in {unit}, those of recording {first} in {stated[first]}. Give "
-                    "all recordings one unit, or the scale of the columns."
+                    f"recording {number}: its {triad} readings are in {other}, those of recording {have[0]} in {unit}. Give all "
+                    "recordings one unit, or the scale of the columns."
                 )
-        units[triad] = stated[first]
     gyro, accel = units["gyro"], units["accel"]
     records = (
         record
@@ -372,28 +370,14 @@ def in_one_unit(session: Session) -> Session:
     return replace(session, records=tuple(records))
 
 
-def _pauses_left_out(session: Session, searches: Sequence[segments.StillSearch]) -> Iterator[Finding]:
-    """Yield the pauses that were too short or too restless for a still."""
-    for number, (record, search) in enumerate(zip(session.records, searches, strict=True)):
-        if not search.stills:  # nothing shows what rest is for this device; the search has given the reason
-            continue
-        pauses = [pause for pause in segments.left_out(record, search) if pause.why.startswith("too ")]
-        if pauses:
-            what = f"the first, from {record.time[pauses[0].start]:.1f} s, is {pauses[0].why}"
-            yield finding("session.pauses", "warn", recording=number, pauses=len(pauses), what=what)
-
-
 def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     """Return stills with the face that points up, if gravity determines it."""
     physical = is_physical(session.records[0].accel_unit)
-    means = {
-        still: segments.still_means(accel, [still])[0]
-        for still in stills
-        if (accel := session.records[still.recording].accel) is not None
-    }
-    if not means or (not physical and len(means) < 5):
+    with_force = [still for still in stills if session.records[still.recording].accel is not None]
+    if not with_force or (not physical and len(with_force) < 5):
         return stills  # counts have no known zero, unless poses share a sphere
-    faces = dict(zip(means, segments.faces_of(np.array(list(means.values())), centred=physical), strict=True))
+    means = [mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in with_force]
+    faces = dict(zip(with_force, segments.faces_of(np.array(means), centred=physical), strict=True))
     return tuple(replace(still, face=faces.get(still)) for still in stills)
 
 
@@ -418,8 +402,4 @@ def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> Tria
     """Return a fit to readings without their offset for the readings themselves: offset and variance (3,), their unit."""
     covariance = np.array(fit.model.covariance)
     covariance[9:12, 9:12] = np.diag(variance)
-    return TriadFit(
-        model=replace(fit.model, offset=offset, covariance=covariance, budget=None),
-        residuals=fit.residuals,
-        verdict=fit.verdict.also(Verdict.of(finding("paper_mode.offset_removed", "info"))),
-    )
+    return replace(fit, model=replace(fit.model, offset=offset, covariance=covariance, budget=None))

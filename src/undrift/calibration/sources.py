@@ -22,7 +22,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.quality import mean_reading, piece_temperatures
 from undrift.calibration.session import Observed, middles
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, told_apart
 from undrift.fit.priors import REST_DRIFT
 from undrift.model import AXES
 from undrift.record import Still, Turn
@@ -175,23 +175,17 @@ class Creep:
         return not self.warmth.any()
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the cost of a span above the limit, and what to do."""
+        """Return the cost of a span above the limit."""
         if self.span_k <= self.limit_k:
             return ()
-        accel = self.kind == "accel"
-        unit = 1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE
-        return (
-            finding(
-                "session.temperature_creep",
-                "warn",
-                span_k=self.span_k,
-                limit_k=self.limit_k,
-                triad="accelerometer" if accel else "gyroscope",
-                offset=0.5 * self.span_k * self.offset_per_k / unit,
-                unit="mg" if accel else "deg/s",
-                scale_percent=50.0 * self.span_k * self.scale_per_k,
-            ),
+        accel, span = self.kind == "accel", told_apart(self.span_k, ".1f", self.limit_k)
+        offset = 0.5 * self.span_k * self.offset_per_k / (1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE)
+        triad, unit = ("accelerometer", "mg") if accel else ("gyroscope", "deg/s")
+        what = (
+            f"by {span} K, limit {self.limit_k:g} K; at either end the offset of the {triad} is uncertain by {offset:.2g} {unit} "
+            f"and its scale by {50.0 * self.span_k * self.scale_per_k:.2g} % (1 sigma)"
         )
+        return (finding("session.temperature", "warn", what=what, span_k=self.span_k, offset=offset),)
 
 
 def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
