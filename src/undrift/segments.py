@@ -418,7 +418,10 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
         return ()
     ratio = np.array([triad.spread / max(threshold.value, threshold.noise_floor) for triad, threshold in pairs])
     worst, edge, stretches = ratio.max(axis=0), pairs[0][0].edge, list[LeftOut]()
-    for first, last in runs(worst <= _NEAR).tolist():
+    quiet = worst <= _NEAR
+    for start, stop in runs(~quiet):
+        quiet[start:stop] = start > 0 and stop - start <= 2 * edge  # a jerk does not divide a pause
+    for first, last in runs(quiet).tolist():
         if any(still.start < last + 2 * edge and first < still.stop for still in search.stills):
             continue
         quietest = first + int(np.argmin(worst[first:last]))
