@@ -16,7 +16,7 @@ from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, sp
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.fit.gls import block_size, noise_of_means
 from undrift.programme import rate_grid
-from undrift.record import Record, Turn
+from undrift.record import Record, Still, Turn
 from undrift.units import EARTH_RATE
 
 DPS = np.pi / 180.0
@@ -492,6 +492,24 @@ def test_three_false_dwells_are_all_named_and_more_are_counted():
     with pytest.raises(Implausible) as caught:
         checked(three, rests)
     assert caught.value.turns == (2, 6, 11)
+
+
+def test_recordings_with_offsets_of_their_own_are_sound_and_a_wrong_sign_in_one_is_still_named():
+    """The device was switched on again for the last two turns."""
+    dwells, rests = table()
+    recordings, shift = np.repeat([0, 1], [10, 2]), np.array([40.0, -60.0, 50.0])  # 2.5 to 4 deg/s
+    moved = replace(dwells, reading=dwells.reading + recordings[:, None] * shift)
+    away = replace(
+        rests,
+        reading=rests.reading + np.eye(6)[:, 5:] * shift,
+        stills=tuple(Still(start=0, stop=1, recording=k) for k in (0, 0, 0, 0, 0, 1)),
+    )
+    with pytest.raises(Implausible):
+        checked(moved, away)  # one offset of all
+    checked(moved, away, recordings=recordings.tolist())
+    with pytest.raises(Implausible) as caught:
+        checked(stated(moved, 10, -45.0), away, recordings=recordings.tolist())
+    assert caught.value.turns == (11,)
 
 
 def test_without_rests_the_dwells_alone_tell():

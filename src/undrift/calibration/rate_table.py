@@ -276,9 +276,9 @@ def axes_missing(turned: Sequence[str], unit: str, cross_axis_prior: float) -> F
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
-# weights, s = K w + b, with rests + H a. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i| is beyond 8
-# times the typical |e|, the median over the dwells minus one for every parameter that the fit makes exact, and beyond 2 % of the
-# largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
+# weights, s = K w + b, with rests + H a and a b of each recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is
+# refused if |e_i| is beyond 8 times the typical |e|, the median over the dwells minus one for every parameter that the fit
+# makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
 
 SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
 SHARE = 0.02  # of the largest rate
@@ -286,14 +286,26 @@ LEAST_SPARE = 4  # equations beyond the parameters of a sensor; with fewer, a fa
 
 
 def check_dwells(
-    dwells: DwellMeans, rates: FloatArray, *, rests: RestMeans | None = None, numbers: tuple[int, ...] | None = None
+    dwells: DwellMeans,
+    rates: FloatArray,
+    *,
+    rests: RestMeans | None = None,
+    numbers: tuple[int, ...] | None = None,
+    recordings: Sequence[int] = (),
 ) -> None:
-    """Raise if the reading of a dwell contradicts all the others; rates (N, 3), rad/s."""
+    """Raise if the reading of a dwell contradicts all the others; rates (N, 3), rad/s.
+
+    Dwells in a recording with rests have the offset of that recording: each switch-on has an offset of its own.
+    """
     rows, count = _rows(dwells, rates, rests), len(rates)
-    design = np.column_stack((rows.rate, np.ones(len(rows.rate))))
+    group = np.zeros(len(rows.rate))
+    if rests is not None and recordings:
+        rested = [still.recording for still in rests.stills]
+        group = np.concatenate((np.where(np.isin(recordings, rested), recordings, -1), rested))
+    design = np.column_stack((rows.rate, group[:, None] == np.unique(group)))
     if rows.force is not None:
         full = np.hstack((design, rows.force))
-        if len(full) - 7 >= LEAST_SPARE and scaled_condition(full)[0] == 7:
+        if len(full) - full.shape[1] >= LEAST_SPARE and scaled_condition(full)[0] == full.shape[1]:
             design = full
     if len(design) - design.shape[1] < LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
@@ -341,7 +353,8 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     )
     dwells, rests = replace(dwells, axes=axes), _rest_means(seen, turns, dwells, model)
     numbers = tuple(k for k, turn in enumerate(session.turns, 1) if turn in turns)
-    check_dwells(dwells, imposed_rates(dwells, settings.latitude_deg), rests=rests, numbers=numbers)
+    imposed, recordings = imposed_rates(dwells, settings.latitude_deg), [turn.recording for turn in turns]
+    check_dwells(dwells, imposed, rests=rests, numbers=numbers, recordings=recordings)
     turned = tuple(axis for axis in AXES if axis in dwells.axis)
     paper = mode == "paper" and len(turned) == 3
     pieces: list[Still | Turn] = [*turns, *(() if rests is None or paper else rests.stills)]
