@@ -245,10 +245,10 @@ def test_recordings_in_several_units_give_the_same_answer_as_in_one():
 def test_counts_beside_a_physical_unit_are_refused_with_the_recording():
     alike = rests_of(3)
     records = (*alike.records[:2], replace(alike.records[2], gyro_unit="count"))
-    with pytest.raises(InputError, match="recording 2: its gyro readings are in count"):
+    with pytest.raises(InputError, match="recording 2: its readings are in count"):
         calibrate(replace(alike, records=records))
     records = (replace(alike.records[0], gyro=None), *records[1:])
-    with pytest.raises(InputError, match=r"recording 2: .* in count, those of recording 1 in rad/s"):
+    with pytest.raises(InputError, match="recording 2: its readings are in count"):
         calibrate(replace(alike, records=records))
 
 

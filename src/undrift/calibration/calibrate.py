@@ -209,25 +209,23 @@ def _verdict_of(findings: Iterable[Finding]) -> Verdict:
     return Verdict.of(*{item.text: item for item in findings}.values())
 
 
-def _not_observable(what: str, level: Level, *, record: str, why: str = "", **values: object) -> Finding:
-    return finding("session.not_observable", level, what=what, why=why, record=record, **values)
+def _not_observable(what: str, level: Level, *, record: str, why: str = "") -> Finding:
+    return finding("session.not_observable", level, what=what, why=why, record=record)
 
 
 def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
-    why = (
-        f"standard gravity assumed, {gravity_m_s2:.5f} m/s2; the accelerometers' scale is off by as much, 0.3 % at most"
+    assumed = f"standard gravity assumed, {gravity_m_s2:.5f} m/s2"
+    return finding(
+        "session.gravity", level, why=f"{assumed}; it is off by 0.3 % at most, and so is the accelerometers' scale"
     )
-    return finding("session.gravity", level, why=why)
 
 
 def _doubts(seen: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
     """Yield what speaks against what the session states, and how far its rests drift."""
     latitude_deg = seen.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
-        degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
-        yield finding(
-            "session.gravity", "warn", why=f"the latitude of {latitude_deg:g} deg may be in radians; {degrees}"
-        )
+        as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
+        yield finding("session.gravity", "warn", why=f"the latitude {latitude_deg:g} may be in radians; {as_degrees}")
     if seen.session.gravity_source == "standard" and accel.fit is not None:
         yield _gravity_assumed(seen.session.gravity_m_s2, "warn")
     if gyro.fit is not None:
@@ -280,11 +278,8 @@ def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None)
     if outcome.fit is None:
         return outcome
     if outcome.method == "multi-position":
-        why, record = (
-            "free poses determine only lengths; the axes are those of the sensors",
-            "rest on six faces of the case",
-        )
-        outcome = outcome.after(_not_observable("Mounting of the sensors in the case", "info", why=why, record=record))
+        record = "rest on six faces of the case; free poses determine only lengths"
+        outcome = outcome.after(_not_observable("Mounting of the sensors in the case", "info", record=record))
     return outcome.after(*check_accel(seen.session, outcome.fit.model, seen.unused_stills(outcome.used)))
 
 
@@ -298,16 +293,15 @@ def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, a
     try:
         chosen, findings = (method, ()) if method is not None else _choose_gyro_fit(sound, accel, saturated)
         outcome = GYRO_FITS[chosen](sound, mode, accel).after(*findings)
-        if outcome.fit is None and method is not None:
-            raise NotObservable(f"gyroscope by {method}: " + "; ".join(item.text for item in outcome.findings))
-        if outcome.fit is None and chosen != "rest":
-            outcome = calibrate_rest(seen, mode, accel).after(*outcome.findings)
+        if outcome.fit is None and (method is not None or chosen != "rest"):
+            raise NotObservable("; ".join(item.text for item in outcome.findings))
     except NotObservable as error:
         if method is not None:
-            raise NotObservable("; ".join((str(error), *(item.text for item in saturated))), **error.numbers) from error
-        outcome = calibrate_rest(seen, mode, accel)
-        outcome = replace(outcome, findings=()) if outcome.fit is None else outcome
-        outcome = outcome.after(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)))
+            reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
+            raise NotObservable("; ".join(reasons), **error.numbers) from error
+        rest = calibrate_rest(seen, mode, accel)
+        failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
+        outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
     outcome = outcome.after(*saturated)
     if outcome.fit is None:
         return outcome
@@ -463,7 +457,7 @@ def _accel_by_reference(
             readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
         )
     except (CalibrationError, InputError) as error:
-        failed = finding("session.fit_failed", "info", triad="accelerometer", reason=str(error))
+        failed = _not_observable("Accelerometer", "info", why=str(error), record="record rests on six sides")
         return turned_like(fit.triad.model, readings[0].accel_unit), Verdict.of(failed)
     if (np.diag(accel.model.matrix) < 0.0).all():
         raise Implausible(

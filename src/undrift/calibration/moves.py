@@ -634,11 +634,8 @@ def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
     stills = _in_order(seen)
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
-    try:
-        model = (accel or _fit_poses_of(seen, stills, creep[0])).model
-        fit = fit_moves(seen.session.records, stills, model, creep=creep)
-    except NotObservable as error:
-        return Outcome(findings=(finding("session.fit_failed", "warn", triad="gyroscope", reason=str(error)),))
+    model = (accel or _fit_poses_of(seen, stills, creep[0])).model
+    fit = fit_moves(seen.session.records, stills, model, creep=creep)
     return Outcome(fit=fit, method="multi-position", findings=creep[1].findings())
 
 

@@ -349,24 +349,21 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
 
 def in_one_unit(session: Session) -> Session:
     """Return the session with each triad in one unit: that of the first recording that has the triad."""
-    units = {}
+    units, records = [], []
     for triad in ("gyro", "accel"):
-        have = [n for n, record in enumerate(session.records) if getattr(record, triad) is not None] or [0]
-        units[triad] = unit = getattr(session.records[have[0]], f"{triad}_unit")
-        for number in have:
-            other = getattr(session.records[number], f"{triad}_unit")
-            if other != unit and not (is_physical(other) and is_physical(unit)):
+        having = [record for record in session.records if getattr(record, triad) is not None] or session.records
+        units.append(getattr(having[0], f"{triad}_unit"))
+    gyro, accel = units
+    for number, record in enumerate(session.records):
+        if (record.gyro_unit, record.accel_unit) != (gyro, accel):
+            try:
+                record = replace(record.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
+            except InputError as error:
                 raise InputError(
-                    f"recording {number}: its {triad} readings are in {other}, those of recording {have[0]} in {unit}. Give all "
-                    "recordings one unit, or the scale of the columns."
-                )
-    gyro, accel = units["gyro"], units["accel"]
-    records = (
-        record
-        if (record.gyro_unit, record.accel_unit) == (gyro, accel)
-        else replace(record.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
-        for record in session.records
-    )
+                    f"recording {number}: its readings are in {record.gyro_unit} and {record.accel_unit}, those of the others in "
+                    f"{gyro} and {accel}. Give all recordings one unit, or the scale of the columns."
+                ) from error
+        records.append(record)
     return replace(session, records=tuple(records))
 
 
