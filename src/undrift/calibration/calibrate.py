@@ -15,6 +15,7 @@ finding, which names the recording that would determine it.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -198,7 +199,7 @@ def calibrated(
         accel=None if accel_outcome.fit is None else accel_outcome.fit.model,
         adc=adc,
         verdict=verdict,
-        provenance=_provenance(_choices(seen, *(each.method for each in outcomes), mode), session.inputs),
+        provenance=_provenance(_choices(seen, accel_outcome.method, gyro_outcome.method, mode), session.inputs),
         file_map=session.file_map,
     )
     return calibration, seen
@@ -533,8 +534,12 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
         findings.append(_gravity_assumed(session.gravity_m_s2, "info"))
     adc = device_adc(records) if identify_adc else None
     readings = [restored(record, adc) for record in records]
-    gravity = {"gravity_m_s2": session.gravity_m_s2, "gravity_uncertainty": GRAVITY_SPREAD if assumed else 0.0}
-    fit = fit_in_motion(readings, **gravity)
+    fit_readings = partial(
+        fit_in_motion,
+        gravity_m_s2=session.gravity_m_s2,
+        gravity_uncertainty=GRAVITY_SPREAD if assumed else 0.0,
+    )
+    fit = fit_readings(readings)
     verdict = fit.gyro.verdict
     if magnetometer:  # the field is then a second direction beside gravity
         field = _fit_field(readings, fit)
@@ -546,7 +551,7 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
             )
             for number, record in enumerate(readings)
         ]
-        fit = replace(fit_in_motion(readings, field=True, **gravity), field=field)
+        fit = replace(fit_readings(readings, field=True), field=field)
         verdict = fit.gyro.verdict.also(field.verdict)
     calibration = _of_recordings(
         replace(session, serial=session.serial or records[0].device, records=tuple(records)),

@@ -72,7 +72,7 @@ def _is_used(turn: Turn, method: str) -> bool:
 def _stated_turns(session: Session, kept: Session, method: str, settings: CalibrateSettings) -> Iterator[Piece]:
     saturated = saturated_turns(session, settings.settle_s) if method else ()
     for number, turn in enumerate(session.turns):
-        label = turn.axis or ""
+        label = str(turn.axis or "")
         if turn.turn_rate is not None:
             label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
         elif turn.angle is not None:

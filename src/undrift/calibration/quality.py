@@ -106,16 +106,14 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
 
 def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "accel"]) -> _Figure:
     rate, unit = triad == "gyro", getattr(session.records[0], f"{triad}_unit")
-    spreads = []
-    for still in stills:
+    values: FloatArray = np.zeros(len(stills))
+    for number, still in enumerate(stills):
         record = session.records[still.recording]
         readings, smooth = getattr(record, triad), max(1, round(SMOOTH_S * record.sample_rate_hz))
         window = min(segments.sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
-        spread = np.zeros(0)
         if readings is not None and window > 1:
             spread = segments.sliding_moments(readings[still.start : still.stop], window, smooth)[1]
-        spreads.append(float(np.max(spread[np.isfinite(spread)], initial=0.0)))
-    values = np.array(spreads)
+            values[number] = np.max(spread[np.isfinite(spread)], initial=0.0)
     if not is_physical(unit):  # a reading at rest may toggle between two codes
         step = float(np.nan_to_num(code_steps(session.records, rate=rate)).max())
         limit = max(COUNTS_RATIO * float(np.median(values)), step, 1e-300) if len(stills) > 2 else np.inf

@@ -30,7 +30,7 @@ from undrift.calibration.quality import (
     whole_readings,
 )
 from undrift.calibration.settings import CalibrateSettings
-from undrift.errors import InputError, NotObservable
+from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve
 from undrift.fit.triad import TriadFit
@@ -279,20 +279,23 @@ class Observed:
         return replace(self, session=replace(self.session, turns=turns))
 
     def _cause_of_missing_turns(self, angle_deg: float) -> str:
-        """Return why turns by a known angle were not found, empty if it is unknown."""
+        """Return why turns by a known angle were not found, empty if it is unknown; raise if their unit is mistaken."""
         for number, record, search in self.turn_searches:
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
             back = [self._returns(turn) is True for turn in search.rotations]
             if is_physical(record.gyro_unit) and any(back):
                 read = np.abs(search.rotation_angle[back]).max(axis=1) * si_factor(record.gyro_unit, "rate")
                 ratio = float(np.median(read)) / (angle_deg * RADIAN_PER_DEGREE)
-                if abs(ratio - 1.0) > SCALE_TOLERANCE:
-                    cause = (
-                        rate_unit_words(ratio)
-                        or "the angle, the unit or range of the gyroscope or the sample rate is wrong"
+                read_as = f"turns back to the same pose read {ratio:.3g} times that angle"
+                if cause := rate_unit_words(ratio):
+                    raise Implausible(
+                        f"gyroscope: recording {number} is declared in {record.gyro_unit}, but {read_as}: {cause}. Correct the unit of "
+                        "the gyroscope columns.",
+                        ratio=ratio,
                     )
+                if abs(ratio - 1.0) > SCALE_TOLERANCE:
                     return (
-                        f": turns back to the same pose read {ratio:.3g} times that angle; {cause} "
+                        f": {read_as}; the angle, the unit or range of the gyroscope or the sample rate is wrong "
                         f"({record.sample_rate_hz:.3g} samples a second stated, not {ratio * record.sample_rate_hz:.3g})"
                     )
             if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
