@@ -276,12 +276,13 @@ def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None)
         why = f"{error}; faces without a rest: {', '.join(missing) or 'none'}"
         return Outcome(findings=(_not_observable("Accelerometer", "warn", why=why, record="record them"),))
     _check_mode("accelerometer", mode, outcome, "rests on all six faces")
-    if outcome.fit is None:
-        return outcome
+    findings = list[Finding]()
     if outcome.method == "multi-position":
         record = "rest on six faces of the case; free poses determine only lengths"
-        outcome = outcome.after(_not_observable("Mounting of the sensors in the case", "info", record=record))
-    return outcome.after(*check_accel(seen.session, outcome.fit.model, seen.unused_stills(outcome.used)))
+        findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
+    if outcome.fit is not None:
+        findings += check_accel(seen.session, outcome.fit.model, seen.unused_stills(outcome.used))
+    return outcome.after(*findings)
 
 
 def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:

@@ -289,8 +289,8 @@ class Observed:
                 read_as = f"turns back to the same pose read {ratio:.3g} times that angle"
                 if cause := rate_unit_words(ratio):
                     raise Implausible(
-                        f"gyroscope: recording {number} is declared in {record.gyro_unit}, but {read_as}: {cause}. Correct the unit of "
-                        "the gyroscope columns.",
+                        f"gyroscope: recording {number} is declared in {record.gyro_unit}, but {read_as}: {cause}. Correct the "
+                        "unit of the gyroscope columns.",
                         ratio=ratio,
                     )
                 if abs(ratio - 1.0) > SCALE_TOLERANCE:
