@@ -56,22 +56,20 @@ GRAVITY_SPREAD = 0.02  # m/s2: standard gravity against that of any place, 9.78 
 RECORD_TURNS = "record turns by known rates or angles"
 
 
-def calibrate_rest(seen: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
+def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
     """Measure the offset of the gyroscopes in rests; the scale factor is nominal."""
-    unit = seen.session.records[0].gyro_unit
+    records, stills = observed.session.records, observed.stills
+    unit = records[0].gyro_unit
     # Faces and poses are meant for the accelerometers; full turns were meant for the gyroscopes.
-    level: Level = "warn" if accel is None or seen.turns_of(2.0 * np.pi) else "info"
-    if not seen.stills or not is_physical(
-        unit
-    ):  # a model turns readings into rad/s, and the scale of counts is unknown
+    level: Level = "warn" if accel is None or observed.turns_of(2.0 * np.pi) else "info"
+    if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
         return Outcome(findings=(_not_observable("Gyroscope", level, record=RECORD_TURNS),))
-    factor, creep = si_factor(unit, "rate"), creep_of(seen, seen.stills, "gyro")
-    offset, variance = seen.rest_rate(creep.columns(np.zeros(len(seen.stills)), 1.0 / factor)[:, 0])
-    records = seen.session.records
-    means = np.array([mean_reading(records[still.recording].gyro, still.start, still.stop) for still in seen.stills])
+    factor, creep = si_factor(unit, "rate"), creep_of(observed, stills, "gyro")
+    offset, variance = observed.rest_rate(creep.columns(np.zeros(len(stills)), 1.0 / factor)[:, 0])
+    means = np.array([mean_reading(records[still.recording].gyro, still.start, still.stop) for still in stills])
     if np.isnan(offset).any():
         return Outcome(findings=(_not_observable("Gyroscope", "warn", record=RECORD_TURNS),))
-    share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, seen.settings.cross_axis_prior)
+    share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, observed.settings.cross_axis_prior)
     nominal = f"the unit's own scale is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
     fit = triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
@@ -178,31 +176,32 @@ def calibrated(
     check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
-    adc, seen = _observed(session, settings)
-    accel_outcome = _calibrate_accel(seen.with_triad("accel"), accel, mode)
-    rotated = seen.with_triad("gyro")
+    adc, observed = _observed(session, settings)
+    accel_outcome = _calibrate_accel(observed.with_triad("accel"), accel, mode)
+    rotated = observed.with_triad("gyro")
     together = any(record.accel is not None for record in rotated.session.records)
     gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if together else None)
-    outcomes = (accel_outcome, gyro_outcome)
-    findings = (*other_temperatures, *_doubts(seen, *outcomes), *(f for outcome in outcomes for f in outcome.findings))
-    if accel_outcome.fit is None and gyro_outcome.fit is None:
+    findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
+    findings += accel_outcome.findings + gyro_outcome.findings
+    verdict, models = _verdict_of(findings), dict[str, TriadModel]()
+    for name, fit in (("accel", accel_outcome.fit), ("gyro", gyro_outcome.fit)):
+        if fit is not None:
+            verdict, models[name] = verdict.also(fit.verdict), fit.model
+    if not models:
         reasons = "; ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")
-    verdict = _verdict_of(findings)
-    for outcome in outcomes:
-        verdict = verdict if outcome.fit is None else verdict.also(outcome.fit.verdict)
     calibration = Calibration(
         device=session.serial or session.records[0].device,
-        reference_temp_c=seen.mean_temperature(),
+        reference_temp_c=observed.mean_temperature(),
         gravity_m_s2=session.gravity_m_s2,
-        gyro=None if gyro_outcome.fit is None else gyro_outcome.fit.model,
-        accel=None if accel_outcome.fit is None else accel_outcome.fit.model,
+        gyro=models.get("gyro"),
+        accel=models.get("accel"),
         adc=adc,
         verdict=verdict,
-        provenance=_provenance(_choices(seen, accel_outcome.method, gyro_outcome.method, mode), session.inputs),
+        provenance=_provenance(_choices(observed, accel_outcome.method, gyro_outcome.method, mode), session.inputs),
         file_map=session.file_map,
     )
-    return calibration, seen
+    return calibration, observed
 
 
 def _verdict_of(findings: Iterable[Finding]) -> Verdict:
@@ -221,21 +220,21 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
     )
 
 
-def _doubts(seen: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
+def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
     """Yield what speaks against what the session states, and how far its rests drift."""
-    latitude_deg = seen.settings.latitude_deg
+    latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
         as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
         yield finding("session.gravity", "warn", why=f"the latitude {latitude_deg:g} may be in radians; {as_degrees}")
-    if seen.session.gravity_source == "standard" and accel.fit is not None:
-        yield _gravity_assumed(seen.session.gravity_m_s2, "warn")
+    if observed.session.gravity_source == "standard" and accel.fit is not None:
+        yield _gravity_assumed(observed.session.gravity_m_s2, "warn")
     if gyro.fit is not None:
-        largest = max(float(np.nanmax(np.abs(r.gyro))) for r in seen.session.records if r.gyro is not None)
+        largest = max(float(np.nanmax(np.abs(r.gyro))) for r in observed.session.records if r.gyro is not None)
         stated = gyro.method in ("rate-table", "known-rotation")
         yield from check_gyro_scale(gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, stated=stated)
-    yield from seen.findings
+    yield from observed.findings
     if gyro.fit is not None:
-        yield from offset_drift(seen, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
+        yield from offset_drift(observed, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
 
 
 def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
@@ -249,27 +248,27 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 
     Rests carry a face if the accelerometers would be calibrated from faces.
     """
-    seen = _observed(in_one_unit(session), settings)[1]
-    stills = seen.stills if seen.mostly_faces else tuple(replace(still, face=None) for still in seen.stills)
-    turns = seen.session.turns or seen.full_turns()
-    return replace(session, stills=stills, turns=turns), () if turns else seen.plateaus()
+    observed = _observed(in_one_unit(session), settings)[1]
+    stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
+    turns = observed.session.turns or observed.full_turns()
+    return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()
 
 
 # ---- one triad: the fit that was named, or the first that the session allows
 
 
-def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
+def _calibrate_accel(observed: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
     """Return the accelerometers' fit, compared with the rests that it did not use."""
-    if all(record.accel is None for record in seen.session.records):
+    if all(record.accel is None for record in observed.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: wanted its readings, got none; map the accel columns")
         return Outcome()
-    missing = missing_faces([still.face for still in seen.faced if still.face is not None])
-    faces = seen.mostly_faces if seen.found else len(missing) < 2
+    missing = missing_faces([still.face for still in observed.faced if still.face is not None])
+    faces = observed.mostly_faces if observed.found else len(missing) < 2
     try:
-        if method is None and not faces and len(seen.stills) < FEWEST_POSES:
-            raise NotObservable(f"wanted rests on six faces or {MIN_FREE_POSES} free poses, got {len(seen.stills)}")
-        outcome = ACCEL_FITS[method or ("six-face" if faces else "multi-position")](seen, mode, None)
+        if method is None and not faces and len(observed.stills) < FEWEST_POSES:
+            raise NotObservable(f"wanted rests on six faces or {MIN_FREE_POSES} free poses, got {len(observed.stills)}")
+        outcome = ACCEL_FITS[method or ("six-face" if faces else "multi-position")](observed, mode, None)
     except NotObservable as error:
         if method is not None or faces:
             raise
@@ -281,17 +280,17 @@ def _calibrate_accel(seen: Observed, method: AccelFit | None, mode: Mode | None)
         record = "rest on six faces of the case; free poses determine only lengths"
         findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
     if outcome.fit is not None:
-        findings += check_accel(seen.session, outcome.fit.model, seen.unused_stills(outcome.used))
+        findings += check_accel(observed.session, outcome.fit.model, observed.unused_stills(outcome.used))
     return outcome.after(*findings)
 
 
-def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:
+def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:
     """Return the gyroscopes' fit; if none is possible, their offset at rest."""
-    if method == "none" or all(record.gyro is None for record in seen.session.records):
+    if method == "none" or all(record.gyro is None for record in observed.session.records):
         if method not in (None, "none"):
             raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
         return Outcome()
-    sound, saturated = seen.without_saturated_turns()
+    sound, saturated = observed.without_saturated_turns()
     try:
         chosen, findings = (method, ()) if method is not None else _choose_gyro_fit(sound, accel, saturated)
         outcome = GYRO_FITS[chosen](sound, mode, accel).after(*findings)
@@ -301,7 +300,7 @@ def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, a
         if method is not None:
             reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
             raise NotObservable("; ".join(reasons), **error.numbers) from error
-        rest = calibrate_rest(seen, mode, accel)
+        rest = calibrate_rest(observed, mode, accel)
         failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
         outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
     outcome = outcome.after(*saturated)
@@ -315,24 +314,24 @@ def _calibrate_gyro(seen: Observed, method: GyroFit | None, mode: Mode | None, a
 
 
 def _choose_gyro_fit(
-    seen: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]
+    observed: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]
 ) -> tuple[str, tuple[Finding, ...]]:
     """Return the first fit of the table above that the session allows, and what it lacks for a better one."""
-    turns = seen.session.turns
+    turns = observed.session.turns
     if any(turn.turn_rate is not None for turn in turns):
         return "rate-table", ()
     if saturated and not turns:
         return "rest", ()
-    if any(turn.angle is not None for turn in turns) or seen.full_turns():
+    if any(turn.angle is not None for turn in turns) or observed.full_turns():
         return "known-rotation", ()
     # Slow moves between free poses are steady too; beside six faces, steady turns are those of a table.
     by_poses = accel is not None and accel.model.method == "multi-position"
-    steady = () if by_poses else seen.plateaus()
+    steady = () if by_poses else observed.plateaus()
     if steady:
         why, record = f"{len(steady)} steady turns have no rate", "state the turn_rate_dps and axis of each"
         return "rest", (_not_observable("Gyroscope scale", "warn", why=why, record=record),)
-    with_force = any(record.accel is not None for record in seen.session.records)
-    return "multi-position" if with_force and len(seen.stills) >= MIN_FREE_POSES else "rest", ()
+    with_force = any(record.accel is not None for record in observed.session.records)
+    return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest", ()
 
 
 def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) -> None:
@@ -355,11 +354,11 @@ def _provenance(choices: Mapping[str, object], inputs: tuple[tuple[str, str], ..
     )
 
 
-def _choices(seen: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
+def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
     """Return every setting that a fit of a session used, and what it used of the session."""
-    session, settings = seen.session, asdict(seen.settings)
-    turns = session.turns or (seen.full_turns() if gyro == "known-rotation" else ())
-    faces = {still.face for still in seen.faced}
+    session, settings = observed.session, asdict(observed.settings)
+    turns = session.turns or (observed.full_turns() if gyro == "known-rotation" else ())
+    faces = {still.face for still in observed.faced}
     return {
         "accel": accel,
         "gyro": gyro,
@@ -368,7 +367,7 @@ def _choices(seen: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[s
         **(asdict(session.rate_table) if gyro == "rate-table" else {}),
         **asdict(session.sensitivity),
         "gravity": session.gravity_source,
-        "stills": f"{len(seen.stills)} {'found' if seen.found else 'stated'}",
+        "stills": f"{len(observed.stills)} {'found' if observed.found else 'stated'}",
         "faces": ", ".join(face for face in FACES if face in faces) or "none",
         "turns": f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none",
     }

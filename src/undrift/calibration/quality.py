@@ -15,7 +15,6 @@ its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import Literal
 
@@ -74,37 +73,29 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
     return np.array(temps)
 
 
-# ---- stills
+# ---- stills: each figure gives its ratio to the limit of a bench, the number of the still, and a sentence
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Figure:
-    """One figure of all stills, NaN if a still has none, and its limit in the same unit."""
-
-    text: str
-    values: FloatArray
-    limit: float
+Fault = tuple[float, int, str]
 
 
 def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
     """Compare every still with a device at rest; raise if one is far from it."""
-    figures = [_rates(session, stills)]
+    figures = [*_rates(session, stills)]
     if stated:
-        figures += [_sway(session, stills, "gyro"), _sway(session, stills, "accel"), _tilts(session, stills)]
-    ratios = np.nan_to_num([figure.values / figure.limit for figure in figures])
-    if not (ratios > 1.0).any():
+        figures += [*_sway(session, stills, "gyro"), *_sway(session, stills, "accel"), *_tilts(session, stills)]
+    faults = [fault for fault in figures if fault[0] > 1.0]
+    if not faults:
         return ()
-    worst, number = (int(k) for k in np.unravel_index(ratios.argmax(), ratios.shape))
+    ratio, number, what = max(faults)
     name = piece_name(session, stills[number], number, stated=stated)
-    what = figures[worst].text.format(figures[worst].values[number])
-    moving = finding("session.piece", "warn", piece=name, pieces=int((ratios > 1.0).any(axis=0).sum()), what=what)
+    moving = finding("session.piece", "warn", piece=name, pieces=len({still for _, still, _ in faults}), what=what)
     # Stills found in one recording may drift while it warms up; separate recordings may be in different units.
-    if ratios.max() > REFUSED_RATIO and (stated or len(session.records) > 1):
+    if ratio > REFUSED_RATIO and (stated or len(session.records) > 1):
         raise Implausible(f"{name}: expected a device at rest, got {what}; {moving.action}", still=number)
     return (moving,)
 
 
-def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "accel"]) -> _Figure:
+def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "accel"]) -> Iterator[Fault]:
     rate, unit = triad == "gyro", getattr(session.records[0], f"{triad}_unit")
     values: FloatArray = np.zeros(len(stills))
     for number, still in enumerate(stills):
@@ -122,39 +113,41 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
         limit = segments.BENCH_RATE_LIMIT / RADIAN_PER_DEGREE
     else:
         limit = segments.BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
-    return _Figure(text=f"readings that sway by up to {{:.3g}} {unit} rms", values=values, limit=limit)
+    for number, value in enumerate(values):
+        yield value / limit, number, f"readings that sway by up to {value:.3g} {unit} rms"
 
 
-def _tilts(session: Session, stills: tuple[Still, ...]) -> _Figure:
+def _tilts(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
     def force(still: Still, start: int, stop: int) -> FloatArray:
-        return mean_reading(session.records[still.recording].accel, start, stop) - centre
+        return mean_reading(session.records[still.recording].accel, start, stop)
 
     centre: FloatArray = np.zeros(3)
     limit = TILT_LIMIT_DEG
     if not is_physical(session.records[0].accel_unit):  # counts: about the centre of a sphere through enough rests
         means = np.array([force(still, still.start, still.stop) for still in stills]).reshape(-1, 3)
-        enough = len(means) >= 6 and np.isfinite(means).all()
-        centre, radius = segments.sphere_of(means) if enough else (np.full(3, np.nan), 1.0)
+        if len(means) < 6 or not np.isfinite(means).all():
+            return
+        centre, radius = segments.sphere_of(means)
         limit += 2.0 * float(np.nan_to_num(code_steps(session.records, rate=False)).max()) / radius / RADIAN_PER_DEGREE
-    tilts = []
-    for still in stills:
+    for number, still in enumerate(stills):
         third = (still.stop - still.start) // 3
-        first, last = force(still, still.start, still.start + third), force(still, still.stop - third, still.stop)
-        tilts.append(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE)
-    return _Figure(text="a tilt of {:.3g} deg from its first to its last third", values=np.array(tilts), limit=limit)
+        first = force(still, still.start, still.start + third) - centre
+        last = force(still, still.stop - third, still.stop) - centre
+        tilt = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE
+        yield tilt / limit, number, f"a tilt of {tilt:.3g} deg from its first to its last third"
 
 
-def _rates(session: Session, stills: tuple[Still, ...]) -> _Figure:
+def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
     unit, temps = session.records[0].gyro_unit, piece_temperatures(session, stills)
     warmed = np.isfinite(temps).any() and float(np.nanmax(temps) - np.nanmin(temps)) > WARMED_K
-    away: FloatArray = np.full(len(stills), np.nan)
-    if len(stills) > 2 and is_physical(unit) and session.kind != "thermal" and not warmed:
-        rates = [mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills]
-        means = np.array(rates) * si_factor(unit, "rate") / RADIAN_PER_DEGREE
-        if np.isfinite(means).any():
-            away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1)
-    limit = segments.BENCH_RATE_LIMIT / RADIAN_PER_DEGREE
-    return _Figure(text="a mean rate {:.3g} deg/s off that of the other stills", values=away, limit=limit)
+    if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or warmed:
+        return
+    means = np.array([mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
+    if np.isfinite(means).any():
+        away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1) * si_factor(unit, "rate")
+        for number, rate in enumerate(away):
+            what = f"a mean rate {rate / RADIAN_PER_DEGREE:.3g} deg/s off that of the other stills"
+            yield rate / segments.BENCH_RATE_LIMIT, number, what
 
 
 def check_counted_once(session: Session) -> None:

@@ -328,10 +328,10 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
     """Return a session with its stills as stated, or found and labelled, and with its turns; raise if they cannot be such."""
     check_counted_once(in_one_unit(session))
-    seen = look(session, settings)
-    session, stills, findings = seen.session, seen.stills, list[Finding]()
+    observed = look(session, settings)
+    session, stills, findings = observed.session, observed.stills, list[Finding]()
     few = len(stills) < FEW_STILLS and len({still.face for still in stills} - {None}) < len(FACES)
-    for number, (record, search) in enumerate(zip(session.records, seen.searches, strict=False)):
+    for number, (record, search) in enumerate(zip(session.records, observed.searches, strict=False)):
         # without a rest nothing shows what rest is for this device; the search has given the reason
         pauses = segments.left_out(record, search) if few and search.stills else ()
         pauses = tuple(pause for pause in pauses if pause.why.startswith("too "))
@@ -345,9 +345,9 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
         if rests and record.accel is not None and is_physical(record.accel_unit):
             force = segments.still_means(record.accel, rests) * si_factor(record.accel_unit, "accel")
             check_gravity(force, session.gravity_m_s2)
-    findings += check_stills(session, stills, stated=not seen.found)
+    findings += check_stills(session, stills, stated=not observed.found)
     findings += check_turns(session, stills, settings.settle_s)
-    return replace(seen, findings=tuple(findings)).with_turns()
+    return replace(observed, findings=tuple(findings)).with_turns()
 
 
 def in_one_unit(session: Session) -> Session:

@@ -100,14 +100,14 @@ POSES_CHANGE = 0.1  # of gravity
 CHANCE = 0.01
 
 
-def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
+def offset_drift(observed: Observed, gain: float) -> tuple[Finding, ...]:
     """Return the finding of rest offsets that changed significantly over a session; gain in rad/s per unit of the readings."""
     from scipy.special import stdtr, stdtrit
 
-    records = seen.session.records
-    means = {still: mean_reading(records[still.recording].gyro, still.start, still.stop) for still in seen.stills}
-    stills = [still for still, mean in means.items() if np.isfinite(mean).all()]
-    if seen.session.kind == "thermal" or len(stills) < LEAST_RESTS:
+    records = observed.session.records
+    rates = np.array([mean_reading(records[s.recording].gyro, s.start, s.stop) for s in observed.stills]).reshape(-1, 3)
+    stills = [still for still, rate in zip(observed.stills, rates, strict=True) if np.isfinite(rate).all()]
+    if observed.session.kind == "thermal" or len(stills) < LEAST_RESTS:
         return ()
     time = middles(records, stills)
     force = np.array([mean_reading(records[s.recording].accel, s.start, s.stop) for s in stills])
@@ -115,26 +115,25 @@ def offset_drift(seen: Observed, gain: float) -> tuple[Finding, ...]:
     poses = (force - force.mean(axis=0))[:, moved & (len(stills) >= LEAST_WITH_POSES)]
     poses /= np.linalg.norm(poses, axis=0)
     design = np.column_stack(((time - time.mean()) / (float(np.ptp(time)) or np.inf), np.ones(len(time)), poses))
-    theta, square, rank, _ = np.linalg.lstsq(design, np.array([means[s] for s in stills]), rcond=None)
-    freedom, change = len(stills) - design.shape[1], theta[0]
+    theta, square, rank, _ = np.linalg.lstsq(design, rates[np.isfinite(rates).all(axis=1)], rcond=None)
+    freedom, change = len(stills) - design.shape[1], theta[0] * gain
     if rank < design.shape[1] or freedom < 1:
         return ()
-    sigma = np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
+    sigma = gain * np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
     sure = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < CHANCE
     if not sure.any():
         return ()
-    axis, dps = int(np.argmax(np.where(sure, np.abs(change), 0.0))), gain / RADIAN_PER_DEGREE
-    return (
-        finding(
-            "session.offset_drift",
-            "warn" if abs(change[axis]) * gain > REST_DRIFT else "info",
-            axis=AXES[axis],
-            change_dps=change[axis] * dps,
-            uncertainty_dps=float(stdtrit(freedom, 0.975)) * sigma[axis] * dps,
-            rests=len(stills),
-            minutes=float(np.ptp(time)) / 60.0,
-        ),
+    axis = int(np.argmax(np.where(sure, np.abs(change), 0.0)))
+    drift = finding(
+        "session.offset_drift",
+        "warn" if abs(change[axis]) > REST_DRIFT else "info",
+        axis=AXES[axis],
+        change_dps=change[axis] / RADIAN_PER_DEGREE,
+        uncertainty_dps=float(stdtrit(freedom, 0.975)) * sigma[axis] / RADIAN_PER_DEGREE,
+        rests=len(stills),
+        minutes=float(np.ptp(time)) / 60.0,
     )
+    return (drift,)
 
 
 # ---- temperature
@@ -188,41 +187,41 @@ class Creep:
         return (finding("session.temperature", "warn", what=what, span_k=self.span_k, offset=offset),)
 
 
-def creep_of(seen: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
+def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
     """Return the temperature of some stills and turns of a session, and what it does to one sensor."""
-    prior = seen.session.sensitivity
-    every: tuple[Still | Turn, ...] = (*seen.stills, *seen.session.turns) or tuple(pieces)
-    if not every:
+    prior = observed.session.sensitivity
+    session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns) or tuple(pieces)
+    if not session_pieces:
         return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0, kind=kind)
-    both = (*every, *pieces)
-    own, time, temps = slice(0, len(every)), middles(seen.session.records, both), piece_temperatures(seen.session, both)
-    warmth: FloatArray = np.nan_to_num(temps - seen.mean_temperature())
+    both, count = (*session_pieces, *pieces), len(session_pieces)
+    time, temps = middles(observed.session.records, both), piece_temperatures(observed.session, both)
+    warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
     stated = np.array([piece.temp_c is not None for piece in both])
-    least_k = 0.0 if stated.any() else _thermometer_step(seen)
-    if not np.isfinite(temps[own]).any():
-        least_k = prior.unrecorded_span_k
-    if np.ptp(warmth[own]) <= least_k:
-        warmth = least_k * (time - time[own].mean()) / (float(np.ptp(time[own])) or np.inf)
+    least_k = prior.unrecorded_span_k
+    if np.isfinite(temps[:count]).any():
+        least_k = 0.0 if stated.any() else _thermometer_step(observed)
+    if np.ptp(warmth[:count]) <= least_k:
+        warmth = least_k * (time - time[:count].mean()) / (float(np.ptp(time[:count])) or np.inf)
     elif prior.thermometer_lag_s:
-        course = np.polynomial.Polynomial.fit(time[own], warmth[own], min(2, len(every) - 1)).deriv()
+        course = np.polynomial.Polynomial.fit(time[:count], warmth[:count], min(2, count - 1)).deriv()
         warmth = warmth + prior.thermometer_lag_s * np.where(stated, 0.0, course(time))
-    offset, scale, unit = (
-        (prior.accel_offset_mg_per_k, prior.accel_scale_percent_per_k, 1e-3 * STANDARD_GRAVITY)
+    offset, scale = (
+        (prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY, prior.accel_scale_percent_per_k)
         if kind == "accel"
-        else (prior.gyro_offset_dps_per_k, prior.gyro_scale_percent_per_k, RADIAN_PER_DEGREE)
+        else (prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, prior.gyro_scale_percent_per_k)
     )
     return Creep(
-        warmth=warmth[len(every) :],
-        offset_per_k=offset * unit,
+        warmth=warmth[count:],
+        offset_per_k=offset,
         scale_per_k=0.01 * scale,
-        span_k=float(np.ptp(warmth[own])),
+        span_k=float(np.ptp(warmth[:count])),
         limit_k=prior.span_limit_k,
         kind=kind,
     )
 
 
-def _thermometer_step(seen: Observed) -> float:
+def _thermometer_step(observed: Observed) -> float:
     """Return the smallest step between recorded temperatures, K."""
-    read = [record.temp_c[np.isfinite(record.temp_c)] for record in seen.session.records if record.temp_c is not None]
-    steps = np.diff(np.unique(np.concatenate(read))) if read else np.empty(0)
+    columns = [record.temp_c for record in observed.session.records if record.temp_c is not None]
+    steps = np.diff(np.unique(np.concatenate([column[np.isfinite(column)] for column in columns])))
     return float(steps.min()) if len(steps) else 0.0
