@@ -133,7 +133,7 @@ def _tilts(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
         third = (still.stop - still.start) // 3
         first = force(still, still.start, still.start + third) - centre
         last = force(still, still.stop - third, still.stop) - centre
-        tilt = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last) / RADIAN_PER_DEGREE
+        tilt = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE
         yield tilt / limit, number, f"a tilt of {tilt:.3g} deg from its first to its last third"
 
 
