@@ -1,18 +1,18 @@
-"""A rate table that calibrates a device by itself: from a protocol to readings on the disk, whatever controller stands behind it.
+"""Run calibration protocols on a rate table without an operator, with any supported controller.
 
-In: a protocol (``undrift.programme``: faces, rates, temperatures), the addresses of a table, a device and, if it is warmed, a
-chamber. Out: a folder with a recording for each dwell and ``session.toml``, which `calibrate` and `drift` read. The rate of a
-dwell is the one that the encoder shows, not the one that was asked for.
+Input: a protocol (``undrift.programme``: faces, rates, temperatures) and the addresses of a table, a device and, for a heated run,
+a chamber. Output: a folder with one recording per dwell and ``session.toml``, which `calibrate` and `drift` read. The turn rate of
+a dwell is the rate measured with the encoder, not the commanded rate. Modules:
 
-``rig``         what every table can do, its limits, the rate achieved
-``galil``, ``grbl``, ``manual``   controllers behind ``link``; ``chamber``: when air and board of a chamber stand still
-``run``         a programme on a rig, dwell by dwell; ``judge`` says which dwells are kept, ``folder`` brings them to the disk
-``simulated``   a bench without hardware: table, chamber, device and operator, in simulated time
-``lock``        one run for one table, and a run that signals end at rest; ``check``: acceptance of a table with a servo
+``rig``         Interface of every table, its limits, the achieved rate.
+``run``         Runs a programme dwell by dwell. ``judge`` accepts or rejects each dwell, and ``folder`` writes it to the disk.
+``galil``, ``grbl``, ``manual``   Controllers, which use ``link``. ``chamber`` decides when air and board of a chamber are steady.
+``simulated``   Simulated bench without hardware: table, chamber, device and operator.
+``lock``        Allows one run per table and stops it on signals. ``check`` is the acceptance test of a servo table.
 
-Angles are rad and rates rad/s about the table's own axis, +z up; a device is read in its own axes (frame s) and units. Times are
-those of the table's clock (base/clock.py): the host's, or that of a simulated bench. deg, deg/s and
-degC appear in messages and files alone. Numbers are rounded as the controller rounds them, before a byte is sent, and read back.
-Whatever ends a run, the table is at rest and its motor off, or the message says NOT CONFIRMED. No estimator is imported.
-Open ``run`` first; a new controller is a file like ``grbl`` and a row in ``rig.CONTROLLERS``.
+Angles are in rad and rates in rad/s, about the table's own axis, +z up. A device is read in its own axes (frame s) and units. Times
+are from the table's clock (base/clock.py), either the host's clock or the clock of a simulated bench. Only messages and files use
+deg, deg/s and degC. Numbers are rounded as the controller rounds them before they are sent, and are then read back. At the end of
+every run, the table is at rest and its motor is off. Otherwise the message contains NOT CONFIRMED. No estimator is imported. Open
+``run`` first. A new controller needs a file like ``grbl`` and a row in ``rig.CONTROLLERS``.
 """

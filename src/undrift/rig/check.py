@@ -1,8 +1,8 @@
-"""Acceptance of a table with a servo: the following error in a step wave, with the gains and the sample period that the card runs.
+"""Acceptance test of a servo table: the following error in a step wave, with the card's gains and sample period.
 
-The wave is the note's preliminary test: +-90 deg/s for 60 s, with an error below 0.012 deg. The error is commanded minus actual
-angle, as the controller reports it. It counts from 50 ms after each run-up, and at rest at the end. During a run-up the error grows
-with the acceleration, so it is reported apart.
+The wave is the preliminary test of the note: +-90 deg/s for 60 s, with an error below 0.012 deg. The error is commanded minus
+actual angle, as the controller reports it. It is evaluated from 50 ms after each run-up, and at rest at the end. During a run-up
+the error increases with the acceleration, so it is reported separately.
 """
 
 import math
@@ -21,8 +21,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 Report = Callable[[str], None]
 
-SETTLE_S = 0.05  # s, from the end of a run-up until the error counts
-READ_S = 0.01  # s, between two readings of the error
+SETTLE_S = 0.05  # time after a run-up before the error is evaluated, s
+READ_S = 0.01  # time between two readings of the error, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,11 +37,11 @@ class CheckSettings:
 
     def __post_init__(self) -> None:
         names = ("turn_rate", "duration_s", "acceleration", "limit", "half_period_s")
-        check_positive(self, "rig check", "state another", *names)
+        check_positive(self, "rig check", "set a positive value", *names)
         if not self.turn_rate / self.acceleration < 0.2 * self.half_period_s:
             raise InputError(
-                f"rig check: wanted run-ups below {0.2 * self.half_period_s:g} s, got "
-                f"{self.turn_rate / self.acceleration:.3g} s; choose a larger acceleration or a slower wave"
+                f"rig check: run-ups must be shorter than {0.2 * self.half_period_s:g} s, got "
+                f"{self.turn_rate / self.acceleration:.3g} s. Choose a larger acceleration or a slower wave."
             )
 
 
@@ -51,7 +51,7 @@ class WaveError:
 
     rms: float  # rad, at steady rate
     largest: float  # rad, at steady rate and at rest at the end
-    in_run_up: float  # rad, largest while the rate changes
+    in_run_up: float  # rad, largest during a run-up
     turn_rate: float  # rad/s, mean of the achieved rates in either direction
 
 
@@ -67,7 +67,7 @@ class RigCheck:
 
 
 def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = lambda line: None) -> RigCheck:
-    """Check a table and close it: at rest, with its motor as it was; off after an error of the rig itself."""
+    """Check a table and close it at rest. The motor state is restored, but after a rig error the motor is off."""
     try:
         result = _run_check(rig, clock, settings, report)
     except BaseException as error:
@@ -97,7 +97,7 @@ def _run_check(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) 
 
 
 def _step_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
-    """Turn to and fro and read the following error all the time."""
+    """Turn in alternating directions, read the following error continuously and return its statistics."""
     steady: list[float] = []
     in_run_up: list[float] = []
     rates: list[float] = []
@@ -120,7 +120,7 @@ def _step_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) 
         rig.stop()
         turn_rate = -turn_rate
     if not rates:
-        raise RigTimeout("rig check: no position was read at steady rate. Look at the link and at the table.")
+        raise RigTimeout("rig check: no position was read at steady rate. Check the link and the table.")
     return WaveError(
         rms=math.sqrt(float(np.mean(np.square(steady)))),
         largest=max(*steady, abs(rig.following_error())),

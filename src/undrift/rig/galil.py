@@ -1,12 +1,13 @@
-"""Galil motion controllers (DMC-14xx, 2x00, 40x0, 41x3, 30010): one servo axis behind an ASCII language.
+"""Driver for one servo axis of a Galil motion controller (DMC-14xx, 2x00, 40x0, 41x3, 30010).
 
-A command ends with a carriage return. The card answers ``:`` when it accepts, ``?`` when it refuses (TC1 then gives the reason),
-and text before the ``:`` when it was asked for some. An answer that is not exactly of the kind that was asked for is a LinkError: a
-rig never moves on garbage. Every number is rounded as the card rounds it before it is sent, and read back before it is used.
+A command ends with a carriage return. The card answers ``:`` if it accepts the command and ``?`` if it rejects it. TC1 then returns
+the reason. The answer to a question is text before the ``:``. An answer of any other form raises LinkError, so a corrupted answer
+never moves a rig. Every number is rounded as the card rounds it before it is sent, and is read back before it is used.
 
-The rate that was achieved is the difference of positions (TP) over the time between them by the card's own clock. TP and TIME come
-in one answer; cards that do not give both give TP alone, half-way between question and answer. When an answer is late or makes no
-sense the driver stops the axis (ST, then AB), switches the motor off (MO), and reports whether the card confirmed it.
+The achieved rate is the difference of positions (TP) over the difference of the card's clock (TIME). The card returns TP and TIME
+in one answer. If a card cannot do that, TP is read without TIME, and its time is the middle between question and answer. If an
+answer is late or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports if the card
+confirmed the stop.
 
 Sources: command references DMC-1400, 2x00 and 40x0.
 """
@@ -32,17 +33,17 @@ from undrift.rig.rig import (
 )
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- The language: one command, one answer, read strictly.
+# ---- Commands and answers, with strict parsing.
 
 NUMBER = re.compile(r"[ ]*-?[ ]?\d{1,12}(?:\.\d{1,8})?[ ]*")
 BOTH = re.compile(r" *(-?\d{10}) +(-?\d{10}) *")
-CABLE = "check cable and baud"
+CABLE = "Check cable and baud rate."
 AXES = "ABCDEFGH"
 STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
 
 
 class GalilCard:
-    """Commands and questions to one axis of a card."""
+    """Commands and questions for one axis of a card."""
 
     def __init__(self, port: LinkPort, axis: str = "X", clock: Clock = HOST) -> None:
         self.port, self.axis, self.clock = port, axis, clock
@@ -50,34 +51,34 @@ class GalilCard:
         self._digits: int | None = None
 
     def do(self, command: str) -> None:
-        """Give a command that has no answer but ``:``."""
+        """Send a command whose only answer is ``:``."""
         if answer := self._ask(command, None):
             raise self.garbled("':'", command, repr(answer))
 
     def tries(self, command: str) -> bool:
-        """Give a command that older cards may not know."""
+        """Send a command that older cards may not support. Return True if the card accepts it."""
         return self.port.ask(command) is not None
 
     def text(self, command: str, deadline_s: float | None = None) -> str:
-        """Ask for text."""
+        """Ask for text and return it."""
         return self._ask(command, deadline_s).strip("\r\n")
 
     def number(self, command: str) -> float:
-        """Ask for a number."""
+        """Ask for a number and return it."""
         answer = self.text(command)
         if not NUMBER.fullmatch(answer):
             raise self.garbled("a number", command, repr(answer))
         return float(answer.replace(" ", ""))
 
     def integer(self, command: str, smallest: int, largest: int) -> int:
-        """Ask for a whole number."""
+        """Ask for a whole number within a range and return it."""
         value = self.number(command)
         if value != int(value) or not smallest <= value <= largest:
             raise self.garbled(f"a whole number from {smallest} to {largest}", command, f"{value:g}")
         return int(value)
 
     def position(self, command: str) -> int:
-        """Ask for a position, which the card writes with a fixed number of digits once `fix_format` was called."""
+        """Ask for a position in counts. After `fix_format`, its number of digits is checked."""
         answer = self.text(command)
         digits = sum(character.isdigit() for character in answer)
         if not re.fullmatch(r" *-? ?\d{1,10} *", answer) or self._digits not in (None, digits):
@@ -85,7 +86,7 @@ class GalilCard:
         return int(answer.replace(" ", ""))
 
     def fix_format(self) -> None:
-        """Have positions written with ten digits, so that a lost byte shows; cards that will not are taken as they are."""
+        """Set the position format to ten digits, so that a lost byte is detected. Cards without this format keep their own."""
         if self.tries("PF 10.0") and self.tries("LZ 0"):
             digits = sum(character.isdigit() for character in self.text(f"TP{self.axis}"))
             self._digits = 10 if digits == 10 else None
@@ -93,102 +94,106 @@ class GalilCard:
     def set(self, name: str, value: float, *, tolerance: float = 0.0) -> float:
         """Set a parameter of the axis and read it back."""
         self.do(f"{name} {self.commas}{value:.10g}")
-        held = self.number(f"{name} {self.commas}?")
-        if abs(held - value) > tolerance:
+        actual = self.number(f"{name} {self.commas}?")
+        if abs(actual - value) > tolerance:
             raise LinkError(
-                f"{self.port.name}: wanted {name} {value:.10g}, got {held:.10g} when it was read back; {CABLE}",
+                f"{self.port.name}: set {name} to {value:.10g}, but the card returned {actual:.10g}. {CABLE}",
                 wanted=value,
-                held=held,
+                held=actual,
             )
-        return held
+        return actual
 
     def garbled(self, wanted: str, command: str, got: str) -> LinkError:
-        """Return the error of an answer that is not of the kind that was asked for."""
-        return LinkError(f"{self.port.name}: wanted {wanted} in answer to '{command}', got {got}; {CABLE}")
+        """Return the LinkError for an answer of the wrong form."""
+        return LinkError(f"{self.port.name}: expected {wanted} in answer to '{command}', got {got}. {CABLE}")
 
     def _ask(self, command: str, deadline_s: float | None) -> str:
-        """Return an answer; what TC1 says about a ``?`` is raised, in our words."""
+        """Send a command and return the answer. If the card rejects it, raise RigFault with the reason from TC1."""
         answer = self.port.ask(command, deadline_s)
         if answer is not None:
             return answer
         reason = self.port.ask("TC1") or ""
-        found = re.match(r"\s*(\d{1,3})\b", reason)
-        if not found:
+        match = re.match(r"\s*(\d{1,3})\b", reason)
+        if not match:
             raise self.garbled("an error code", "TC1", repr(reason))
-        code = int(found.group(1))
-        what = f"wanted '{command}', got error {code}: {in_words('galil_error', code)}"
-        raise RigFault(f"{self.port.name}: {what}; see the state of the card", code=code, command=command)
+        code = int(match.group(1))
+        cause = f"error {code}: {in_words('galil_error', code)}"
+        raise RigFault(
+            f"{self.port.name}: the card rejected '{command}' ({cause}). Check the state of the card.",
+            code=code,
+            command=command,
+        )
 
 
-# ---- One axis of a card: where it is and when that was, whether it moves, bringing it to rest and to safety.
+# ---- One axis of a card: its position and time, its motion, and its stop.
 
 RECONNECTIONS = 4
-STOP_MARGIN_S = 2.0  # on top of twice the time that coming to rest should take
-FINDING_S = 0.5  # longest look for the card's clock at the start, s of the host; every later position goes on looking
+STOP_MARGIN_S = 2.0  # added to twice the expected stopping time, s
+FINDING_S = 0.5  # longest search for the card's tick at the start, host s (later positions continue it)
 
 log = logging.getLogger(__name__)
 
 
 class GalilAxis:
-    """What the axis does, in counts."""
+    """Position and motion of an axis, in counts."""
 
     def __init__(self, card: GalilCard, fastest: float, slack: float) -> None:
         self.card, self.name = card, card.port.name
-        self.acceleration = self.deceleration = 256_000.0  # counts/s2, the card's own default
+        self.acceleration = self.deceleration = 256_000.0  # default of the card, counts/s2
         self.found = (False, 0.0, 0.0)  # motor on, AC and DC, before the driver changed them
         self.refused: str | None = None
         self.broken: RigError | None = None
         self.enabled = False
         self.last: int | None = None  # position
-        self.when = (0.0, 0.0)  # s of the clock, and by how much that may be off
+        self.when = (0.0, 0.0)  # time of the last position and its largest error, s
         self._clock, self._fastest, self._slack = card.clock, fastest, slack
         self._read_at = 0.0
         self._card_clock: CardClock | None = None
-        self._both = f"MG _TP{card.axis}{{F10.0}},TIME{{F10.0}}"  # ten digits each: a lost byte shows
+        self._both = f"MG _TP{card.axis}{{F10.0}},TIME{{F10.0}}"  # ten digits each, so that a lost byte is detected
 
     def find_clock(self) -> None:
-        """See whether the card tells a position and its own time in one answer, and for a moment how fast that time runs."""
+        """Use the card's clock if the card returns position and time in one answer. Search briefly for its tick."""
         answer = self.card.port.ask(self._both)
         if answer is None or not BOTH.fullmatch(answer.strip("\r\n")):
             return
         self._card_clock = CardClock(self.card.number("MG _TM"))
         card_clock = self._card_clock
 
-        def found() -> bool:
+        def tick_is_known() -> bool:
             self.read()
             return card_clock.tick_s is not None
 
-        self._clock.host.until(found, FINDING_S)
+        self._clock.host.until(tick_is_known, FINDING_S)
 
     def read(self) -> int:
-        """Return where it is, and note when that was."""
-        asked, ticks = self._clock.now(), 0
+        """Return the position in counts, and store its time in `when`."""
+        asked_s, ticks = self._clock.now(), 0
         if self._card_clock is None:
             counts = self.card.position(f"TP{self.card.axis}")
         else:
             answer = self.card.text(self._both)
-            found = BOTH.fullmatch(answer)
-            if not found:
-                raise self.card.garbled("two numbers of ten digits", self._both, repr(answer))
-            counts, ticks = int(found.group(1)), int(found.group(2))
-        answered = self._clock.now()
-        # all the time that can have passed: from the last question to this answer
-        reach = 1.5 * self._fastest * (answered - self._read_at) + self._slack
+            match = BOTH.fullmatch(answer)
+            if not match:
+                raise self.card.garbled("two numbers with ten digits", self._both, repr(answer))
+            counts, ticks = int(match.group(1)), int(match.group(2))
+        answered_s = self._clock.now()
+        # largest possible motion, from the last question to this answer
+        reach = 1.5 * self._fastest * (answered_s - self._read_at) + self._slack
         if self.last is not None and abs(counts - self.last) > reach:
             raise LinkError(
-                f"{self.name}: wanted a position within {reach:.0f} counts of {self.last}, got {counts}; "
-                "the card was restarted, the answer is garbled, or clock_speed is wrong",
+                f"{self.name}: expected a position within {reach:.0f} counts of {self.last}, got {counts}. "
+                "The card was restarted, the answer is corrupted, or clock_speed is wrong.",
                 counts=counts,
             )
-        self.last, self._read_at = counts, asked
+        self.last, self._read_at = counts, asked_s
         if self._card_clock is None:
-            self.when = 0.5 * (asked + answered), 0.5 * (answered - asked)
+            self.when = 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
         else:
-            self.when = self._card_clock.when(ticks, asked, answered)
+            self.when = self._card_clock.when(ticks, asked_s, answered_s)
         return counts
 
     def settled(self) -> int:
-        """Return the position once it changes by a count at most; the servo settles after the profile."""
+        """Wait until the position changes by at most one count, and return it. The servo settles after the profile ends."""
         before = self.read()
         for _ in range(50):
             self._clock.wait(0.02)
@@ -200,41 +205,41 @@ class GalilAxis:
 
     @property
     def sample_s(self) -> float | None:
-        """Time between two samples of the servo by the card's clock, s; None where it is not known."""
+        """Sample period of the servo from the card's clock, s, or None if it is unknown."""
         return None if self._card_clock is None else self._card_clock.sample_s
 
     def command(self, letters: str) -> None:
-        """Give a command to this axis."""
+        """Send a command for this axis."""
         self.card.do(f"{letters}{self.card.axis}")
 
     def is_moving(self) -> bool:
-        """Return whether the profile runs."""
+        """Return True if the motion profile is running."""
         return bool(self.card.integer(f"MG _BG{self.card.axis}", 0, 1))
 
     def is_on(self) -> bool:
-        """Return whether the motor is on."""
+        """Return True if the motor is on."""
         return not self.card.integer(f"MG _MO{self.card.axis}", 0, 1)
 
     def stop_code(self) -> int:
-        """Return why it stopped."""
+        """Return the card's code for the reason of the last stop."""
         return self.card.integer(f"SC{self.card.axis}", 0, 255)
 
     def wait_for_rest(self, expected_s: float) -> None:
-        """Poll until the profile is complete: at most twice as long as it should take, and 2 s."""
+        """Poll until the profile is complete, for at most twice the expected time plus 2 s."""
         allowed_s = 2.0 * expected_s + STOP_MARGIN_S
         if not ask_until(lambda: not self.is_moving(), self._clock, allowed_s):
             raise RigTimeout(
-                f"{self.name}: wanted the axis at rest within {allowed_s:.3g} s, got it still moving; look at the table",
+                f"{self.name}: the axis is still moving after {allowed_s:.3g} s. Check the table.",
                 deadline_s=allowed_s,
             )
 
     def stop(self) -> None:
-        """Slow down (ST) and wait for the end of the profile; the motor stays on."""
+        """Slow down (ST) and wait for the end of the profile. The motor stays on."""
         self.command("ST")
         self.wait_for_rest(self._fastest / self.deceleration)
 
     def come_to_rest(self) -> None:
-        """Stop (ST), or abort (AB) where that does not help."""
+        """Stop the axis (ST), or abort (AB) if that fails."""
         try:
             self.stop()
         except (RigTimeout, RigFault):
@@ -242,14 +247,14 @@ class GalilAxis:
             self.wait_for_rest(0.0)
 
     def make_safe(self) -> bool:
-        """Stop and switch off, over a new connection where the old one is gone; return whether that is confirmed."""
+        """Stop and switch the motor off, and reconnect first if the link is lost. Return True if the card confirms it."""
         port = self.card.port
         self.enabled = False
         try:
             if not port.is_open:
                 self.refused = "the connection was lost, and the card may have lost its commands"
                 self._reconnect()
-            port.shout(f"ST{self.card.axis}")  # at once; its answer is thrown away by the next line
+            port.shout(f"ST{self.card.axis}")  # stop at once (the next line discards the answer)
             port.resynchronise()
             self.come_to_rest()
             self.command("MO")
@@ -257,14 +262,14 @@ class GalilAxis:
         except RigError as error:
             log.error("%s: not confirmed at rest: %s", self.name, error)
             self.refused = "it could not be brought to rest"
-            # the card may still listen; MO is refused until AB has ended the motion
+            # The card may still receive commands. It rejects MO until AB has ended the motion.
             for command in (f"ST{self.card.axis}", "AB", f"MO{self.card.axis}", f"MO{self.card.axis}"):
                 port.shout(command)
                 self._clock.host.wait(0.05)
             return False
 
     def restore(self) -> bool:
-        """Come to rest, with the accelerations and the motor as they were found."""
+        """Stop the axis and restore the initial accelerations and motor state."""
         was_on, acceleration, deceleration = self.found
         self.card.port.resynchronise()
         self.come_to_rest()
@@ -279,7 +284,7 @@ class GalilAxis:
         self.card.port.close()
 
     def _reconnect(self) -> None:
-        """A card that was restarted needs a moment before it answers."""
+        """Reconnect, with repeated attempts, because a card does not answer immediately after a restart."""
         for attempt in range(RECONNECTIONS):
             try:
                 return self.card.port.reconnect()
@@ -292,16 +297,16 @@ class GalilAxis:
 
 # ---- The rig.
 
-MOVE_TURN_RATE = 90.0 * RADIAN_PER_DEGREE  # of `move_by`, rad/s
-# following error at which the card switches the motor off by itself (ER, OE1)
+MOVE_TURN_RATE = 90.0 * RADIAN_PER_DEGREE  # turn rate of `move_by`, rad/s
+# following error at which the card switches the motor off (ER, OE1)
 ERROR_LIMIT = 5.0 * RADIAN_PER_DEGREE
 
 
 class GalilRig(LinkedRig):
-    """A rate table on a Galil card; nothing moves until `turn_for` or `move_by`."""
+    """A rate table with a Galil card. It does not move until `turn_for` or `move_by`."""
 
-    stopped = "the table was stopped and its motor switched off"
-    unconfirmed = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
+    stopped = "The table was stopped and its motor switched off."
+    unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the amplifier's power."
     _axis: GalilAxis
 
     def __init__(self, port: LinkPort, settings: RigSettings = RigSettings()) -> None:
@@ -320,15 +325,17 @@ class GalilRig(LinkedRig):
             raise
 
     def identify(self) -> str:
-        """Return the card's model and firmware, as it answers to control-R control-V."""
+        """Return the card's model and firmware, from control-R control-V."""
         with self._guarded():
             answer = self.card.text("\x12\x16").strip()
             if not answer.isprintable() or not answer:
-                raise LinkError(f"{self.card.port.name}: wanted a model in answer to ^R^V, got {answer!r}; check baud")
+                raise LinkError(
+                    f"{self.card.port.name}: {answer!r} is not a model in answer to ^R^V. Check the baud rate."
+                )
             return answer
 
     def position(self) -> Position:
-        """Return where the axis stands (TP) and when by the card's own TIME, from where it stood when the rig was opened, rad."""
+        """Return the angle since the rig was opened (TP), rad, and its time from the card's clock if available (TIME)."""
         with self._guarded():
             counts = self._axis.read()
         time, within_s = self._axis.when
@@ -340,7 +347,7 @@ class GalilRig(LinkedRig):
             return self._scale.angle(self.card.position(f"TE{self.card.axis}"))
 
     def fault(self) -> str | None:
-        """Return what is wrong in words (TS, SC), None when all is well."""
+        """Return a description of the faults (TS, SC), or None."""
         with self._guarded():
             wrong = wrong_switches(self.card.integer(f"TS{self.card.axis}", 0, 255), self._axis.enabled)
             code = self._axis.stop_code()
@@ -349,35 +356,35 @@ class GalilRig(LinkedRig):
         return "; ".join(wrong) or None
 
     def read_servo(self) -> ServoReport:
-        """Return the gains (KP, KI, KD) and the sample period (TM) that the card runs."""
+        """Return the gains (KP, KI, KD) and the sample period (TM) of the card."""
         with self._guarded():
             gains = {name: self.card.number(f"MG _{name.upper()}{self.card.axis}") for name in ("kp", "ki", "kd")}
             return ServoReport(sample_s=self._axis.sample_s or 1e-6 * self.card.number("MG _TM"), **gains)
 
     def enable(self, on: bool) -> None:
-        """Switch the motor on (SH) or off (MO); off stops the axis first."""
+        """Switch the motor on (SH), or stop the axis and switch the motor off (MO)."""
         with self._guarded():
             if not on and self._axis.is_moving():
                 self._axis.stop()
             self._axis.command("SH" if on else "MO")
             if self._axis.is_on() != on:
                 word = "on" if on else "off"
-                raise RigFault(f"{self._axis.name}: wanted the motor {word}, got it unchanged; look at the amplifier")
+                raise RigFault(f"{self._axis.name}: the motor did not switch {word}. Check the amplifier.")
             self._axis.enabled = on
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Set run-up (AC) and slow-down (DC), multiples of 1024 counts/s2."""
+        """Set acceleration (AC) and deceleration (DC), multiples of 1024 counts/s2."""
         self.limits.check_acceleration(acceleration)
         counts = ACCELERATION.round(self._scale.counts(acceleration))
         with self._guarded():
-            held = self._axis.acceleration = self.card.set("AC", counts, tolerance=1024)
-            self._axis.deceleration = self.card.set("DC", held, tolerance=1024)
-        return self._scale.angle(held)
+            actual = self._axis.acceleration = self.card.set("AC", counts, tolerance=1024)
+            self._axis.deceleration = self.card.set("DC", actual, tolerance=1024)
+        return self._scale.angle(actual)
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Turn at a steady rate for so long, ramps included (SP, PR, BG); return the rate that the card holds.
+        """Turn at a steady rate for a time that includes both ramps (SP, PR, BG), and return the rate set in the card.
 
-        The card ends the move by itself, whatever becomes of this program.
+        The card ends the move itself, even if this program has ended.
         """
         self.limits.check_turn_rate(turn_rate)
         axis = self._axis
@@ -387,10 +394,10 @@ class GalilRig(LinkedRig):
         self.limits.check_travel(self._angle_now() + self._scale.angle(distance))
         with self._guarded():
             self._check_at_rest()
-            held = self.card.set("SP", abs(speed), tolerance=1)
+            actual = self.card.set("SP", abs(speed), tolerance=1)
             self.card.set("PR", distance)
             axis.command("BG")
-        return self._scale.angle(math.copysign(held, turn_rate))
+        return self._scale.angle(math.copysign(actual, turn_rate))
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle (PR, BG) and wait until the axis is at rest."""
@@ -405,18 +412,18 @@ class GalilRig(LinkedRig):
             axis.wait_for_rest(abs(counts) / self._move_speed + 2.0 * self._move_speed / axis.deceleration)
             code = axis.stop_code()
             if code != 1:
-                got = f"the axis {in_words('galil_stop', code)} (stop code {code})"
-                raise RigFault(f"{axis.name}: wanted the move complete, got {got}; look at the table", code=code)
+                reason = f"the axis {in_words('galil_stop', code)} (stop code {code})"
+                raise RigFault(f"{axis.name}: the move is not complete, {reason}. Check the table.", code=code)
             return self._scale.angle(axis.settled() - before)
 
     def stop(self) -> None:
-        """Slow down (ST) and wait until the axis is at rest; the motor stays on."""
+        """Slow down (ST) and wait until the axis is at rest. The motor stays on."""
         with self._guarded():
             self._axis.stop()
             self._axis.settled()
 
     def _angle_now(self) -> float:
-        """Return the angle at the last reading of the position, from where the axis was when the rig was opened, rad."""
+        """Return the angle since the rig was opened at the last reading of the position, rad."""
         return 0.0 if self._axis.last is None else self._scale.angle(self._axis.last - self._home)
 
     def _check_at_rest(self) -> None:
@@ -424,16 +431,16 @@ class GalilRig(LinkedRig):
             raise RigFault(f"{self._axis.name}: the axis still moves. Stop it first.")
 
     def _prepare(self) -> None:
-        """Bring the card into the state that this driver reads, and note where the axis stands; nothing moves."""
+        """Configure the card for this driver and store the initial position. A motion of an earlier program is stopped."""
         port, card, axis = self.card.port, self.card, self._axis
         port.resynchronise()
         with self._safely():
             card.tries("EO 0")  # no echo
             port.resynchronise()
-            if card.tries("CW 1"):  # what nobody asked for has its high bit set
+            if card.tries("CW 1"):  # sets the high bit of unsolicited bytes
                 port.mask_unsolicited()
             card.fix_format()
-            if axis.is_moving():  # left so by a program that died
+            if axis.is_moving():  # an earlier program has ended during a move
                 axis.stop()
             card.set("ER", max(1, round(self._scale.counts(ERROR_LIMIT))), tolerance=1)
             card.set("OE", 1)
@@ -443,7 +450,7 @@ class GalilRig(LinkedRig):
             axis.found = (axis.enabled, axis.acceleration, axis.deceleration)
             axis.find_clock()
             self._home = axis.read()
-            forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # as good as none
+            forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # no limits in effect
             if self.limits.travel is not None:
                 reach = int(self._scale.counts(self.limits.travel))
                 forward, reverse = self._home + reach, self._home - reach
@@ -452,14 +459,14 @@ class GalilRig(LinkedRig):
 
 
 def wrong_switches(byte: int, enabled: bool) -> list[str]:
-    """Say what is not as it should be in the byte that TS returns; a limit switch that is not pressed reads 1."""
-    seen = (
+    """Return the faults in the byte from TS. The bit of a limit switch is 1 if the switch is not pressed."""
+    faults = (
         (enabled and byte & 0x20, "the motor is off though it was switched on"),
         (byte & 0x40, "the following error is beyond its limit"),
         (not byte & 0x08, "the forward limit switch is pressed"),
         (not byte & 0x04, "the reverse limit switch is pressed"),
     )
-    return [words for is_so, words in seen if is_so]
+    return [text for is_set, text in faults if is_set]
 
 
 def open_from(url: str, settings: RigSettings) -> GalilRig:
@@ -469,12 +476,15 @@ def open_from(url: str, settings: RigSettings) -> GalilRig:
 
 def _port(url: str, settings: RigSettings) -> LinkPort:
     if settings.axis not in ("", *"ABCDEFGHXYZW"):
-        raise InputError(f"galil: wanted an axis A to H or X, Y, Z, W, got '{settings.axis}'; name one")
+        raise InputError(f"galil: axis must be A to H, X, Y, Z or W, got '{settings.axis}'. Set another axis.")
     return LinkPort(url, link_settings(settings))
 
 
 def axis_state(url: str, settings: RigSettings) -> str:
-    """Ask a card on a connection of its own: "moving", "its motor on", or "" at rest with its motor off. Nothing is set."""
+    """Return the state of an axis over a separate connection, without setting anything.
+
+    The state is "moving", "its motor on", or "" if the axis is at rest with its motor off.
+    """
     port = _port(url, settings)
     try:
         port.resynchronise()

@@ -1,12 +1,11 @@
-"""One run at a time on a table, and a run that stops the table on every signal.
+"""Allow one run per table, and stop the table on every signal.
 
-A table turns by finite moves only, and its controller ends each by itself: a program that is killed leaves the table at rest within
-one dwell. So no second process watches a run.
+A table turns with finite moves only, and its controller ends each move itself. If a program is killed, its table is at rest within
+one dwell. So no second process has to watch a run.
 
-**Lock.** A file in the system's folder for temporary files, which every user may read and lock. Its name is made from where the
-table is, so the spelling of an address, its options and the user do not matter. The system frees the lock when its process ends,
-however that happens. A run on another computer shows by a motor that is on, or by the motion: the controller is asked before
-anything is set.
+The lock is a file in the system's temporary folder, which every user may read and lock. Its name depends only on the port
+or host of the table, not on the spelling of the address, its options or the user. The system releases the lock when its process
+ends, in any way. To detect a run on another computer, the controller is asked before anything is set if the motor is on or moving.
 """
 
 import contextlib
@@ -33,20 +32,20 @@ from undrift.rig.grbl import GrblController
 from undrift.rig.link import Link, link_settings
 from undrift.rig.rig import RigSettings, open_rig, parse_address
 
-# ---- Ctrl-C, Ctrl-Z and SIGTERM while a rig is driven: an exception first, and no disturbance while the table is stopped.
+# ---- Ctrl-C, Ctrl-Z and SIGTERM during a run: the first one raises an exception, later ones wait until the table has stopped.
 
-# as far as the system has them
+# signals that are handled if the system has them
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP")
 
 
 @contextmanager
 def stopping_on_signals() -> Iterator[None]:
-    """Turn SIGTERM, SIGHUP and SIGTSTP (Ctrl-Z) into the exception of Ctrl-C within the block, so that `finally` is reached."""
-    stopped: list[int] = []
+    """Raise KeyboardInterrupt for SIGTERM, SIGHUP and SIGTSTP (Ctrl-Z) within the block, so that `finally` is reached."""
+    received: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        stopped.append(number)
-        if len(stopped) == 1:
+        received.append(number)
+        if len(received) == 1:
             raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
 
     with _handled(interrupt):
@@ -55,20 +54,20 @@ def stopping_on_signals() -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let no signal disturb the block; one that came is handed at its end to whoever handled it before."""
-    came: list[int] = []
+    """Delay signals until the end of the block. The first signal then goes to the previous handler."""
+    received: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
+        received.append(number)
 
     with _handled(note):
         yield
-    if came:
-        outside = signal.getsignal(came[0])
-        if callable(outside):
-            outside(came[0], None)
-        elif outside != signal.SIG_IGN:
-            raise KeyboardInterrupt(f"stopped by {signal.Signals(came[0]).name}")
+    if received:
+        handler = signal.getsignal(received[0])
+        if callable(handler):
+            handler(received[0], None)
+        elif handler != signal.SIG_IGN:
+            raise KeyboardInterrupt(f"stopped by {signal.Signals(received[0]).name}")
 
 
 @contextmanager
@@ -81,19 +80,19 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
     try:
         yield
     finally:
-        for number, held in before.items():
-            signal.signal(number, held)
+        for number, previous in before.items():
+            signal.signal(number, previous)
 
 
-# ---- Lock: one run for one table.
+# ---- Lock: one run per table.
 
 _FOLDER = "undrift-rigs"
-LOCK_S = 0.3  # s, longest wait for a lock
-END_S = 2.0  # s, longest wait for a run that was asked to end
+LOCK_S = 0.3  # longest wait for a lock, s
+END_S = 2.0  # longest wait for a run to end after SIGTERM, s
 
 
 def place_of(address: str) -> str:
-    """Return where a table is, alike for every spelling of its address: an IP address and port, or a device of this computer."""
+    """Return the IP address and port, or the device path, of a table. The result is the same for every spelling of the address."""
     _, url, _ = parse_address(address)
     scheme, _, rest = url.partition("://")
     if scheme in ("tcp", "socket"):
@@ -107,8 +106,8 @@ def place_of(address: str) -> str:
 
 @contextmanager
 def one_run(address: str, what: str) -> Iterator[None]:
-    """Hold the lock of a table; a second run is refused before anything is sent, with `what` this one is."""
-    if parse_address(address)[0] == "manual" or os.name != "posix":  # on Windows the controller alone is asked
+    """Lock a table within the block. A second run raises RigFault before anything is sent, with the `what` of this run."""
+    if parse_address(address)[0] == "manual" or os.name != "posix":  # Windows has no lock file
         yield
         return
     handle = _opened(place_of(address))
@@ -118,10 +117,9 @@ def one_run(address: str, what: str) -> Iterator[None]:
         except OSError as error:
             holder = os.pread(handle, 300, 0).decode("utf-8", "replace").strip()
             raise RigFault(
-                f"rig: wanted the table at {address} for this run alone, got it in use by {holder or 'another program'}; wait "
-                "until that has ended"
+                f"rig: the table at {address} is in use by {holder or 'another program'}. Wait until that program has ended."
             ) from error
-        with contextlib.suppress(OSError):  # a lock that another user made may be locked but not written
+        with contextlib.suppress(OSError):  # a file of another user can be locked but not written
             os.truncate(handle, 0)
             os.pwrite(handle, f"{what} (process {os.getpid()} of {getpass.getuser()})\n".encode(), 0)
         yield
@@ -130,20 +128,20 @@ def one_run(address: str, what: str) -> Iterator[None]:
 
 
 def _opened(place: str) -> int:
-    """Return the lock's file, made for all users."""
+    """Open the lock file of a table, which is created for all users, and return its handle."""
     folder = Path("/tmp" if os.name == "posix" else tempfile.gettempdir()) / _FOLDER
     path = folder / hashlib.sha256(place.encode()).hexdigest()[:24]
     try:
         if not folder.is_dir():
             folder.mkdir(exist_ok=True)
             folder.chmod(0o1777)
-        for flags in (os.O_RDWR, os.O_RDONLY):  # the file of another user may be read and locked
+        for flags in (os.O_RDWR, os.O_RDONLY):  # a file of another user can be read and locked
             with contextlib.suppress(PermissionError, FileNotFoundError):
                 return os.open(path, flags | os.O_NOFOLLOW)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     except OSError as error:
         raise InputError(
-            f"{path}: wanted to lock the table's name, got {error.strerror or error}; mend the rights of that folder"
+            f"{path}: cannot create the lock file of the table ({error.strerror or error}). Correct the folder permissions."
         ) from error
     return handle
 
@@ -156,13 +154,13 @@ def stop_rig(address: str, settings: RigSettings = RigSettings()) -> None:
 
 
 def _end_run(address: str) -> None:
-    """Send SIGTERM to the process that holds a table's lock, and wait until it has stopped the table and ended."""
+    """Send SIGTERM to the process that has locked a table, and wait until it has stopped the table and ended."""
     handle = _opened(place_of(address))
     try:
         holder = re.search(rb"\(process (\d+) of", os.pread(handle, 300, 0))
         if holder is None or HOST.until(lambda: _is_free(handle), LOCK_S):
             return
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended, or another user's
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # the process has ended or is another user's
             os.kill(int(holder[1]), signal.SIGTERM)
         HOST.until(lambda: _is_free(handle), END_S)
     finally:
@@ -170,7 +168,7 @@ def _end_run(address: str) -> None:
 
 
 def _is_free(handle: int) -> bool:
-    """Return whether nobody holds the lock of an open file; it is held from then on until the file is closed."""
+    """Try to lock an open file and return True on success. The lock lasts until the file is closed."""
     try:
         take_lock(handle, 0.0)
     except OSError:
@@ -179,9 +177,9 @@ def _is_free(handle: int) -> bool:
 
 
 def check_free(address: str, settings: RigSettings = RigSettings(), *, motor_on: bool = False) -> None:
-    """Refuse a table that somebody drives, or left so: it moves, or its motor is on where `motor_on` does not allow that.
+    """Raise RigFault if a table moves, or if its motor is on and `motor_on` does not allow that.
 
-    Nothing is set and nothing stops.
+    The check sets nothing and does not stop the table.
     """
     kind, url, settings = parse_address(address, settings)
     if kind == "galil":
@@ -193,8 +191,8 @@ def check_free(address: str, settings: RigSettings = RigSettings(), *, motor_on:
         return
     if state:
         raise RigFault(
-            f"rig: wanted the table at {address} at rest with its motor off, got {state}: another program drives it, or left "
-            f"it so; wait for that, or say undrift rig stop with `rig` '{address}'"
+            f"rig: the table at {address} must be at rest with its motor off, got {state}. Another program uses it or has left "
+            f"it in this state. Wait for that program, or call undrift rig stop with `rig` '{address}'."
         )
 
 

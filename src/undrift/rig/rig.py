@@ -1,10 +1,10 @@
-"""Rig: what every rate table can do, whichever controller stands behind it, and how it is opened.
+"""Common interface of all rate tables, with their limits and addresses.
 
-Angles are rad, rates rad/s, positive about the table's own axis. An encoder of N lines gives 4N counts per turn, one count is
-2 pi / 4N rad. A rig rounds commands to its counts before a byte is sent; every call returns the value it ACHIEVED.
+Angles are in rad and rates in rad/s, positive about the table's own axis. An encoder with N lines gives 4N counts per turn, so one
+count is 2 pi / 4N rad. A rig rounds commands to its counts before a byte is sent. Every call returns the ACHIEVED value.
 
-A rig has an address, ``kind:url?option=value&option=value``. Adding one is a file with ``open_from(url, settings)`` and a row in
-CONTROLLERS.
+The address of a rig is ``kind:url?option=value&option=value``. To add a kind, write a file with ``open_from(url, settings)`` and
+add a row to CONTROLLERS.
 
     galil:tcp://host:port?encoder_lines=10000     galil:serial:///dev/ttyUSB0?baud=19200
     grbl:serial:///dev/ttyUSB0?axis=A             grbl:tcp://host:port                       manual:
@@ -26,26 +26,26 @@ from undrift.plugins import load_named, split_address
 from undrift.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Counts and angles: an encoder's lines or a stepper's steps in rad, and how a card rounds commands.
+# ---- Conversion between counts (encoder or stepper) and angles, and rounding of commands.
 
 COUNTS_PER_LINE = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountScale:
-    """How many counts make a turn."""
+    """Number of counts per turn."""
 
-    counts_per_turn: float  # Counts (or steps) in 2 pi
+    counts_per_turn: float  # counts (or steps) in 2 pi
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.counts_per_turn) and self.counts_per_turn > 0.0):
             raise InputError(
-                f"encoder: wanted counts per turn above 0, got {self.counts_per_turn:g}; look at its data sheet"
+                f"encoder: counts per turn must be positive, got {self.counts_per_turn:g}. Check its data sheet."
             )
 
     @classmethod
     def from_lines(cls, encoder_lines: int) -> "CountScale":
-        """Make it from the lines on an encoder's disc."""
+        """Return the scale of an encoder from the number of lines on its disc."""
         return cls(counts_per_turn=float(COUNTS_PER_LINE * encoder_lines))
 
     def angle(self, counts: float) -> float:
@@ -55,26 +55,26 @@ class CountScale:
     def counts(self, angle: float) -> float:
         """Return the counts of an angle, not rounded."""
         if not math.isfinite(angle):
-            raise InputError(f"rig: wanted a finite angle or rate, got {angle}; check what computed it")
+            raise InputError(f"rig: angle or rate must be finite, got {angle}. Check how it was computed.")
         return angle * (self.counts_per_turn / (2.0 * math.pi))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRange:
-    """The values one command of a card accepts: multiples of a step within a range."""
+    """Values that a command of a card accepts: multiples of a step within a range."""
 
-    name: str  # The command, for messages: "JG", "AC",
-    step: int  # Counts, counts/s or counts/s2 between two values
-    smallest: int  # Smallest magnitude that does something
-    largest: int  # Largest magnitude
+    name: str  # command name for messages, for example "JG" or "AC"
+    step: int  # difference between two accepted values, counts, counts/s or counts/s2
+    smallest: int  # smallest magnitude that has an effect
+    largest: int  # largest magnitude
 
     def round(self, counts: float) -> int:
-        """Return the nearest value the card can hold."""
+        """Return the nearest value that the card accepts."""
         magnitude = self.step * math.floor(abs(counts) / self.step + 0.5)
         if not self.smallest <= magnitude <= self.largest:
             raise LimitError(
-                f"{self.name}: wanted {self.smallest} to {self.largest} in steps of {self.step}, got {counts:.6g} counts; "
-                "choose another rate, acceleration or angle",
+                f"{self.name}: the card accepts {self.smallest} to {self.largest} in steps of {self.step}, got {counts:.6g} "
+                "counts. Choose another rate, acceleration or angle.",
                 counts=counts,
                 smallest=self.smallest,
                 largest=self.largest,
@@ -95,61 +95,61 @@ ROUNDING = 1.0 + 1e-9  # a limit given in degrees is met exactly by a rate given
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Limits of the commands to a rig; anything beyond raises LimitError before a byte is sent."""
+    """Limits of the commands to a rig. A command beyond them raises LimitError before a byte is sent."""
 
-    turn_rate: float = 2.0 * math.pi  # Largest rate either way, rad/s
-    acceleration: float = 100.0  # Largest acceleration, rad/s2
-    travel: float | None = None  # Largest angle either way from where it was connected, rad; None turns without end
+    turn_rate: float = 2.0 * math.pi  # largest rate in either direction, rad/s
+    acceleration: float = 100.0  # largest acceleration, rad/s2
+    travel: float | None = None  # largest angle from the start in either direction, rad (None: unlimited)
 
     def __post_init__(self) -> None:
-        check_positive(self, "limits", "a rig without limits is not driven", "turn_rate", "acceleration", "travel")
+        check_positive(self, "limits", "every rig needs limits", "turn_rate", "acceleration", "travel")
 
     def check_turn_rate(self, turn_rate: float) -> None:
-        """Refuse a rate beyond the limits."""
+        """Raise LimitError if a rate is beyond the limits."""
         if not abs(turn_rate) <= self.turn_rate * ROUNDING:
             raise LimitError(
-                f"turn rate: wanted at most {self.turn_rate:g} rad/s either way, got {turn_rate:g}; choose a slower one",
+                f"turn rate: at most {self.turn_rate:g} rad/s is allowed in either direction, got {turn_rate:g}. Choose a "
+                "lower rate.",
                 turn_rate=turn_rate,
             )
 
     def check_acceleration(self, acceleration: float) -> None:
-        """Refuse an acceleration beyond the limits."""
+        """Raise LimitError if an acceleration is beyond the limits."""
         if not 0.0 < acceleration <= self.acceleration * ROUNDING:
             raise LimitError(
-                f"acceleration: wanted above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}; "
-                "choose a smaller one",
+                f"acceleration must be above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}. "
+                "Choose a smaller acceleration.",
                 acceleration=acceleration,
             )
 
     def check_travel(self, angle: float) -> None:
-        """Refuse an angle that the rig may not be turned to."""
+        """Raise LimitError if an angle is beyond the travel."""
         if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
             raise LimitError(
-                f"travel: wanted to stay within {self.travel:g} rad of the start, got a move to {angle:g}; "
-                "choose a shorter one",
+                f"travel: the axis must stay within {self.travel:g} rad of the start, got a move to {angle:g}. "
+                "Choose a shorter move.",
                 angle=angle,
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Position:
-    """Where the axis stands."""
+    """Angle of the axis at a time."""
 
     angle: float  # rad
-    time: float  # The host's monotonic clock, s; only differences count where a controller's own clock is in it
-    # It may be off by that much either way, s: half the time between question and answer, or half a tick of the
-    # controller
+    time: float  # host's monotonic clock, s (use differences only, since a controller's clock may contribute)
+    # largest error of the time, s: half of the round trip, or half a tick of the controller's clock
     within_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoReport:
-    """Gains and sample period that a controller runs, in its own units."""
+    """Gains and sample period of a controller's servo, in the controller's units."""
 
     kp: float  # Galil: 0 to 1023.875 in steps of 1/8
     ki: float  # Galil: 0 to 2047.875 in steps of 1/128
     kd: float  # Galil: 0 to 4095.875 in steps of 1/8
-    sample_s: float  # s, from one sample of the servo to the next
+    sample_s: float  # sample period of the servo, s
 
 
 class Rig(Protocol):
@@ -157,75 +157,77 @@ class Rig(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """Limits of its commands."""
+        """Limits of the commands to the rig."""
 
     def identify(self) -> str:
         """Return make, model and firmware."""
 
     def read_servo(self) -> ServoReport | None:
-        """Return the servo's gains and sample period, None for a stepper without encoder or a person."""
+        """Return the servo's gains and sample period, or None if the rig has no servo (a stepper or a person)."""
 
     def enable(self, on: bool) -> None:
         """Switch the motor on or off."""
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Set run-up and slow-down."""
+        """Set the acceleration of both ramps and return the achieved acceleration."""
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Turn at a steady rate for so long, ramps included; the controller ends the move by itself.
+        """Turn at a steady rate for a time that includes both ramps. The controller ends the move itself.
 
-        Return at once, with the rate that the controller holds.
+        Return the rate that the controller has set, without waiting for the end of the move.
         """
 
     def move_by(self, angle: float) -> float:
         """Turn by an angle and come to rest."""
 
     def stop(self) -> None:
-        """Slow down and wait until the axis is at rest; the motor stays on."""
+        """Slow down and wait until the axis is at rest. The motor stays on."""
 
     def position(self) -> Position:
-        """Return where the axis stands now."""
+        """Return the current position of the axis."""
 
     def following_error(self) -> float:
         """Return commanded minus actual angle, rad."""
 
     def fault(self) -> str | None:
-        """Return what is wrong with it, or None."""
+        """Return a description of the fault, or None."""
 
     def close(self, *, as_found: bool = False) -> None:
-        """Stop, switch the motor off (or leave it as it was found), let go of the link; harmless when called again."""
+        """Stop, switch the motor off (or restore its initial state) and close the link. A second call has no effect."""
 
 
-# ---- The rate that was achieved, from positions of the encoder over a dwell.
+# ---- Achieved rate from encoder positions over a dwell.
 
-FLOOR = 0.5  # of the median delay
-EXPECTED = 3  # residuals that the delays alone stand for
+FLOOR = 0.5  # lower limit of a delay, as a fraction of the median delay
+EXPECTED = 3  # weight of the delays in the uncertainty, as a number of residuals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Achieved:
-    """A rate as it was."""
+    """Achieved rate of a dwell."""
 
     turn_rate: float  # rad/s
-    uncertainty: float  # Standard, rad/s
-    between_ends: float  # Way from the first position to the last over its time, rad/s
-    # Farthest from steady that a position is, delays of the link left out, rad; 0 where they explain it all
+    uncertainty: float  # standard uncertainty, rad/s
+    between_ends: float  # mean rate between the first and the last position, rad/s
+    # largest deviation from steady motion that the delays of the link cannot explain, rad
     misfit: float
-    span_s: float  # From the first position to the last, s
-    delay_s: float  # Largest of the median time in which a position may have been taken and of those at both ends, s
+    span_s: float  # time from the first position to the last, s
+    delay_s: float  # largest of three delays: the median, the first and the last, s
 
 
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
-    """Return the mean rate over a dwell: the slope of a line through (t_i, phi_i), by least squares with weights 1 / d^2.
+    """Return the mean rate over a dwell: the slope of a weighted least-squares line through (t_i, phi_i), weights 1 / d^2.
 
-    When a position was taken is known no better than d, between question and answer of the link or a tick of the controller's own
-    clock; a floor of half the median d keeps a few quick answers from counting alone. S = sum w (t - tm)^2, and the standard
-    uncertainty sqrt(r / ((n - 2) S)), r the sum of w times squared residuals, has counts and delays in it. It grows with whatever
-    is wrong, so whether the table turned steadily shows in the misfit, max |residual_i| - |slope| (d_i + median d), and in the
-    rate between the first position and the last.
+    The time of a position is uncertain by d, the round trip of the link or a tick of the controller's clock. Half the median d is
+    added in quadrature, so that a few quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2,
+    the standard uncertainty is sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other
+    numbers therefore test if the table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The
+    second is the rate between the first and the last position.
     """
     if len(positions) < 3:
-        raise InputError(f"achieved rate: wanted three positions or more, got {len(positions)}; dwell longer")
+        raise InputError(
+            f"achieved rate: at least three positions are required, got {len(positions)}. Use a longer dwell."
+        )
     delay = 2.0 * np.array([p.within_s for p in positions])
     floor = FLOOR * float(np.median(delay))
     weight = np.ones_like(delay) if floor <= 0.0 else 1.0 / (delay * delay + floor * floor)
@@ -250,18 +252,19 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     )
 
 
-# ---- A steady turn of a stated duration, as a finite move.
+# ---- A steady turn of a given duration, as a finite move.
 
 
 def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float:
-    """Return the angle of a move at a steady rate that takes so long, run-up and slow-down included.
+    """Return the angle of a move with a given steady rate and total duration, ramps included.
 
-    Both ramps together cover half of what the steady rate would in that time: angle = w (T - |w| / a), in any one unit of angle.
+    The two ramps cover half of the angle that the steady rate covers in the same time. So angle = w (T - |w| / a), in the angle
+    unit of the arguments.
     """
     ramp_s = abs(turn_rate) / acceleration
     if not ramp_s < seconds:
         raise LimitError(
-            f"turn: {seconds:g} s are too short, run-up and slow-down alone take {2.0 * ramp_s:.3g} s. Turn for longer, or choose "
+            f"turn: {seconds:g} s are too short, the two ramps take {2.0 * ramp_s:.3g} s. Turn for longer, or choose "
             "a larger acceleration.",
             seconds=seconds,
             ramp_s=ramp_s,
@@ -269,41 +272,41 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
     return turn_rate * (seconds - ramp_s)
 
 
-# ---- Whether a programme may be run on a rig: asked before anything moves.
+# ---- Check of a programme against the limits of a rig, before anything moves.
 
-TRAVEL_MARGIN = 1.1  # a wait is never shorter than requested, so a dwell's move is planned longer, and ended early
+TRAVEL_MARGIN = 1.1  # a dwell's move is planned longer by this factor and ended early, because waits can overrun
 
 
 def check_programme(
     programme: Programme, limits: Limits, done: frozenset[int] = frozenset(), *, by_hand: bool = False
 ) -> None:
-    """Refuse a programme that the rig may not run."""
-    left = [(n, step) for n, step in enumerate(programme.steps) if isinstance(step, Dwell) and n not in done]
-    turning = [(number, step) for number, step in left if step.turn_rate != 0.0]
+    """Raise InputError if a programme is beyond the limits of a rig."""
+    pending = [(n, step) for n, step in enumerate(programme.steps) if isinstance(step, Dwell) and n not in done]
+    turning = [(number, step) for number, step in pending if step.turn_rate != 0.0]
     if by_hand:
         if turning:
             number, step = turning[0]
             raise InputError(
-                f"manual rig: wanted rests and turns by known angles, got {len(turning)} dwells at a steady rate (step {number}: "
-                f"{step}), which no operator holds; replace [rates] by [turns] in the protocol"
+                f"manual rig: an operator cannot turn at a steady rate, got {len(turning)} dwells at one (step {number}: "
+                f"{step}). Replace [rates] with [turns] in the protocol."
             )
         return
 
     def check(name: str, value: float, unit: str, where: str = "") -> None:
-        """Say a limit as a protocol states it, in degrees."""
+        """Raise InputError with the limit in degrees, as in a protocol."""
         most = getattr(limits, name)
         try:
             getattr(limits, f"check_{name}")(value)
         except LimitError as error:
-            highest = "no end" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
+            limit = "inf" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
             raise InputError(
-                f"{where}{name.replace('_', ' ')}: wanted at most {highest} {unit}, got {value / RADIAN_PER_DEGREE:.6g}; mend "
-                "the protocol or state another limit",
+                f"{where}{name.replace('_', ' ')}: at most {limit} {unit} is allowed, got {value / RADIAN_PER_DEGREE:.6g}. "
+                "Correct the protocol or set another limit.",
                 **error.numbers,
             ) from error
 
     check("acceleration", programme.acceleration, "deg/s2")
-    for number, step in left:
+    for number, step in pending:
         if step.angle != 0.0:
             check("travel", step.angle, "deg from the start", f"step {number} ({step}): ")
     angle = 0.0
@@ -314,47 +317,47 @@ def check_programme(
         angle += step.travel
 
 
-# ---- What the numbers of controllers mean.
+# ---- Error and stop codes of controllers.
 
 
 @cache
 def codes(kind: str) -> dict[str, str]:
-    """Return a table of codes in words: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
+    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
     table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
     return table
 
 
 def in_words(kind: str, code: int) -> str:
-    """Say what a code means."""
+    """Return the meaning of a code."""
     return codes(kind).get(str(code), codes(kind)["other"])
 
 
 # ---- Addresses.
 
-# kind -> the function that opens a rig
+# function that opens a rig, by kind
 CONTROLLERS = {kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual", "simulated")}
 GROUP = "undrift.rigs"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSettings:
-    """What an address does not say; an option of the same name in the address wins."""
+    """Settings that apply if the address does not set an option of the same name."""
 
-    # Limits of the commands; never an option, so that no address can widen it
+    # limits of the commands (not an option, so that no address can relax them)
     limits: Limits = field(default_factory=Limits)
-    encoder_lines: int = 10_000  # Lines of a servo's encoder, 4 counts each
-    axis: str = ""  # Letter of the axis; "" is the rig's usual one
-    baud: int = 0  # Bits per second of a serial port; 0 is the rig's usual
+    encoder_lines: int = 10_000  # lines of a servo's encoder, 4 counts each
+    axis: str = ""  # letter of the axis ("" selects the rig's default)
+    baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
     hardware_handshake: bool = False  # RTS/CTS of a serial port
-    reply_timeout_s: float = 2.0  # Longest wait for an answer, s
-    clock_speed: float = 1.0  # Table seconds per host second: 1 for hardware, what a simulated table is given otherwise
-    clock: Clock | None = None  # The table's; None is the host's, at clock_speed
-    # Shows a person a line and returns what they typed; a manual rig needs it
+    reply_timeout_s: float = 2.0  # longest wait for an answer, s
+    clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
+    clock: Clock | None = None  # clock of the table (None selects the host's clock at clock_speed)
+    # prints a line for a person and returns the typed answer (required for a manual rig)
     ask: Callable[[str], str] | None = None
 
     @property
     def timing(self) -> Clock:
-        """The table's clock."""
+        """Clock of the table."""
         return self.clock or Clock(self.clock_speed)
 
 
@@ -369,24 +372,24 @@ OPTIONS: dict[str, Callable[[str], object]] = {
 
 
 def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
-    """Open a rig; nothing moves."""
+    """Open a rig without moving it."""
     kind, url, settings = parse_address(address, settings)
     rig: Rig = load_named(kind, CONTROLLERS, GROUP)(url, settings)
     return rig
 
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
-    """Take an address apart."""
-    kind, url, given = split_address(address, "rig", CONTROLLERS, GROUP, "name the kind of rig")
-    for name, text in given:
+    """Return the kind, the URL and the settings that an address contains."""
+    kind, url, options = split_address(address, "rig", CONTROLLERS, GROUP, "name the kind of rig")
+    for name, text in options:
         if name not in OPTIONS:
-            raise InputError(f"rig: wanted options out of {', '.join(OPTIONS)}, got '{name}'; mend the address")
+            raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
         try:
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
         except (ValueError, KeyError) as error:
-            raise InputError(f"rig: wanted a value for {name}, got '{text}'; mend the address") from error
+            raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
     if kind == "simulated" and settings.clock is None:
         if not settings.clock_speed > 0.0:
-            raise InputError(f"rig: wanted a clock_speed above 0, got {settings.clock_speed:g}; mend the address")
+            raise InputError(f"rig: clock_speed must be positive, got {settings.clock_speed:g}. Correct the address.")
         settings = replace(settings, clock=PacedClock(settings.clock_speed))
     return kind, url, settings
