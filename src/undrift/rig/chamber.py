@@ -1,6 +1,6 @@
-"""Thermal chambers by address; here those behind a small SCPI-like language, over TCP or a serial port.
+"""Thermal chambers by address, and chambers with a small SCPI-like command set over TCP or a serial port.
 
-``manual:``, a chamber that a person sets, is in rig/manual.py.
+``manual:``, a chamber that a person sets, is in rig/manual.py. Commands of the other chambers:
 
 ::
 
@@ -11,10 +11,10 @@
     OUTP ON           OUTP?        heater and compressor, 1 or 0
     SYST:ERR?                      0,"No error" or the oldest fault
 
-The air has soaked when the readings of a stated time lie within a tolerance of the set-point and none of the straight lines through
-all of them, through their first and through their second half is steeper than 0.1 K/min. A device's board follows the air late, so
-a soak ends when its thermometer, averaged over a fifteenth of that time, stands still likewise; without one, after five of its
-stated time constants of steady air (exp(-5) = 0.7 % of the step left).
+The air is steady when all readings of a time window are within a tolerance of the set-point and no slope exceeds 0.1 K/min. Slopes
+are fitted to the window and to each of its halves. A device's board follows the air with a lag, so a soak ends when the slopes of
+its thermometer are also below the limit. The thermometer is averaged over a fifteenth of the window. If the device has no
+thermometer, the soak ends after five time constants of steady air (exp(-5) = 0.7 % of the step remains).
 """
 
 import contextlib
@@ -42,68 +42,74 @@ FEWEST_READINGS = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SoakSettings:
-    """When a temperature counts as steady."""
+    """Criterion for a steady temperature."""
 
-    slope_c_per_min: float = 0.1  # Largest change, K/min
-    window_s: float = 300.0  # Time that it must hold for, chamber s
-    tolerance_c: float = 0.5  # Largest distance from the set-point, K
+    slope_c_per_min: float = 0.1  # largest slope, K/min
+    window_s: float = 300.0  # window of the criterion, chamber s
+    tolerance_c: float = 0.5  # largest distance from the set-point, K
 
     def __post_init__(self) -> None:
-        check_positive(self, "soak", "nothing is steadier than steady", "slope_c_per_min", "window_s", "tolerance_c")
+        check_positive(self, "soak", "set a positive value", "slope_c_per_min", "window_s", "tolerance_c")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChamberSetup:
-    """Limits of a chamber, and how it is watched."""
+    """Limits and connection settings of a chamber, and its criterion for a steady temperature."""
 
-    lowest_c: float = 0.0  # Set-points beyond are refused before a byte is sent, degC
-    highest_c: float = 80.0
-    soak: SoakSettings = field(default_factory=SoakSettings)  # When its temperature counts as steady
-    reply_timeout_s: float = 2.0  # Longest wait for an answer, host s
-    baud: int = 9600  # Bits per second of a serial port
-    clock: Clock = HOST  # The chamber's
+    lowest_c: float = 0.0  # lowest set-point, degC (a lower one raises LimitError before a byte is sent)
+    highest_c: float = 80.0  # highest set-point, degC
+    soak: SoakSettings = field(default_factory=SoakSettings)  # criterion for a steady temperature
+    reply_timeout_s: float = 2.0  # longest wait for an answer, host s
+    baud: int = 9600  # bits per second of a serial port
+    clock: Clock = HOST  # clock of the chamber
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lowest_c) and math.isfinite(self.highest_c) and self.lowest_c < self.highest_c):
             raise InputError(
-                f"chamber: wanted a lowest set-point below the highest, got {self.lowest_c} and {self.highest_c} degC; state both"
+                f"chamber: the lowest set-point must be below the highest, got {self.lowest_c} and {self.highest_c} degC. Set both."
             )
-        check_positive(self, "chamber", "state it", "reply_timeout_s")
+        check_positive(self, "chamber", "set a positive value", "reply_timeout_s")
 
 
 class Steadiness:
-    """Watches a temperature until it is steady."""
+    """Window of the latest temperatures that decides if a temperature is steady."""
 
     def __init__(self, settings: SoakSettings) -> None:
         self._settings = settings
-        self._held: deque[tuple[float, float]] = deque()
+        self._readings: deque[tuple[float, float]] = deque()
 
     def add(self, time_s: float, temp_c: float) -> None:
-        """Take a reading."""
-        self._held.append((time_s, temp_c))
-        # a busy host may look so seldom that a window holds fewer readings than a slope needs: then look further back
-        while len(self._held) > FEWEST_READINGS and self._held[1][0] <= time_s - self._settings.window_s:
-            self._held.popleft()
+        """Add a reading and remove the readings before the window."""
+        self._readings.append((time_s, temp_c))
+        # A busy host may read rarely. The window is then extended to the number of readings that a slope requires.
+        while len(self._readings) > FEWEST_READINGS and self._readings[1][0] <= time_s - self._settings.window_s:
+            self._readings.popleft()
 
     def slope_c_per_min(self) -> float:
-        """Return the steepest of the lines through the window and its halves, K/min; infinite before the window is full."""
-        if len(self._held) < FEWEST_READINGS or self._held[-1][0] - self._held[0][0] < self._settings.window_s:
+        """Return the largest slope of the window and its halves, K/min, or infinity before the window is full."""
+        if (
+            len(self._readings) < FEWEST_READINGS
+            or self._readings[-1][0] - self._readings[0][0] < self._settings.window_s
+        ):
             return math.inf
-        t, temp = np.array(self._held).T
+        t, temp = np.array(self._readings).T
         half = len(t) // 2
-        parts = ((t, temp), (t[:half], temp[:half]), (t[half:], temp[half:]))
-        return 60.0 * max(abs(_slope(*part)) for part in parts)
+        windows = ((t, temp), (t[:half], temp[:half]), (t[half:], temp[half:]))
+        return 60.0 * max(abs(_slope(*window)) for window in windows)
 
     def steady_at(self, temp_c: float) -> bool:
-        """Return whether the temperature stands still at a set-point."""
-        near = all(abs(value - temp_c) <= self._settings.tolerance_c for _, value in self._held)
+        """Return True if the temperature is steady at a set-point."""
+        near = all(abs(value - temp_c) <= self._settings.tolerance_c for _, value in self._readings)
         return near and self.slope_c_per_min() < self._settings.slope_c_per_min
 
 
 class Chamber(AbstractContextManager["Chamber"]):
-    """A chamber that is connected; a context manager that lets go of it. A kind of chamber sends, reads and switches off."""
+    """Base class of connected chambers, a context manager that closes the chamber at the end.
 
-    near_c: float | None = None  # How near the set-point a device must come where the air has no thermometer, K
+    A subclass sends set-points, reads the temperature and switches the chamber off.
+    """
+
+    near_c: float | None = None  # largest distance of a device from the set-point, K, if the air has no thermometer
 
     def __init__(self, settings: ChamberSetup) -> None:
         self.settings, self.criterion = settings, settings.soak
@@ -115,34 +121,34 @@ class Chamber(AbstractContextManager["Chamber"]):
         self.close()
 
     def set(self, temp_c: float) -> float:
-        """Switch on and set a temperature to go to."""
+        """Switch the chamber on, set its set-point and return the set-point that the chamber reports, degC."""
         low, high = self.settings.lowest_c, self.settings.highest_c
         if not low <= temp_c <= high:
             raise LimitError(
-                f"chamber: wanted a set-point from {low:g} to {high:g} degC, got {temp_c:g}; choose one in between",
+                f"chamber: the set-point must be {low:g} to {high:g} degC, got {temp_c:g}. Choose another set-point.",
                 temp_c=temp_c,
             )
-        held = self._send(temp_c)
-        if abs(held - temp_c) > 0.1:
-            raise RigFault(f"chamber: wanted a set-point of {temp_c:g} degC, got {held:g}; look at the chamber")
-        self._set_point, self._steadiness = held, Steadiness(self.settings.soak)
-        return held
+        actual_c = self._send(temp_c)
+        if abs(actual_c - temp_c) > 0.1:
+            raise RigFault(f"chamber: set {temp_c:g} degC, but the chamber reports {actual_c:g}. Check the chamber.")
+        self._set_point, self._steadiness = actual_c, Steadiness(self.settings.soak)
+        return actual_c
 
     def read(self) -> float | None:
-        """Return the temperature of its air now, degC; None where it has no thermometer that can be asked."""
+        """Return the current air temperature, degC, or None if it cannot be read."""
         temp = self._measure()
         self._steadiness.add(self.settings.clock.now(), temp)
         return temp
 
     def soaked(self) -> bool:
-        """Take a reading and return whether the set-point is reached and the slope is below the criterion."""
+        """Read the temperature and return True if it is steady at the set-point."""
         if self._set_point is None:
-            raise InputError("chamber: wanted a set-point before a soak, got none; set it first")
+            raise InputError("chamber: no set-point before the soak. Set the temperature first.")
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
     def slope_c_per_min(self) -> float:
-        """Return how fast its air changes by the criterion, K/min; infinite before a window is full."""
+        """Return the slope of the air temperature, K/min, or infinity before the window is full."""
         return self._steadiness.slope_c_per_min()
 
     @abstractmethod
@@ -150,34 +156,34 @@ class Chamber(AbstractContextManager["Chamber"]):
         """Switch heater and compressor off."""
 
     def close(self) -> None:
-        """Switch it off and let go of the link; harmless when called again, and when the link is lost."""
+        """Switch the chamber off and close the link, which may be lost. A second call has no effect."""
         if self._closed:
             return
         self._closed = True
         try:
             with contextlib.suppress(RigError):
-                self._reconnect()  # an answer that came late must not keep it on
+                self._reconnect()  # so that a late answer cannot prevent switching off
                 self.switch_off()
         finally:
             self._let_go()
 
     @abstractmethod
     def _send(self, temp_c: float) -> float:
-        """Switch on, set, and return the set-point that it holds."""
+        """Switch the chamber on, set its set-point and return the set-point that the chamber reports, degC."""
 
     @abstractmethod
     def _measure(self) -> float:
-        """Return what its thermometer reads, degC."""
+        """Return the temperature of the chamber's thermometer, degC."""
 
     def _reconnect(self) -> None:
-        """Begin the link anew."""
+        """Close and reopen the link."""
 
     def _let_go(self) -> None:
         """Close the link."""
 
 
 class ScpiChamber(Chamber):
-    """A chamber that understands the language above."""
+    """A chamber with the command set of this module."""
 
     def __init__(self, url: str, settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
@@ -187,7 +193,7 @@ class ScpiChamber(Chamber):
             self.identity = self._ask("*IDN?")
             if self.identity.count(",") != 3:
                 raise LinkError(
-                    f"{url}: wanted a chamber's maker, model, number, firmware, got '{self.identity}'; check address"
+                    f"{url}: '{self.identity}' is not maker, model, number and firmware of a chamber. Check the address."
                 )
         except BaseException:
             self._link.close()
@@ -196,14 +202,14 @@ class ScpiChamber(Chamber):
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
         if self._number("OUTP OFF;:OUTP?") != 0.0:
-            raise RigFault("chamber: wanted heater and compressor off, got them on; switch the chamber off by hand")
+            raise RigFault("chamber: heater and compressor are still on. Switch the chamber off by hand.")
 
     def _send(self, temp_c: float) -> float:
-        held = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
+        actual_c = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
         answer = self._ask("SYST:ERR?")
         if answer.partition(",")[0] not in ("0", "+0"):
-            raise RigFault(f"chamber: wanted a command obeyed, got error {answer[:60]}; look at the chamber")
-        return held
+            raise RigFault(f"chamber: the command failed, got error {answer[:60]}. Check the chamber.")
+        return actual_c
 
     def _measure(self) -> float:
         return self._number("MEAS:TEMP?")
@@ -221,12 +227,12 @@ class ScpiChamber(Chamber):
         answer = self._ask(text)
         if not math.isfinite(value := number_of(answer)):
             raise LinkError(
-                f"chamber: wanted a number in answer to '{text}', got '{answer[:60]}'; check link and chamber"
+                f"chamber: expected a number in answer to '{text}', got '{answer[:60]}'. Check link and chamber."
             )
         return value
 
 
-CHAMBERS = {  # kind -> the function that opens a chamber; any other address is one of a ScpiChamber
+CHAMBERS = {  # function that opens a chamber, by kind (other addresses open a ScpiChamber)
     "manual": "undrift.rig.manual:open_chamber_from",
 }
 GROUP = "undrift.chambers"
@@ -235,7 +241,7 @@ GROUP = "undrift.chambers"
 def open_chamber(
     address: str, settings: ChamberSetup = ChamberSetup(), *, ask: Callable[[str], str] | None = None
 ) -> Chamber:
-    """Open a chamber; its temperature is left as it is. ``ask`` shows a person a line and returns what they typed."""
+    """Open a chamber without changing its temperature. ``ask`` prints a line for a person and returns the typed answer."""
     kind = address.partition(":")[0]
     if kind not in names_in(CHAMBERS, GROUP):
         return ScpiChamber(address, settings)
@@ -244,56 +250,56 @@ def open_chamber(
 
 
 def _slope(t: FloatArray, temp: FloatArray) -> float:
-    apart = t - t.mean()
-    spread = float(apart @ apart)
-    return float(apart @ temp) / spread if spread > 0.0 else math.inf
+    deviation = t - t.mean()
+    spread = float(deviation @ deviation)
+    return float(deviation @ temp) / spread if spread > 0.0 else math.inf
 
 
-# ---- What a run needs beside the rig and a chamber: readings of the device and an operator. Live ones and fakes fit alike.
+# ---- Interfaces that a run requires besides the rig and a chamber: the device's readings and an operator, live or simulated.
 
 
 class Readings(Protocol):
-    """The device's readings as they come."""
+    """Readings of a device as they arrive."""
 
     def start(self, *, certain: bool = True) -> None:
-        """Begin to keep readings that the device takes from now on."""
+        """Start to store the readings that the device takes from now on."""
 
     def end(self) -> None:
-        """Let the dwell end now: what comes later is left out of ``stop``, where several devices are read one after the other."""
+        """End the dwell now. ``stop`` omits later readings, because several devices are stopped one after the other."""
 
     def stop(self) -> Record:
-        """Return the readings since ``start``, to ``end`` where it was called, and keep no more."""
+        """Return the readings from ``start`` to ``end`` (or to now without ``end``) and stop storing."""
 
     def latest(self) -> str:
-        """Return the latest reading in words, "" where there is none."""
+        """Return the latest reading as text, or "" if there are no readings."""
 
     def close(self) -> None:
-        """Close the device; harmless when called again."""
+        """Close the device. A second call has no effect."""
 
 
 class Operator(Protocol):
     """The operator, who mounts the device on the table."""
 
     def mount(self, up: Face) -> None:
-        """Have the device mounted; returns when it is done and the table is free to turn."""
+        """Ask for the device to be mounted, and return when the table is free to turn."""
 
 
-# ---- The device's board in a chamber: it follows the air late, so a soak ends when the board stands still, not the air.
+# ---- Board of the device in a chamber. It lags behind the air, so a soak ends when the board is steady, not the air.
 
-LOOKS = 15  # in a window
-FIRST_LOOK_S = 2.0  # tells whether there is a thermometer, table s
+LOOKS = 15  # number of looks per window
+FIRST_LOOK_S = 2.0  # time until the first look, which detects a thermometer, table s
 LAGS = 5.0
 
 
 class SoakWatch:
-    """Watches a board through a soak, from now on."""
+    """Monitor of a device's board during a soak, which starts at construction."""
 
     def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber, lag_s: float) -> None:
         self._readings, self._clock, self._lag_s = readings, clock, lag_s
         self._slope, self._window_s = step.slope_c_per_min, chamber.criterion.window_s
         self._wanted_c, self._near_c = step.temp_c, chamber.near_c
         self._steadiness = Steadiness(SoakSettings(slope_c_per_min=self._slope, window_s=self._window_s))
-        self.temp_c: float | None = None  # What its thermometer read last, degC
+        self.temp_c: float | None = None  # latest temperature of the device, degC
         self._known = False
         self._air_since: float | None = None
         self._since = clock.now()
@@ -303,7 +309,7 @@ class SoakWatch:
         return "" if self.temp_c is None else f", device {self.temp_c:.2f} degC"
 
     def followed(self, air_steady: bool) -> bool:
-        """Return whether air and board stand still."""
+        """Return True if air and board are steady."""
         now = self._clock.now()
         self._look(now)
         self._air_since = (self._air_since or now) if air_steady else None
@@ -312,19 +318,19 @@ class SoakWatch:
         if self.temp_c is None:
             if self._near_c is not None:
                 raise InputError(
-                    "device: wanted a thermometer in it, as the chamber is set by hand, got none; use a chamber that can be asked"
+                    "device: a chamber set by hand requires a device with a thermometer. Use a chamber with an address."
                 )
             return now - self._air_since >= LAGS * self._lag_s
         return self._still() and not self._apart()
 
     def slope_c_per_min(self, chamber: Chamber) -> float | None:
-        """Return the slope that the soak's criterion looks at now, the air's or, once that is steady, the board's; None before."""
+        """Return the slope of the air or, when the air is steady, of the board, K/min. It is None before the window is full."""
         air_is_steady = self._air_since is not None and self.temp_c is not None
         slope = self._steadiness.slope_c_per_min() if air_is_steady else chamber.slope_c_per_min()
         return slope if math.isfinite(slope) else None
 
     def elsewhere(self) -> bool:
-        """Return whether the board stands still far from the set-point, where nothing but the board shows the air."""
+        """Return True if the board is steady but far from the set-point of a chamber without its own thermometer."""
         return self._still() and self._apart()
 
     def _still(self) -> bool:
@@ -347,7 +353,7 @@ class SoakWatch:
 
 
 def mean_temp(record: Record) -> float | None:
-    """Return the mean that a device's thermometer read."""
+    """Return the mean temperature of a device's thermometer, degC, or None if it has no readings."""
     if record.temp_c is None or not np.isfinite(record.temp_c).any():
         return None
     return float(np.nanmean(record.temp_c))

@@ -1,33 +1,34 @@
-"""Whether a dwell may be kept: the table turned steadily, the device spoke and lay still, air and board kept their temperature.
+"""Accept or reject a dwell: steady turn, complete readings, device at rest if it should be, steady temperature of air and board.
 
-With rate w, dwell T, time d in which a position may have been taken (the link's delay, or a tick) and a = angle_tolerance, a dwell
-is refused unless
+Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay, or a tick). With a =
+angle_tolerance, a dwell is accepted if
 
     |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
     |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
-    misfit                <= a                                    no stop, no jump: rig/rig.py
-    2 d / T               <= link_tolerance, where w is not 0     else the link hides what the table does: read once more
+    misfit                <= a                                    no stop and no jump (rig/rig.py)
+    2 d / T               <= link_tolerance, if w is not 0        otherwise the delays hide the motion, and the dwell is repeated
     finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
 
-A rest is taken again where someone pushed the table or mounted the wrong face (`Disturbed`). With s the spread of a channel in the
-first rests of this rig, and f the mean specific force of a face as read,
+A rest is repeated if the table was pushed or the wrong face was mounted (`Disturbed`). Let s be the spread of a channel in the
+first rests of this rig, and f the mean specific force of a face.
 
-    largest spread of an eighth of the rest    <= STILL s               where s is not below half a step of the converter
-    |f - f(other face)|                        >= APART s               else nobody mounted it
+    largest spread of an eighth of the rest    <= STILL s               with s of at least half a step of the converter
+    |f - f(other face)|                        >= APART s               otherwise the face was not changed
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
 
-A turn is taken again where it does not read as one, as when the device's readings come later than the link shows.
-With m the mean of the gyroscopes over the dwell, m0 over the last rest, and from the rest the noise n of an eighth and e of m - m0,
+A turn is repeated if its readings are not those of a turn, for example if they arrive later than the link's delay. Let m be the
+mean of the gyroscopes over the dwell and m0 the mean over the last rest. From that rest, n is the noise of an eighth and e of m -
+m0.
 
-    |mean of an eighth - m|     <= UNSTEADY |m - m0| + SHOWN n     else a part of it was read at another rate
-    largest |m - m0| / e        >= SHOWN, for |w| >= SLOWEST       else it reads as at rest
-    |m - m0 - g w|              <= UNLIKE |g w| + SHOWN e          g = (m - m0) / w of the other turns about this axis; at a rate
-                                                                   beyond all of theirs it may be less: out of range
+    |mean of an eighth - m|     <= UNSTEADY |m - m0| + SHOWN n     otherwise an eighth was read at another rate
+    largest |m - m0| / e        >= SHOWN, for |w| >= SLOWEST       otherwise the readings are those of a rest
+    |m - m0 - g w|              <= UNLIKE |g w| + SHOWN e          g = (m - m0) / w of the other turns about this axis (m may be
+                                                                   smaller at a rate beyond all others, if it is out of range)
 
-and a rest after turns unless |m - m0| <= UNLIKE of the largest that a turn reads.
+A rest after turns is repeated unless |m - m0| <= UNLIKE of the largest value in a turn.
 
-In counts two faces that contradict each other do not tell which of them is wrong (`Contradiction`). A sound pair about another axis
-does: its middle is what no acceleration reads, so that f less the middle lies along k for the face that is mounted as stated.
+In counts, two contradictory faces do not determine which of them is wrong (`Contradiction`). A correct pair about another axis
+does. Its middle is the reading without acceleration, so f minus the middle is along k for the face that is mounted correctly.
 """
 
 from dataclasses import dataclass
@@ -41,121 +42,120 @@ from undrift.record import Axis, Face, Record
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 
-PARTS = 8  # of a dwell, for the board
-COARSEST_C = 1.0  # step of a thermometer, K: more is a jump
+PARTS = 8  # number of parts of a dwell
+COARSEST_C = 1.0  # largest resolution step of a thermometer, K (a larger step is a jump)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
-    """When a run gives up."""
+    """Tolerances and timeouts of a run."""
 
-    turn_rate_tolerance: float = 0.03  # Achieved against set rate, 1
-    # A few counts: on top of it, over a dwell, and farthest from a steady turn, rad
+    turn_rate_tolerance: float = 0.03  # relative tolerance of the achieved rate, 1
+    # additional tolerance of a few counts over a dwell, also the largest deviation from a steady turn, rad
     angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
-    link_tolerance: float = 0.1  # Part of a rate that the link's delays may hide, 1
-    least_part: float = 0.8  # Part of a dwell's readings that must come, 1
-    soak_timeout_s: float = 6.0 * 3600.0  # Longest soak, table s
-    # Time constant with which a device without thermometer follows the air, s; five of them are waited for
+    link_tolerance: float = 0.1  # largest fraction of a rate that the link's delays may hide, 1
+    least_part: float = 0.8  # smallest fraction of a dwell's readings that must arrive, 1
+    soak_timeout_s: float = 6.0 * 3600.0  # longest soak, table s
+    # time constant of a device without thermometer behind the air, s (a soak waits for five of them)
     device_lag_s: float = 120.0
 
     def __post_init__(self) -> None:
         if not self.device_lag_s >= 0.0:
             raise InputError(
-                f"run: wanted a device lag of 0 s or more, got {self.device_lag_s}; state how late it follows the air"
+                f"run: device lag must be 0 s or more, got {self.device_lag_s}. Set the time constant of the device."
             )
 
 
 def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
-    """Return whether the positions came too late to determine how fast the table turned."""
+    """Return True if the delays of the positions are too large to determine the turn rate."""
     return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
 
 
-def check_rate(achieved: Achieved, held: float, settings: RunSettings, where: str) -> None:
-    """Refuse a dwell in which the table did not hold its rate all the time."""
-    off = settings.turn_rate_tolerance * abs(held)
+def check_rate(achieved: Achieved, set_rate: float, settings: RunSettings, where: str) -> None:
+    """Raise RigFault if the table did not turn steadily at its rate in a dwell."""
+    off = settings.turn_rate_tolerance * abs(set_rate)
     slip = settings.angle_tolerance / achieved.span_s
-    late = 2.0 * abs(held) * achieved.delay_s / achieved.span_s
-    found = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
-    for rate, allowed in found:
-        if not abs(rate - held) <= allowed:
+    late = 2.0 * abs(set_rate) * achieved.delay_s / achieved.span_s
+    rates = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
+    for rate, allowed in rates:
+        if not abs(rate - set_rate) <= allowed:
             raise RigFault(
-                f"rig: wanted {held:.6g} rad/s held within {allowed:.2g} in {where}, got {rate:.6g}; look at the table, its "
-                "amplifier and its encoder",
+                f"rig: expected {set_rate:.6g} rad/s within {allowed:.2g} in {where}, got {rate:.6g}. Check the table, its "
+                "amplifier and its encoder.",
                 turn_rate=rate,
             )
     if not achieved.misfit <= settings.angle_tolerance:
         raise RigFault(
-            f"rig: wanted a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got "
-            f"{achieved.misfit / RADIAN_PER_DEGREE:.2g} deg off a straight line; it stopped, jumped or was pushed: look "
-            "at the table",
+            f"rig: expected a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got a "
+            f"deviation of {achieved.misfit / RADIAN_PER_DEGREE:.2g} deg. The table stopped, jumped or was pushed. Check it.",
             misfit=achieved.misfit,
         )
 
 
 def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
-    """Refuse a dwell in which the device sent too little."""
-    came = np.ones(len(record), bool)
+    """Return the number of missing readings. Raise RigTimeout if too many are missing."""
+    valid = np.ones(len(record), bool)
     for values in (record.gyro, record.accel):
         if values is not None:
-            came &= np.isfinite(values).all(axis=1)
-    finite, rate = int(came.sum()), record.sample_rate_hz
-    wanted = rate * max(dwell_s, record.duration_s)
-    if finite < settings.least_part * wanted:
+            valid &= np.isfinite(values).all(axis=1)
+    finite, rate = int(valid.sum()), record.sample_rate_hz
+    expected = rate * max(dwell_s, record.duration_s)
+    if finite < settings.least_part * expected:
         raise RigTimeout(
-            f"device: wanted {settings.least_part:.0%} of {wanted:.0f} readings in {where}, got {finite}, the others missing; look "
-            "at the device and its link, then continue with `resume`",
+            f"device: expected at least {settings.least_part:.0%} of {expected:.0f} readings in {where}, got {finite}. Check the "
+            "device and its link, then continue with `resume`.",
             readings=finite,
         )
     return len(record) - finite
 
 
 def check_board(record: Record, tolerance_c: float, where: str) -> None:
-    """Refuse a dwell in which the device's own thermometer drifts or jumps; without one nothing is checked."""
+    """Raise RigFault if the device's thermometer drifts or jumps in a dwell. Without thermometer, nothing is checked."""
     if record.temp_c is None:
         return
     temp_c = record.temp_c[np.isfinite(record.temp_c)]
     if len(temp_c) < 2:
         return
-    middles = [float(np.median(part)) for part in np.array_split(temp_c, min(PARTS, len(temp_c)))]
+    middles = [float(np.median(chunk)) for chunk in np.array_split(temp_c, min(PARTS, len(temp_c)))]
     steps = np.diff(np.unique(temp_c))
     step_c = min(float(steps.min()), COARSEST_C) if len(steps) else 0.0
     change_c = max(middles) - min(middles)
     if change_c > tolerance_c + step_c:
         raise RigFault(
-            f"device: wanted its thermometer steady within {tolerance_c:g} K throughout {where}, got a change of {change_c:.2f} K; "
-            "look at the chamber and at the air around the device, then continue with `resume`",
+            f"device: its temperature must be steady within {tolerance_c:g} K in {where}, got a change of {change_c:.2f} K. "
+            "Check the chamber and the air around the device, then continue with `resume`.",
             change_c=change_c,
         )
 
 
-# ---- what the rig's own rests say about the next
+# ---- Comparison of a rest with earlier rests of the rig.
 
-STILL = 8.0  # spreads: an eighth of a rest that scatters more was disturbed
-APART = 5.0  # spreads between two faces: less is the same face
+STILL = 8.0  # largest spread of an eighth of a rest, relative to the usual spread
+APART = 5.0  # smallest distance between two faces, in spreads
 SLANT = float(np.cos(np.radians(30.0)))
-FIRST = 3  # rests that tell the rig's own spread
+FIRST = 3  # number of rests that determine the usual spread
 
 
 class Disturbed(RigFault):
-    """A rest that someone disturbed or mounted wrongly: it is taken again."""
+    """A rest that was disturbed or mounted wrongly and must be repeated."""
 
 
 class Contradiction(Disturbed):
-    """A rest that does not fit one that was kept, in counts: either of them may be the wrong one."""
+    """A rest that contradicts an earlier rest in counts, so that either of them can be wrong."""
 
-    other: Face  # The one that was kept
-    surely: bool  # Other faces show that it is that one
+    other: Face  # face of the earlier rest
+    surely: bool  # True if other faces determine that the earlier rest is wrong
 
 
 class RestCheck:
-    """Remembers how still this rig's first rests were and what each face read."""
+    """Check of rests, which stores the spreads of the first rests and the mean readings of each face."""
 
     def __init__(self) -> None:
         self._spreads: list[FloatArray] = []
         self._faces: dict[Face, FloatArray] = {}
 
     def check(self, step: Dwell, record: Record, where: str) -> None:
-        """Refuse a rest that was not still, or a face that does not read as mounted."""
+        """Raise Disturbed for a rest that was not still, or a face that was not mounted as planned."""
         if step.turn_rate != 0.0 or step.purpose == "turn":
             return
         parts = _spreads(record)
@@ -163,15 +163,15 @@ class RestCheck:
         worst = float(np.nanmax(parts.max(axis=0) / np.where(usual > 0.0, usual, 1.0)))
         if worst > STILL:
             raise Disturbed(
-                f"device: wanted it at rest in {where}, got {worst:.0f} times the spread of this rig's rests; nobody may touch the "
-                "table while it is read: continue with `resume`",
+                f"device: not at rest in {where}, got {worst:.0f} times the spread of this rig's rests. Do not touch the table "
+                "during a rest. Continue with `resume`.",
                 spread=worst,
             )
         if step.purpose == "face" and record.accel is not None:
             self._check_face(step.up, record.accel, record.accel_unit, APART * usual[-3:], where)
 
     def keep(self, step: Dwell, record: Record) -> None:
-        """Remember a rest that was kept."""
+        """Store an accepted rest."""
         if step.turn_rate != 0.0 or step.purpose == "turn":
             return
         if len(self._spreads) < FIRST:
@@ -180,122 +180,127 @@ class RestCheck:
             self._faces.setdefault(step.up, np.nanmean(record.accel, axis=0))
 
     def forget(self, face: Face) -> None:
-        """Drop what a face read: it is taken again."""
+        """Remove the readings of a face that is repeated."""
         self._faces.pop(face, None)
 
-    def _check_face(self, up: Face, accel: FloatArray, unit: str, apart: FloatArray, where: str) -> None:
-        force, others = np.nanmean(accel, axis=0), {face: f for face, f in self._faces.items() if face != up}
-        same = next((face for face, seen in others.items() if (np.abs(force - seen) <= apart).all()), None)
-        against = next((face for face in others if face[1] == up[1]), None)
+    def _check_face(self, up: Face, accel: FloatArray, unit: str, distance: FloatArray, where: str) -> None:
+        force, kept_faces = np.nanmean(accel, axis=0), {face: f for face, f in self._faces.items() if face != up}
+        same = next((face for face, other in kept_faces.items() if (np.abs(force - other) <= distance).all()), None)
+        opposite = next((face for face in kept_faces if face[1] == up[1]), None)
         if same is not None:
-            got, other = f"the readings of {same}", same
+            reason, other = f"the readings of {same}", same
         elif is_physical(unit):
             if _lies_along(up, force, signed=True):
                 return
-            got, other = "gravity along another axis", up
-        elif against is not None and not _lies_along(up, force - others[against]):
-            got, other = f"gravity along another axis than {against}", against
+            reason, other = "gravity along another axis", up
+        elif opposite is not None and not _lies_along(up, force - kept_faces[opposite]):
+            reason, other = f"gravity along another axis than {opposite}", opposite
         else:
             return
         if is_physical(unit):
-            raise Disturbed(f"device: wanted {up} up in {where}, got {got}; mount it again", up=up)
+            raise Disturbed(f"device: {up} must be up in {where}, got {reason}. Mount it again.", up=up)
         middles = [
-            0.5 * (others[plus] + others[minus])
+            0.5 * (kept_faces[plus] + kept_faces[minus])
             for plus, minus in (("+x", "-x"), ("+y", "-y"), ("+z", "-z"))
-            if plus in others and minus in others and other not in (plus, minus)
+            if plus in kept_faces and minus in kept_faces and other not in (plus, minus)
         ]
-        sound = [all(_lies_along(face, f - at) for at in middles) for face, f in ((up, force), (other, others[other]))]
+        sound = [
+            all(_lies_along(face, f - at) for at in middles) for face, f in ((up, force), (other, kept_faces[other]))
+        ]
         if middles and sound == [False, True]:
-            raise Disturbed(f"device: wanted {up} up in {where}, got {got}; mount it again", up=up)
+            raise Disturbed(f"device: {up} must be up in {where}, got {reason}. Mount it again.", up=up)
         raise Contradiction(
-            f"device: wanted {up} up in {where}, got {got}; one of the two is not mounted as stated: mount both again, with "
-            "--resume",
+            f"device: {up} must be up in {where}, got {reason}. One of the two faces was mounted wrongly. Mount both again with "
+            "--resume.",
             other=other,
             surely=bool(middles) and sound == [True, False],
         )
 
 
-UNSTEADY, UNLIKE = 0.1, 0.25  # of what a turn reads
-SHOWN = 6.0  # standard errors
-SLOWEST = 5.0 * RADIAN_PER_DEGREE  # rad/s: a slower turn may be less than a step of the converter
+# ---- Comparison of a turn with the last rest and with earlier turns.
+
+UNSTEADY, UNLIKE = 0.1, 0.25  # tolerances relative to the reading of a turn
+SHOWN = 6.0  # threshold of significance, in standard errors
+SLOWEST = 5.0 * RADIAN_PER_DEGREE  # slowest turn that is checked, rad/s (a slower one may be below one converter step)
 
 
 class TurnCheck:
-    """Remembers what this device reads in turns about each axis, less what the last rest reads."""
+    """Check of turns, which stores the difference between the readings in turns and in the last rest, by axis."""
 
     def __init__(self) -> None:
-        self._rest: tuple[float | None, Record] | None = None  # the last one, with its set-point
-        # Turn rate, and readings less those at rest (3,), by axis
+        self._rest: tuple[float | None, Record] | None = None  # set-point and record of the last rest
+        # turn rate, and readings minus the readings at rest (3,), by axis
         self._kept: dict[Axis | None, list[tuple[float, FloatArray]]] = {}
 
     def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
-        """Refuse a turn that does not read as one at its rate, and a rest that reads as a turn."""
+        """Raise Disturbed for a turn whose readings do not match its rate, and for a rest with the readings of a turn."""
         temp_c, last = self._rest or (None, None)
         if step.purpose == "turn" or last is None or last.gyro is None or record.gyro is None:
             return
         parts, rest = _part_means(record.gyro), _part_means(last.gyro)
         longer = max(1.0, len(last) / len(record))
-        noise = np.sqrt(2.0 * longer * rest.var(axis=0) + len(parts) * _half_steps(last)[:3] ** 2 / 3.0)  # of a part
-        error, shown = noise / np.sqrt(len(parts)), parts.mean(axis=0) - rest.mean(axis=0)
-        steady = (UNSTEADY * np.abs(shown) + SHOWN * noise).max()
+        noise = np.sqrt(2.0 * longer * rest.var(axis=0) + len(parts) * _half_steps(last)[:3] ** 2 / 3.0)  # per part
+        error, change = noise / np.sqrt(len(parts)), parts.mean(axis=0) - rest.mean(axis=0)
+        steady = (UNSTEADY * np.abs(change) + SHOWN * noise).max()
         if step.purpose != "rate":
-            turns = [np.abs(each).max() for kept in self._kept.values() for _, each in kept]
-            is_turn = step.temp_c == temp_c and np.abs(shown).max() > UNLIKE * max(turns, default=np.inf)
-            got = "those of a turn" if is_turn else ""
+            sizes = [np.abs(reading).max() for turns in self._kept.values() for _, reading in turns]
+            is_turn = step.temp_c == temp_c and np.abs(change).max() > UNLIKE * max(sizes, default=np.inf)
+            reason = "readings of a turn" if is_turn else ""
         elif (np.abs(parts - parts.mean(axis=0)) > steady).any():
-            got = "readings that change within it"
-        elif abs(turn_rate) >= SLOWEST and (np.abs(shown) < SHOWN * error).all():
-            got = "those of a rest"
+            reason = "readings that change during the turn"
+        elif abs(turn_rate) >= SLOWEST and (np.abs(change) < SHOWN * error).all():
+            reason = "readings of a rest"
         else:
-            got = "those of another rate" if self._is_unlike(step.axis, turn_rate, shown, SHOWN * error.max()) else ""
-        if got:
+            is_unlike = self._is_unlike(step.axis, turn_rate, change, SHOWN * error.max())
+            reason = "readings of another rate" if is_unlike else ""
+        if reason:
             raise Disturbed(
-                f"device: wanted the readings of {where}, got {got}; look at the device's link and at what else this computer "
-                "does, then continue with `resume`",
+                f"device: wrong readings in {where}, got {reason}. Check the device's link and the load of this computer, "
+                "then continue with `resume`.",
                 turn_rate=turn_rate,
             )
 
     def keep(self, step: Dwell, turn_rate: float, record: Record) -> None:
-        """Remember a turn or a rest that was kept."""
+        """Store an accepted turn or rest."""
         if record.gyro is None or step.purpose == "turn":
             return
         if step.purpose != "rate":
             self._rest = step.temp_c, record
         elif self._rest is not None and self._rest[1].gyro is not None and abs(turn_rate) >= SLOWEST:
-            shown = np.nanmean(record.gyro, axis=0) - np.nanmean(self._rest[1].gyro, axis=0)
-            self._kept.setdefault(step.axis, []).append((turn_rate, shown))
+            change = np.nanmean(record.gyro, axis=0) - np.nanmean(self._rest[1].gyro, axis=0)
+            self._kept.setdefault(step.axis, []).append((turn_rate, change))
 
-    def _is_unlike(self, axis: Axis | None, turn_rate: float, shown: FloatArray, error: float) -> bool:
-        if not (kept := self._kept.get(axis)):
+    def _is_unlike(self, axis: Axis | None, turn_rate: float, change: FloatArray, error: float) -> bool:
+        if not (turns := self._kept.get(axis)):
             return False
-        rates, others = np.array([rate for rate, _ in kept]), np.array([each for _, each in kept])
-        alike = turn_rate * (rates @ others) / (rates @ rates)
-        if np.abs(shown - alike).max() <= UNLIKE * np.abs(alike).max() + error:
+        rates, changes = np.array([rate for rate, _ in turns]), np.array([reading for _, reading in turns])
+        expected = turn_rate * (rates @ changes) / (rates @ rates)
+        if np.abs(change - expected).max() <= UNLIKE * np.abs(expected).max() + error:
             return False
-        out_of_range = abs(turn_rate) > np.abs(rates).max() and shown @ alike > 0.0
-        return not (out_of_range and np.linalg.norm(shown) >= (1.0 - UNLIKE) * np.linalg.norm(others, axis=1).max())
+        out_of_range = abs(turn_rate) > np.abs(rates).max() and change @ expected > 0.0
+        return not (out_of_range and np.linalg.norm(change) >= (1.0 - UNLIKE) * np.linalg.norm(changes, axis=1).max())
 
 
 def _part_means(gyro: FloatArray) -> FloatArray:
-    """Return the mean of each eighth of a dwell, (PARTS, 3); fewer where it has fewer readings."""
+    """Return the mean of each eighth of a dwell, (PARTS, 3), with fewer parts if there are fewer readings."""
     finite = gyro[np.isfinite(gyro).all(axis=1)]
-    return np.array([part.mean(axis=0) for part in np.array_split(finite, min(PARTS, len(finite)))])
+    return np.array([chunk.mean(axis=0) for chunk in np.array_split(finite, min(PARTS, len(finite)))])
 
 
 def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
-    """Return whether a force lies along the axis of a face; in counts the sign of an axis is not known."""
+    """Return True if a force is along the axis of a face. `signed` also compares the sign, which is unknown in counts."""
     along = (1.0 if face[0] == "+" else -1.0) * float(force["xyz".index(face[1])])
     return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))
 
 
 def _spreads(record: Record) -> FloatArray:
     """Return the standard deviation of every channel in each eighth of a rest, (PARTS, channels)."""
-    held = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
-    return np.array([np.nanstd(part, axis=0) for part in np.array_split(held, PARTS)])
+    channels = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
+    return np.array([np.nanstd(eighth, axis=0) for eighth in np.array_split(channels, PARTS)])
 
 
 def _half_steps(record: Record) -> FloatArray:
-    """Return half the least step between readings of each channel; 0 where all are equal."""
-    held = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
-    steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in held.T)
+    """Return half the smallest step between readings of each channel, or 0 if all readings are equal."""
+    channels = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
+    steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in channels.T)
     return np.array([0.5 * float(step.min()) if len(step) else 0.0 for step in steps])

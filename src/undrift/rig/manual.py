@@ -1,8 +1,8 @@
-"""A rig that is a person: mounts the device on its faces and turns it by hand through known angles.
+"""Manual rig: a person mounts the device on its faces and turns it by hand through known angles.
 
-A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, whatever its rate was. The angle
-calibrates, not the rate, so `move_by` works and `turn_for` does not. A chamber can be set by a person too: the device's own
-thermometer shows when it has soaked.
+A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, at any rate. The calibration uses the
+angle, not the rate, so `move_by` works and `turn_for` does not. A person can also set a chamber. The device's own thermometer then
+determines when the soak ends.
 """
 
 import logging
@@ -19,66 +19,68 @@ from undrift.units import RADIAN_PER_DEGREE
 
 log = logging.getLogger(__name__)
 GIVING_UP = ("q", "quit", "stop")
-QUESTIONS = 3  # how often an answer that is no number is asked for again
+QUESTIONS = 3  # number of attempts to get a number
 
 
-def _said(ask: Callable[[str], str], line: str, wanted: str, advice: str) -> str:
+def _answer(ask: Callable[[str], str], line: str, failure: str, advice: str) -> str:
     try:
         answer = ask(line).strip()
     except EOFError:
         answer = "q"
     if answer.lower() in GIVING_UP:
-        raise RigFault(f"{wanted}, got '{answer}'; {advice}")
+        raise RigFault(f"{failure}, got '{answer}'. {advice}")
     return answer
 
 
 class AskedOperator:
-    """A person at the table, asked one line at a time."""
+    """A person at the table, who is asked one line at a time."""
 
     def __init__(self, ask: Callable[[str], str]) -> None:
         self._ask = ask
 
     def mount(self, up: Face) -> None:
-        """Have the device mounted."""
+        """Ask the operator to mount the device."""
         line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
-        _said(self._ask, line, f"mounting: wanted the device mounted {up} up", "continue with `resume` when it is")
+        failure = f"mounting: the device was not mounted {up} up"
+        _answer(self._ask, line, failure, "Mount it and continue with `resume`.")
 
 
 class HandChamber(Chamber):
-    """A chamber that a person sets when asked to; nothing can be read from it."""
+    """A chamber that a person sets. Its temperature cannot be read."""
 
-    near_c = 5.0  # K, self-heating plus the error of an untrimmed thermometer
+    near_c = 5.0  # self-heating plus the error of an untrimmed thermometer, K
 
     def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
         self._ask = ask
 
     def read(self) -> None:
-        """Nothing to read."""
+        """Return None, because the temperature cannot be read."""
         return
 
     def soaked(self) -> bool:
-        """Leave it to the device's thermometer."""
+        """Return True, because only the device's thermometer can decide."""
         return True
 
     def switch_off(self) -> None:
-        """Leave it to the person, and say so."""
+        """Warn that the person must switch the chamber off."""
         if self._set_point is not None:
-            log.warning("chamber: set by hand, and still on; switch it off")
+            log.warning("chamber: set by hand, so it is still on. Switch it off.")
 
     def _measure(self) -> float:
         return math.nan
 
     def _send(self, temp_c: float) -> float:
         line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
-        _said(self._ask, line, f"chamber: wanted it set to {temp_c:g} degC", "continue with `resume` when it can be")
+        failure = f"chamber: it was not set to {temp_c:g} degC"
+        _answer(self._ask, line, failure, "Set it and continue with `resume`.")
         return temp_c
 
 
 def open_chamber_from(address: str, settings: ChamberSetup, ask: Callable[[str], str] | None) -> HandChamber:
     """Return a chamber that a person sets and switches off."""
     if ask is None:
-        raise InputError("chamber: wanted a person to ask, got none; a chamber by hand needs a terminal")
+        raise InputError("chamber: a chamber set by hand requires a person to ask. Use a terminal.")
     return HandChamber(ask, settings)
 
 
@@ -92,72 +94,72 @@ class ManualRig:
         self._closed = False
 
     def identify(self) -> str:
-        """Return that this is a person."""
+        """Return a description of the manual rig."""
         return "a person who turns the device by hand"
 
     def read_servo(self) -> None:
-        """Return None: a person has no servo."""
+        """Return None, because a person has no servo."""
         return
 
     def enable(self, on: bool) -> None:
-        """Nothing to switch."""
+        """Check that the rig is open. There is nothing to switch."""
         self._check_open()
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Nothing to set: how a hand runs up is unknown."""
+        """Return NaN, because the acceleration of a hand is unknown."""
         self._check_open()
         return math.nan
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Refuse: no hand keeps a steady rate."""
+        """Raise RigFault, because a hand cannot turn at a steady rate."""
         self._check_open()
         raise RigFault(
-            "manual rig: wanted a steady rate, got a hand; plan turns through known angles (move_by) instead"
+            "manual rig: a hand cannot turn at a steady rate. Plan turns through known angles (move_by) instead."
         )
 
     def move_by(self, angle: float) -> float:
-        """Have the device turned by an angle."""
+        """Ask the operator to turn the device by an angle, and return the angle that the operator reports, rad."""
         self._check_open()
         self.limits.check_travel(self._angle + angle)
         asked_deg = angle / RADIAN_PER_DEGREE
         line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that; q gives up): "
         for _ in range(QUESTIONS):
-            answer = _said(self._ask, line, "manual rig: wanted the step done", "the person gave up")
+            answer = _answer(self._ask, line, "manual rig: the turn was not done", "The operator gave up.")
             turned_deg = number_of(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg
             if math.isfinite(turned_deg):
                 self._angle += turned_deg * RADIAN_PER_DEGREE
                 return turned_deg * RADIAN_PER_DEGREE
-        raise InputError("manual rig: wanted an angle in deg, got none in three answers; start again")
+        raise InputError("manual rig: three answers are not an angle in deg. Start again.")
 
     def stop(self) -> None:
-        """Nothing moves by itself."""
+        """Do nothing, because a manual rig does not move without its operator."""
 
     def position(self) -> Position:
-        """Return the sum of the stated angles, rad, now."""
+        """Return the sum of the reported angles, rad, and the current time."""
         self._check_open()
         return Position(angle=self._angle, time=self._clock.now())
 
     def following_error(self) -> float:
-        """Return NaN: nobody knows how far a hand is off."""
+        """Return NaN, because the following error of a hand is unknown."""
         return math.nan
 
     def fault(self) -> str | None:
-        """Return None: a person says so when something is wrong."""
+        """Return None, because the operator reports faults."""
         return None
 
     def close(self, *, as_found: bool = False) -> None:
-        """Ask nothing more; harmless when called again."""
+        """Close the rig, so that it asks no more. A second call has no effect."""
         self._closed = True
 
     def _check_open(self) -> None:
         if self._closed:
-            raise LinkError("manual rig: wanted a rig ready for commands, got none: it is closed; open it again")
+            raise LinkError("manual rig: the rig accepts no commands (it is closed). Open it again.")
 
 
 def open_from(url: str, settings: RigSettings) -> ManualRig:
-    """Make a manual rig."""
+    """Open a manual rig."""
     if url:
-        raise InputError(f"manual rig: wanted the address 'manual:', got 'manual:{url}'; a person has no port")
+        raise InputError(f"manual rig: the address must be 'manual:', got 'manual:{url}'. A person has no port.")
     if settings.ask is None:
-        raise InputError("manual rig: wanted a way to ask a person, got none; give RigSettings(ask=...)")
+        raise InputError("manual rig: no way to ask a person. Set RigSettings(ask=...).")
     return ManualRig(settings.ask, settings.limits, settings.timing)

@@ -1,11 +1,11 @@
-"""Run: a programme on a rig, dwell by dwell to the disk; whatever ends it, the table is at rest and its motor off.
+"""Run a programme on a rig and write each dwell to the disk. At the end, the table is at rest and its motor is off.
 
-For each dwell: begin a turn of that length, wait for the ramp, let the device settle, read while positions are polled, stop, judge
-(rig/judge.py), and write. The rate that goes with the readings is the one that the encoder shows over that dwell. A rest that
-someone disturbed, or a face that was not mounted, is taken again.
+For each dwell, the run starts a turn of its duration, waits for the ramp and lets the device settle. It then reads the device,
+polls positions and stops the table. Finally, it checks the dwell (rig/judge.py) and writes it. The turn rate stored with the
+readings is measured with the encoder over the dwell. A rest that was disturbed, or a face that was not mounted, is repeated.
 
-Several devices on one table are mounted alike and read in the same dwells, a folder each. One that fails in a dwell misses it; the
-run ends at once where no device is left that can read it.
+Several devices on a table are mounted in the same orientation and read in the same dwells, with one folder per device. A device
+that fails in a dwell misses that dwell. If all devices fail, the run ends.
 """
 
 import logging
@@ -54,29 +54,29 @@ Phase = Literal[
     "writing",
     "closing",
 ]
-POLLS = 20  # positions in a short dwell
-POLL_S = 0.1  # between two positions of a long one, s of the host
-READS = 3  # of a dwell whose positions or readings come too late
-SPARE_S = 2.0  # by which a move is planned longer than its dwell, host s; the run ends it early
-AIR_POLL_S = 2.0  # between two looks at the chamber, table s
+POLLS = 20  # number of positions in a short dwell
+POLL_S = 0.1  # time between two positions in a long dwell, host s
+READS = 3  # number of attempts if positions or readings arrive too late
+SPARE_S = 2.0  # extra duration of a move beyond its dwell, host s (the run ends the move early)
+AIR_POLL_S = 2.0  # time between two readings of the chamber, table s
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigBench:
-    """All that a run works with; the run closes the rig, and only the rig."""
+    """Equipment of a run. The run closes the rig but nothing else."""
 
-    rig: Rig  # Open
-    readings: Readings  # Of the device
-    mounting: Operator  # The operator
-    chamber: Chamber | None = None  # Needed where the programme soaks
-    clock: Clock = field(default_factory=Clock)  # The rig's
+    rig: Rig  # open rig
+    readings: Readings  # readings of the device
+    mounting: Operator  # operator who mounts the device
+    chamber: Chamber | None = None  # required if the programme contains soaks
+    clock: Clock = field(default_factory=Clock)  # clock of the rig
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Mounted:
-    """A device on the table, its folder, and what its dwells so far say about the next."""
+    """A device on the table, with its folder and the checks that compare a dwell with earlier dwells."""
 
     readings: Readings
     folder: RunFolder
@@ -84,23 +84,23 @@ class Mounted:
     rests: RestCheck = field(default_factory=RestCheck)
     turns: TurnCheck = field(default_factory=TurnCheck)
     doubted: set[Face] = field(default_factory=set)
-    withdrawn: frozenset[int] = frozenset()  # Steps
-    missed: dict[int, RigError] = field(default_factory=dict)  # By step, why it was not read
+    withdrawn: frozenset[int] = frozenset()  # numbers of withdrawn steps
+    missed: dict[int, RigError] = field(default_factory=dict)  # reasons for missed dwells, by step number
 
     def recall(self, programme: Programme) -> None:
-        """Learn from what is on the disk how still this rig is, and what the device reads in a turn."""
+        """Add the dwells on the disk to the checks of rests and turns."""
         for piece in self.folder.pieces:
             step = programme.steps[piece.step]
             if isinstance(step, Dwell):
                 self.learn(step, piece.turn_rate, read_own_parquet(self.folder.path / piece.name))
 
     def learn(self, step: Dwell, turn_rate: float, record: Record) -> None:
-        """Remember a dwell that was kept."""
+        """Add an accepted dwell to the checks of rests and turns."""
         self.rests.keep(step, record)
         self.turns.keep(step, turn_rate, record)
 
-    def keep(self, number: int, step: Dwell, record: Record, **found: Any) -> None:
-        """Bring a dwell to the disk, with what was found beside the readings: fields of a RecordedDwell."""
+    def keep(self, number: int, step: Dwell, record: Record, **fields: Any) -> None:
+        """Write a dwell to the disk. `fields` are further fields of RecordedDwell."""
         piece = RecordedDwell(
             step=number,
             purpose=step.purpose,
@@ -112,17 +112,18 @@ class Mounted:
             nominal_turn_rate=step.turn_rate,
             temp_c=step.temp_c,
             device_c=mean_temp(record),
-            **found,
+            **fields,
         )
         self.folder.keep(record, piece)
 
     def withdraw(self, face: Face) -> bool:
-        """Take back all that was read with a face up that others contradict; False where that was done before."""
+        """Withdraw all dwells with a face up that contradicts the others. Return False if that face was withdrawn before."""
         if face in self.doubted:
             return False
         self.doubted.add(face)
         log.warning(
-            "what was read with %s up does not fit the other faces: it is mounted and read again at the end", face
+            "the readings with %s up contradict the other faces, so this face is mounted and read again at the end",
+            face,
         )
         self.withdrawn |= self.folder.withdraw(face)
         self.rests.forget(face)
@@ -131,28 +132,28 @@ class Mounted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where a run is."""
+    """Progress of a run."""
 
-    phase: Phase  # What it does now
-    number: int  # Step of how many
-    steps: int
-    step: str  # In words
-    left_s: float  # Forecast, table s
-    live: str = ""  # The device's latest reading, or the chamber's
-    air_c: float | None = None  # What the chamber read last, degC
-    device_c: float | None = None  # What the device's thermometer read last, in a soak or a dwell, degC
-    slope_c_per_min: float | None = None  # In a soak: of the air or, once that is steady, of the device
+    phase: Phase  # current phase
+    number: int  # number of the current step
+    steps: int  # total number of steps
+    step: str  # description of the step
+    left_s: float  # forecast of the remaining time, table s
+    live: str = ""  # latest reading of the device or the chamber
+    air_c: float | None = None  # latest temperature of the chamber, degC
+    device_c: float | None = None  # latest temperature of the device in a soak or a dwell, degC
+    slope_c_per_min: float | None = None  # slope in a soak: of the air or, when that is steady, of the device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunResult:
-    """What a run did."""
+    """Result of a run."""
 
-    pieces: tuple[RecordedDwell, ...]  # All that is on the disk
-    added: int  # How many of them now
-    duration_s: float  # How long this part took, table s
-    rig: str  # What the rig calls itself
-    others: tuple["RunResult", ...] = ()  # Of the other devices on the table
+    pieces: tuple[RecordedDwell, ...]  # all dwells on the disk
+    added: int  # number of dwells that this run added
+    duration_s: float  # duration of this run, table s
+    rig: str  # identity that the rig reports
+    others: tuple["RunResult", ...] = ()  # results of the other devices on the table
 
 
 Done = TypeVar("Done")
@@ -170,23 +171,23 @@ def run_programme(
     settings: RunSettings = RunSettings(),
     others: Sequence[Mounted] = (),
 ) -> RunResult:
-    """Run what is not on the disk yet; other devices than the first bring their own folders."""
+    """Run all dwells that are not on the disk yet. Each further device in `others` has its own folder."""
     devices = (Mounted(readings=bench.readings, folder=folder, serial=serial), *others)
     run = _Run(programme, bench, devices, report, settings)
     before = [device.folder.done for device in devices]
     try:
         check_programme(programme, bench.rig.limits, run.done, by_hand=isinstance(bench.rig, ManualRig))
         if bench.chamber is None and any(isinstance(step, Soak) for step in programme.steps):
-            raise InputError("run: wanted a chamber for the programme's temperatures, got none; give its address")
+            raise InputError("run: the programme has temperatures, which require a chamber. Set its address.")
         name, temps_c = bench.rig.identify(), {step.temp_c for step in programme.steps if isinstance(step, Soak)}
-        kind: Kind = "thermal" if len(temps_c) > 1 else "calibration"  # one temperature makes no tables
+        kind: Kind = "thermal" if len(temps_c) > 1 else "calibration"  # tables require two temperatures
         for device in devices:
             digest, serial = device.folder.digest, device.serial
             device.folder.begin(Head(protocol=digest, rig=name, serial=serial, gravity_m_s2=gravity_m_s2, kind=kind))
             device.recall(programme)
         start = bench.clock.now()
         run.all_but(run.done)
-        while again := run.withdrawn():  # a face is taken back once at most
+        while again := run.withdrawn():  # a face is withdrawn once at most
             run.all_but(frozenset(range(len(programme.steps))) - again)
     except BaseException as error:
         run.close(error)
@@ -195,7 +196,7 @@ def run_programme(
     for device in devices:
         _check_whole(programme, device)
     took_s = bench.clock.now() - start
-    first, *more = (
+    first, *further = (
         RunResult(
             pieces=device.folder.pieces,
             added=len(device.folder.done - (done - device.withdrawn)),
@@ -204,17 +205,17 @@ def run_programme(
         )
         for device, done in zip(devices, before, strict=True)
     )
-    return replace(first, others=tuple(more))
+    return replace(first, others=tuple(further))
 
 
 def _check_whole(programme: Programme, device: Mounted) -> None:
-    """Say which dwells a device missed beside others."""
+    """Raise RigTimeout if a device missed dwells."""
     steps = {number for number, step in enumerate(programme.steps) if isinstance(step, Dwell)}
     if missing := sorted(steps - device.folder.done):
-        why = device.missed.get(missing[0], "it failed before")
+        reason = str(device.missed.get(missing[0], "it failed before")).removesuffix(".")
         raise RigTimeout(
-            f"{device.folder.path}: wanted {len(steps)} dwells, got {len(steps) - len(missing)}, without step {missing[0]} "
-            f"({programme.steps[missing[0]]}): {why}; all devices are read: look at this one and continue with `resume`"
+            f"{device.folder.path}: expected {len(steps)} dwells, got {len(steps) - len(missing)}. Step {missing[0]} "
+            f"({programme.steps[missing[0]]}) is missing: {reason}. Check this device and continue with `resume`."
         )
 
 
@@ -223,12 +224,12 @@ def _air(air_c: float | None) -> str:
 
 
 def _heat(run: "_Run", step: Soak, chamber: Chamber) -> dict[Mounted, SoakWatch]:
-    run._say("setting" if chamber.near_c is not None else "soaking")  # a person takes their time
+    run._say("setting" if chamber.near_c is not None else "soaking")  # setting by hand takes time
     run._heated = True
     chamber.set(step.temp_c)
     run._say("soaking")
     clock, lag_s = run._bench.clock, run._settings.device_lag_s
-    return run._sound(run._due, lambda one: SoakWatch(one.readings, clock, step, chamber, lag_s))
+    return run._sound(run._due, lambda device: SoakWatch(device.readings, clock, step, chamber, lag_s))
 
 
 def _followed(boards: dict[Mounted, SoakWatch], steady: bool, device: Mounted) -> bool:
@@ -247,11 +248,11 @@ def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
             return
         if clock.now() > last:
             raise RigTimeout(
-                f"chamber: wanted {step.temp_c:g} degC steady to {step.slope_c_per_min:g} K/min within "
-                f"{run._settings.soak_timeout_s:g} s, got {_air(chamber.read())}{board}; look at chamber and device"
+                f"chamber: not steady at {step.temp_c:g} degC within {step.slope_c_per_min:g} K/min after "
+                f"{run._settings.soak_timeout_s:g} s, got {_air(chamber.read())}{board}. Check chamber and device."
             )
         if board.elsewhere():
-            log.warning("chamber: wanted %g degC, got a steady%s; set it again", step.temp_c, board)
+            log.warning("chamber: expected %g degC, got a steady%s. Set the chamber again.", step.temp_c, board)
             boards = _heat(run, step, chamber)
         clock.wait(max(AIR_POLL_S, 0.05 * clock.speed))
         run._temps = {"air_c": (air_c := chamber.read()), "device_c": board.temp_c}
@@ -259,13 +260,13 @@ def _soak(run: "_Run", step: Soak, chamber: Chamber) -> None:
 
 
 def _forecast_s(step: Step, soaks_s: tuple[float, float]) -> float:
-    """Return how long a step takes; a soak by what those of this run were to take and took."""
+    """Return the forecast duration of a step, s. Soaks are scaled with the actual durations of earlier soaks in this run."""
     wanted_s, taken_s = soaks_s if isinstance(step, Soak) and soaks_s[0] else (1.0, 1.0)
     return step.duration_s * taken_s / wanted_s
 
 
 class _Run:
-    """A run that is going on."""
+    """A run in progress."""
 
     def __init__(
         self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, settings: RunSettings
@@ -274,37 +275,35 @@ class _Run:
         self._report, self._settings = report, settings
         self._enabled, self._heated, self._due = False, False, devices
         self._old_fault: str | None = None
-        self._temps: dict[str, float | None] = {}  # of Progress
+        self._temps: dict[str, float | None] = {}  # temperatures for Progress
         self._step: Step = programme.steps[0]
         self._began, self._number, self._left_s = bench.clock.now(), 0, 0.0
-        self._soaks_s = 0.0, 0.0  # of those that are over: forecast and taken
+        self._soaks_s = 0.0, 0.0  # forecast and actual duration of all finished soaks
 
     @property
     def done(self) -> frozenset[int]:
-        """Steps that are on the disk for all devices."""
+        """Numbers of the steps that are on the disk for all devices."""
         return frozenset.intersection(*(device.folder.done for device in self._devices))
 
     def withdrawn(self) -> frozenset[int]:
-        """Return the steps that were taken back and not tried again."""
-        return frozenset().union(*(each.withdrawn - each.folder.done - each.missed.keys() for each in self._devices))
+        """Return the steps that were withdrawn and not repeated."""
+        return frozenset().union(*(dev.withdrawn - dev.folder.done - dev.missed.keys() for dev in self._devices))
 
     def all_but(self, done: frozenset[int]) -> None:
-        """Do the dwells that are not done, each with the mounting and the soak that it needs."""
-        left = {n: s for n, s in enumerate(self._programme.steps) if n not in done}
-        waiting: dict[type, tuple[int, Step]] = {}  # a mounting and a soak are due only when a dwell follows
+        """Run the dwells that are not done, each after its mounting and its soak."""
+        pending = {n: s for n, s in enumerate(self._programme.steps) if n not in done}
+        waiting: dict[type, tuple[int, Step]] = {}  # mountings and soaks are skipped unless a dwell follows
         for number, step in enumerate(self._programme.steps):
             if not isinstance(step, Dwell):
                 waiting[type(step)] = (number, step)
             elif number not in done:
                 due = [waiting.pop(kind) for kind in (Mount, Soak) if kind in waiting]
-                for place, what in (*due, (number, step)):
-                    self._left_s = sum(
-                        _forecast_s(each, self._soaks_s) for later, each in left.items() if later >= place
-                    )
-                    self._do(place, what)
+                for next_number, next_step in (*due, (number, step)):
+                    self._left_s = sum(_forecast_s(s, self._soaks_s) for n, s in pending.items() if n >= next_number)
+                    self._do(next_number, next_step)
 
     def close(self, cause: BaseException | None) -> None:
-        """Stop the table and switch the motor off; a second Ctrl-C does not disturb it."""
+        """Stop the table and switch the motor off. A second Ctrl-C does not interrupt this."""
         with uninterrupted():
             try:
                 self._say("closing")
@@ -314,7 +313,8 @@ class _Run:
                 except RigError as error:
                     if cause is None:
                         raise
-                    raise type(error)(f"{str(cause) or type(cause).__name__}; at the end: {error}") from cause
+                    reason = (str(cause) or type(cause).__name__).removesuffix(".")
+                    raise type(error)(f"{reason}. At the end: {error}") from cause
 
     def _do(self, number: int, step: Step) -> None:
         self._number, self._step, self._began = number, step, self._bench.clock.now()
@@ -329,7 +329,7 @@ class _Run:
             _soak(self, step, self._bench.chamber)
 
     def _sound(self, devices: Iterable[Mounted], do: Callable[[Mounted], Done]) -> dict[Mounted, Done]:
-        """Do something with devices; those that fail miss this step, unless none is left that can do it."""
+        """Call a function for each device. A device that fails misses this step. If all devices fail, raise the error."""
         done = dict[Mounted, Done]()
         for device in devices:
             try:
@@ -340,12 +340,12 @@ class _Run:
 
     def _miss(self, device: Mounted, error: RigError) -> None:
         device.missed[self._number] = error
-        if all(self._number in each.missed for each in self._due):
+        if all(self._number in due.missed for due in self._due):
             raise error
-        log.warning("%s: %s; the other devices go on", device.folder.path, error)
+        log.warning("%s: %s The other devices continue.", device.folder.path, error)
 
     def _turn(self, step: Dwell) -> None:
-        """Read a turn by a known angle with the rests around it; the angle is what the rig or the operator states."""
+        """Read a turn by a known angle, with the rests before and after it. The rig or the operator reports the angle."""
         clock, rest_s, where = self._bench.clock, 0.5 * (step.dwell_s - TURN_S), f"step {self._number} ({step})"
         self._say("resting")
         clock.wait(step.settle_s)
@@ -377,21 +377,21 @@ class _Run:
         if step.purpose == "turn":
             self._turn(step)
             return
-        left, devices = READS, self._due
+        attempts, devices = READS, self._due
         while disturbed := self._one_dwell(step, devices):
             devices, doubts = tuple(disturbed), list[bool]()
             for device, error in disturbed.items():
-                if isinstance(error, Contradiction) and (error.surely or left < READS):
+                if isinstance(error, Contradiction) and (error.surely or attempts < READS):
                     doubts.append(device.withdraw(error.other))
             if sum(doubts) == len(disturbed):
                 continue
-            left -= 1
-            if not left:
+            attempts -= 1
+            if not attempts:
                 for device, error in disturbed.items():
                     self._miss(device, error)
                 return
             for error in disturbed.values():
-                log.warning("%s; it is taken again", error)
+                log.warning("%s The dwell is repeated.", error)
             if step.purpose == "face":
                 self._disable()
                 self._say("mounting")
@@ -399,11 +399,12 @@ class _Run:
                 self._enable()
 
     def _one_dwell(self, step: Dwell, devices: Sequence[Mounted]) -> dict[Mounted, Disturbed]:
-        """Read a dwell with some devices and keep what is sound; return which were disturbed."""
-        records, achieved, held, chamber_c = self._read_turning(step, devices)
+        """Read a dwell with some devices and write the accepted dwells. Return the devices that were disturbed."""
+        records, achieved, set_rate, chamber_c = self._read_turning(step, devices)
         where = f"step {self._number} ({step})"
-        check_rate(achieved, held, self._settings, where)
-        rates = {"set_turn_rate": held, "turn_rate": achieved.turn_rate, "turn_rate_uncertainty": achieved.uncertainty}
+        check_rate(achieved, set_rate, self._settings, where)
+        rates = {"set_turn_rate": set_rate, "turn_rate": achieved.turn_rate}
+        rates["turn_rate_uncertainty"] = achieved.uncertainty
 
         def take(device: Mounted) -> Disturbed | None:
             record = records[device]
@@ -426,21 +427,21 @@ class _Run:
     def _read_turning(
         self, step: Dwell, devices: Sequence[Mounted]
     ) -> tuple[dict[Mounted, Record], Achieved, float, float | None]:
-        """Turn and read, again until the encoder determines the rate and the readings span the dwell; a rest needs no times.
+        """Turn and read, and repeat until the encoder determines the rate and the readings span the dwell.
 
-        Return the readings, the achieved rate, the rate that the controller held, and the chamber's temperature.
+        Return the readings, the achieved rate, the rate that the controller set and the temperature of the chamber.
         """
         rig, clock, turning = self._bench.rig, self._bench.clock, step.turn_rate != 0.0
         limited = turning and rig.limits.travel is not None
-        reads = 1 if limited else READS  # another turn would leave the travel
+        reads = 1 if limited else READS  # another turn would exceed the travel
         for attempt in range(1, reads + 1):
-            held, end = 0.0, math.inf
+            set_rate, end = 0.0, math.inf
             if turning:
                 spare_s = (TRAVEL_MARGIN - 1.0) * abs(step.travel / step.turn_rate)
                 spare_s += 0.0 if limited else attempt * SPARE_S * clock.speed
                 self._say("ramping")
-                end = clock.now() + step.duration_s - step.ramp_s + spare_s  # then it slows down
-                held = rig.turn_for(step.turn_rate, step.duration_s + spare_s)
+                end = clock.now() + step.duration_s - step.ramp_s + spare_s  # start of the slow-down
+                set_rate = rig.turn_for(step.turn_rate, step.duration_s + spare_s)
                 self._old_fault = None
                 clock.wait(step.ramp_s)
             self._say("settling")
@@ -452,26 +453,26 @@ class _Run:
                 rig.stop()
                 if read_s > end or link_hides(achieved, self._settings):
                     continue
-            # readings that came too late to be certain are missing at its start; the last is for check_readings to refuse
+            # Late readings are missing at the start of the dwell. After the last attempt, check_readings rejects such a dwell.
             spans_s = (record.duration_s + 1.0 / record.sample_rate_hz for record in records.values())
-            spanned_s = min(spans_s, default=np.inf)  # none: it failed when it was to be read again
+            spanned_s = min(spans_s, default=np.inf)  # no device is left after a failed repetition
             if attempt == reads or spanned_s >= self._settings.least_part * step.dwell_s:
-                return records, achieved, held, chamber_c
+                return records, achieved, set_rate, chamber_c
         raise RigTimeout(
-            f"rig: wanted positions known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} ({step}), "
-            f"got answers {achieved.delay_s:.3g} s late in {achieved.span_s:.3g} s, {reads} times; look at the link and at what "
-            "else this computer does, or dwell longer, then continue with `resume`",
+            f"rig: times of positions must be known to {self._settings.link_tolerance:.0%} of the dwell in step {self._number} "
+            f"({step}), got delays of {achieved.delay_s:.3g} s in {achieved.span_s:.3g} s, {reads} times. Check the link and the "
+            "load of this computer, or use longer dwells. Then continue with `resume`.",
             delay_s=achieved.delay_s,
         )
 
     def _records(self, devices: Sequence[Mounted]) -> dict[Mounted, Record]:
-        """Return what devices read until now."""
-        for device in devices:  # at once: one that does not answer must not lengthen the others' dwells
+        """Return the readings of the devices until now."""
+        for device in devices:  # all at the same time, so that a device without answer does not prolong other dwells
             device.readings.end()
         return self._sound(devices, lambda device: device.readings.stop())
 
     def _read(self, step: Dwell, devices: Sequence[Mounted]) -> tuple[dict[Mounted, Record], Achieved, float]:
-        """Read devices and the encoder over a dwell; return the readings, the achieved rate, and when the dwell ended."""
+        """Read devices and encoder over a dwell. Return the readings, the achieved rate and the end time of the dwell."""
         rig, clock = self._bench.rig, self._bench.clock
         phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
@@ -483,9 +484,9 @@ class _Run:
             if clock.now() - looked > max(AIR_POLL_S, 0.1 * clock.speed):
                 self._look_at_air(step)
                 looked = clock.now()
-            clock.wait(every_s)  # before each alike, so that the delays of the link are alike
+            clock.wait(every_s)  # before each position, so that the delays of the link are equal
             positions.append(rig.position())
-            latest = self._sound(devices, lambda one: f"{one.readings.latest()} of {one.serial or 'the device'}")
+            latest = self._sound(devices, lambda dev: f"{dev.readings.latest()} of {dev.serial or 'the device'}")
             devices = [*latest]
             self._say(phase, next(iter(latest.values()), ""))
         read_s = clock.now()
@@ -494,9 +495,9 @@ class _Run:
         return records, achieved_turn_rate(positions), read_s
 
     def _check_fault(self) -> None:
-        wrong, where = self._bench.rig.fault(), f"step {self._number} ({self._step})"
-        if wrong is not None and wrong != self._old_fault:
-            raise RigFault(f"rig: wanted it sound in {where}, got {wrong}; look at the table")
+        fault, where = self._bench.rig.fault(), f"step {self._number} ({self._step})"
+        if fault is not None and fault != self._old_fault:
+            raise RigFault(f"rig: fault in {where}: {fault}. Check the table.")
 
     def _look_at_air(self, step: Dwell) -> float | None:
         self._temps["air_c"] = check_air(self._bench.chamber, step, f"step {self._number} ({step})")
@@ -508,41 +509,41 @@ class _Run:
             self._bench.rig.enable(True)
             self._enabled = True
             self._bench.rig.set_acceleration(self._programme.acceleration)
-            self._old_fault = self._bench.rig.fault()  # why it stopped last: a card keeps it until it moves again
-            # a backlog is waited out at rest, not while the table turns
+            self._old_fault = self._bench.rig.fault()  # a card reports its last stop until the next move
+            # readings that are still in a buffer arrive while the table is at rest
             self._due = tuple(self._sound(self._due, lambda device: device.readings.start()))
 
     def _disable(self) -> None:
-        """Switch the motor off, for mounting and long waits."""
+        """Switch the motor off during mounting and long waits."""
         if self._enabled:
             self._enabled = False
             self._bench.rig.enable(False)
 
-    def _say(self, phase: Phase, live: str = "", **seen: float | None) -> None:
+    def _say(self, phase: Phase, live: str = "", **temps: float | None) -> None:
         left_s = self._left_s - min(self._bench.clock.now() - self._began, _forecast_s(self._step, self._soaks_s))
         number, steps, step = self._number, len(self._programme.steps), str(self._step)
-        seen = self._temps | seen
-        self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **seen))
+        temps = self._temps | temps
+        self._report(Progress(phase=phase, number=number, steps=steps, step=step, left_s=left_s, live=live, **temps))
 
 
 def check_unheated(step: Dwell, heated: bool, where: str) -> None:
-    """Refuse to read at a set-point what is to be read at room temperature, as a face that is taken again."""
+    """Raise RigFault if a dwell at room temperature would be read after a soak, such as a repeated face."""
     if step.temp_c is None and heated:
         raise RigFault(
-            f"chamber: wanted it at room temperature for {where}, got it after a soak; let it cool, then continue with `resume`"
+            f"chamber: {where} requires room temperature, but the chamber was heated. Let it cool, then continue with `resume`."
         )
 
 
 def check_air(chamber: Chamber | None, step: Dwell, where: str) -> float | None:
-    """Return what the chamber reads, where there is one; end the run when it has left the set-point."""
+    """Return the air temperature, degC, or None without a chamber. Raise RigFault if it has left the set-point."""
     if chamber is None:
         return None
     air_c = chamber.read()
     tolerance_c = chamber.criterion.tolerance_c
     if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
         raise RigFault(
-            f"chamber: wanted {step.temp_c:g} degC within {tolerance_c:g} K throughout {where}, got "
-            f"{air_c:.2f} degC; look at door and heater, then continue with `resume`",
+            f"chamber: expected {step.temp_c:g} degC within {tolerance_c:g} K in {where}, got "
+            f"{air_c:.2f} degC. Check door and heater, then continue with `resume`.",
             temp_c=air_c,
         )
     return air_c

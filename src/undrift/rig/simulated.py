@@ -1,16 +1,16 @@
-"""Simulated bench: table, thermal chamber, device and operator in process, on one clock, as `rig run` drives them.
+"""Simulated bench for `rig run`: table, thermal chamber, device and operator in this process, with a common clock.
 
 ::
 
-    up_b = the mounted face, a little tilted        the table's axis, vertical
+    up_b = the mounted face, slightly tilted        axis of the table, vertical
     rate_b = turn_rate up_b     force_b = g up_b
 
-    r'  = the set-point's way, at most the ramp     what the chamber's controller follows
+    r'  = rate towards the set-point, limited       internal set-point of the chamber's controller
     T'' = w^2 (r - T) - 2 z w T'                    air: second order, overshoots
     B'  = (T - B) / lag                             board of the device
 
-All that goes on is brought up to now when someone looks: nothing runs beside, and nothing depends on how busy the host is. The
-chamber's air is solved by the trapezoidal rule, and exactly for the board.
+The simulation advances to the current time when a value is read. There are no other threads, and the results do not depend on the
+load of the host. The air is solved with the trapezoidal rule, and the board exactly.
 """
 
 import math
@@ -42,28 +42,29 @@ from undrift.sim.motion.motion import unit_vector
 from undrift.sim.servo import Servo, ServoSettings
 from undrift.units import STANDARD_GRAVITY
 
-# ---- The air of a chamber and the board in it
+# ---- Air of a chamber and board of the device.
 
 STEP_S = 0.5
-OFF_S = 1200.0  # time constant of a chamber that is off, s
+OFF_S = 1200.0  # time constant of a chamber that is switched off, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AirSettings:
-    """How the air moves."""
+    """Dynamics of the air."""
 
-    room_c: float = 25.0  # Temperature around, and at the start, degC
-    ramp_c_per_min: float = 3.0  # Steepest change of the controller's own set-point, K/min
+    room_c: float = 25.0  # room temperature, also the initial temperature, degC
+    ramp_c_per_min: float = 3.0  # largest slope of the controller's internal set-point, K/min
     period_s: float = 120.0  # 2 pi / w, s
-    damping: float = 0.6  # z; below 1 overshoots
-    board_lag_s: float = 60.0  # Time constant of the device's board, s
+    damping: float = 0.6  # damping ratio z (below 1 the air overshoots)
+    board_lag_s: float = 60.0  # time constant of the device's board, s
 
     def __post_init__(self) -> None:
-        check_positive(self, "simulated chamber", "state it", "ramp_c_per_min", "period_s", "damping", "board_lag_s")
+        names = ("ramp_c_per_min", "period_s", "damping", "board_lag_s")
+        check_positive(self, "simulated chamber", "set a positive value", *names)
 
 
 class Air:
-    """Air and board, advanced when someone looks."""
+    """Temperatures of air and board, which advance when they are read."""
 
     def __init__(self, settings: AirSettings) -> None:
         self.settings, self.on = settings, False
@@ -72,9 +73,9 @@ class Air:
         self._time, self._temp, self._board = [0.0], [settings.room_c], [settings.room_c]
 
     def advance(self, time: float) -> None:
-        """Go on to a moment, or a step beyond it."""
+        """Advance to a time, s, or at most one step beyond it."""
         keep = math.exp(-STEP_S / self.settings.board_lag_s)
-        mean = (1.0 - keep) * self.settings.board_lag_s / STEP_S  # weight of where the air comes from and goes to
+        mean = (1.0 - keep) * self.settings.board_lag_s / STEP_S  # weight of the air before and after the step
         while self._time[-1] < time:
             before, temp = self._temp[-1], self._next(self._temp[-1])
             self._board.append(keep * self._board[-1] + (mean - keep) * before + (1.0 - mean) * temp)
@@ -82,7 +83,7 @@ class Air:
             self._temp.append(temp)
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return air and board at moments that have been reached: times (n,) s -> (n,) degC."""
+        """Return the temperatures of air and board, (n,) degC, at past times (n,), s."""
         first = max(min(int(float(times[0]) / STEP_S) - 1, len(self._time) - 2), 0)
         last = int(float(times[-1]) / STEP_S) + 3
         grid = self._time[first:last]
@@ -104,33 +105,33 @@ class Air:
         return after
 
 
-# ---- bench
+# ---- Bench.
 
-SETTLED_S = 0.1  # from the end of a move until it counts as ended
+SETTLED_S = 0.1  # settling time at the end of a move, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSettings:
-    """What is simulated beside the devices."""
+    """Settings of the simulated bench, without its devices."""
 
-    servo: ServoSettings = field(default_factory=ServoSettings)  # Of the table
-    air: AirSettings = field(default_factory=AirSettings)  # Of the chamber
-    chamber: ChamberSetup = field(default_factory=ChamberSetup)  # Limits and soak; its clock is the bench's
-    limits: Limits = field(default_factory=Limits)  # Of the table
-    mount_tilt_sd: float = 0.0  # How well hands mount: error about each axis, rad, drawn anew each time
-    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
-    seed: int = 0  # Of noise and tilt
+    servo: ServoSettings = field(default_factory=ServoSettings)  # servo of the table
+    air: AirSettings = field(default_factory=AirSettings)  # air of the chamber
+    chamber: ChamberSetup = field(default_factory=ChamberSetup)  # limits and soak (with the clock of the bench)
+    limits: Limits = field(default_factory=Limits)  # limits of the table
+    mount_tilt_sd: float = 0.0  # standard deviation of the mounting error about each axis, rad, for each mounting
+    gravity_m_s2: float = STANDARD_GRAVITY  # local gravity, m/s2
+    seed: int = 0  # seed of noise and tilt
 
 
 class SimulatedBench:
-    """A bench: its ``table`` is a Rig, its ``chamber`` a Chamber, ``readings`` are of its devices, and it mounts them itself.
+    """A bench that also mounts its devices. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its devices.
 
-    ``faults`` holds what is broken now:
+    ``faults`` contains the active faults:
 
-    - ``stall``: the amplifier fails; the controller switches the motor off, and the table coasts to rest
-    - ``lost_readings``: two of every three readings of the device are lost
-    - ``wrong_face``: the operator mounts the opposite face, once
-    - ``power_cut``: nothing answers, and the table coasts to rest
+    - ``stall``: The amplifier fails. The controller switches the motor off, and the table coasts to rest.
+    - ``lost_readings``: Two of every three readings of the device are lost.
+    - ``wrong_face``: The operator mounts the opposite face, once.
+    - ``power_cut``: Nothing answers, and the table coasts to rest.
     """
 
     def __init__(
@@ -142,14 +143,14 @@ class SimulatedBench:
         self._zero = self.clock.now()
         self.servo, self.air = Servo(settings.servo), Air(settings.air)
         self._hands = np.random.default_rng((settings.seed, 1))
-        self._log = np.array([-1.0, 0.0]), np.zeros(2)  # moments and angles of the axis, as far back as a reading needs
+        self._log = np.array([-1.0, 0.0]), np.zeros(2)  # recent times and angles of the axis, s and rad
         self._last = [np.zeros((1, 3)) for _ in chosen]  # rate at the last reading
         self.face: Face = "+z"
         self._up = unit_vector("+z")
         self.devices = tuple(
-            SimulatedDevice(one, self._seen_by(k), settings.seed + k, 0.0) for k, one in enumerate(chosen)
+            SimulatedDevice(model, self._surroundings(k), settings.seed + k, 0.0) for k, model in enumerate(chosen)
         )
-        self.readings = tuple(SimulatedReadings(self, one) for one in self.devices)
+        self.readings = tuple(SimulatedReadings(self, device) for device in self.devices)
         self.table = SimulatedTable(self, settings.limits)
         self.chamber = SimulatedChamber(self, replace(settings.chamber, clock=self.clock))
 
@@ -158,32 +159,34 @@ class SimulatedBench:
         return self.clock.now() - self._zero
 
     def advance(self) -> float:
-        """Bring everything up to now, which is returned, s."""
+        """Advance the bench to the current time, and return that time, s."""
         now = self.now()
         self.servo.powered &= not {"power_cut", "stall"} & self.faults
         times, angles = self.servo.advance(now)
-        kept = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading needs the step before it
+        first = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading requires the previous step
         before = self._log
         self._log = np.concatenate((before[0], times)), np.concatenate((before[1], angles))
         self.air.advance(now)
-        for one in self.readings:
-            one.take(now)
-        self._log = self._log[0][kept:], self._log[1][kept:]
+        for readings in self.readings:
+            readings.take(now)
+        self._log = self._log[0][first:], self._log[1][first:]
         return now
 
     def angle(self) -> float:
-        """Return the true angle of the axis now, rad."""
+        """Return the current true angle of the axis, rad."""
         return float(np.interp(self.advance(), *self._log))
 
     def turn_rate(self) -> float:
-        """Return the true turn rate of the axis now, rad/s."""
+        """Return the current true turn rate of the axis, rad/s."""
         self.advance()
         return float((self._log[1][-1] - self._log[1][-2]) / (self._log[0][-1] - self._log[0][-2]))
 
     def mount(self, up: Face) -> None:
-        """Mount the devices with another face up, from now on, as the hands of an operator."""
+        """Mount the devices with another face up, as an operator would."""
         if up not in FACES:
-            raise InputError(f"mount: wanted one of {', '.join(FACES)}, got '{up}'; name the axis that points up")
+            raise InputError(
+                f"mount: the face must be one of {', '.join(FACES)}, got '{up}'. Set the axis that points up."
+            )
         self.advance()
         self.face = up
         if "wrong_face" in self.faults:
@@ -193,30 +196,30 @@ class SimulatedBench:
         tilted = unit + np.cross(tilt, unit)
         self._up = tilted / np.linalg.norm(tilted)
 
-    def _seen_by(self, number: int) -> Surroundings:
-        def seen(times: FloatArray, step_s: float) -> Seen:
-            turned = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
-            rate = turned[:, None] / step_s * self._up
+    def _surroundings(self, number: int) -> Surroundings:
+        def surroundings(times: FloatArray, step_s: float) -> Seen:
+            angle = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
+            rate = angle[:, None] / step_s * self._up
             before = np.vstack((self._last[number], rate[:-1]))
             self._last[number] = rate[-1:]
             force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
             return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
 
-        return seen
+        return surroundings
 
 
 class SimulatedTable:
-    """The table of a bench, as a Rig."""
+    """Table of a bench, a Rig."""
 
     def __init__(self, bench: SimulatedBench, limits: Limits) -> None:
         self.limits, self._bench = limits, bench
         self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
         self._acceleration = 256_000.0  # counts/s2
-        self._angle = 0.0  # commanded since the start, rad
+        self._angle = 0.0  # commanded angle since the start, rad
         self._fault: str | None = None
 
     def identify(self) -> str:
-        """Return that it is simulated."""
+        """Return a description of the simulated table."""
         self._answer()
         return f"simulated table, encoder of {self._bench.settings.servo.encoder_lines} lines"
 
@@ -232,21 +235,21 @@ class SimulatedTable:
         self._bench.servo.switch(on)
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Set run-up and slow-down."""
+        """Set the acceleration of both ramps and return the achieved acceleration."""
         self.limits.check_acceleration(acceleration)
         self._answer()
         self._acceleration = ACCELERATION.round(self._scale.counts(acceleration))
         return self._scale.angle(self._acceleration)
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Turn at a steady rate for so long, ramps included."""
+        """Turn at a steady rate for a time that includes both ramps, and return the achieved rate."""
         self.limits.check_turn_rate(turn_rate)
         self._answer(moving=True)
         speed = SLEW.round(self._scale.counts(turn_rate))
         angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
         self.limits.check_travel(self._bench.angle() + angle)
         if 2.0 * abs(speed) / self._acceleration > seconds:
-            raise LimitError("turn: wanted a duration of both ramps or more, got a shorter one; turn for longer")
+            raise LimitError("turn: the duration is shorter than both ramps. Turn for longer.")
         self._fault = None
         self._bench.servo.turn(speed, seconds, self._acceleration)
         return self._scale.angle(speed)
@@ -266,14 +269,14 @@ class SimulatedTable:
         return self._scale.angle(counts)
 
     def stop(self) -> None:
-        """Slow down and wait until the axis is at rest; the motor stays on."""
+        """Slow down and wait until the axis is at rest. The motor stays on."""
         self._answer()
         if self._bench.servo.powered:
             self._bench.clock.wait(self._bench.servo.slow_down(self._acceleration) + SETTLED_S)
         self._answer()
 
     def position(self) -> Position:
-        """Return where the encoder stands now."""
+        """Return the current position of the encoder."""
         self._answer()
         counts = math.floor(self._scale.counts(self._bench.angle()))
         within_s = 0.5 * self._bench.settings.servo.period_s
@@ -285,31 +288,31 @@ class SimulatedTable:
         return self._scale.angle(self._bench.servo.error)
 
     def fault(self) -> str | None:
-        """Return what is wrong with it, or None."""
+        """Return a description of the fault, or None."""
         self._answer()
         return self._fault
 
     def close(self, *, as_found: bool = False) -> None:
-        """Stop and switch the motor off; harmless when called again."""
+        """Stop and switch the motor off. A second call has no effect."""
         if "power_cut" not in self._bench.faults:
             self.stop()
             self._bench.servo.switch(as_found and self._bench.servo.powered)
 
     def _answer(self, *, moving: bool = False) -> None:
-        """Bring the bench up to now; refuse what a table without power, or with its motor off, cannot do."""
+        """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
         bench = self._bench
         powered = bench.servo.powered
         bench.advance()
         if "power_cut" in bench.faults:
-            raise LinkError("rig: wanted an answer, got nothing; check power and cable")
+            raise LinkError("rig: no answer. Check power and cable.")
         if powered and not bench.servo.powered:
             self._fault = "its motor off: following error beyond its limit"
         if moving and not bench.servo.powered:
-            raise RigFault(f"rig: wanted a turn, got {self._fault or 'its motor off'}; switch it on")
+            raise RigFault(f"rig: cannot turn, got {self._fault or 'its motor off'}. Switch the motor on.")
 
 
 class SimulatedChamber(Chamber):
-    """The chamber of a bench."""
+    """Chamber of a bench."""
 
     def __init__(self, bench: SimulatedBench, settings: ChamberSetup) -> None:
         super().__init__(settings)
@@ -330,16 +333,16 @@ class SimulatedChamber(Chamber):
 
 
 class SimulatedReadings:
-    """The readings of a device on a bench, dwell by dwell."""
+    """Readings of a device on a bench, dwell by dwell."""
 
     def __init__(self, bench: SimulatedBench, device: SimulatedDevice) -> None:
         self._bench, self._device = bench, device
-        self._kept: list[tuple[IntArray, FloatArray]] | None = None  # of this dwell
+        self._kept: list[tuple[IntArray, FloatArray]] | None = None  # counts and rows of this dwell
         self._newest = np.full(7, np.nan)
         self._ended = False
 
     def take(self, now: float) -> None:
-        """Read the device up to now."""
+        """Read the device up to the current time."""
         counts, rows = self._device.read(now)
         if not counts.size:
             return
@@ -352,22 +355,22 @@ class SimulatedReadings:
             self._kept.append((counts, rows))
 
     def start(self, *, certain: bool = True) -> None:
-        """Keep the readings from now on."""
+        """Start to store readings."""
         self._bench.advance()
         self._kept, self._ended = [], False
 
     def end(self) -> None:
-        """Let the dwell end now."""
+        """End the dwell now."""
         self._bench.advance()
         self._ended = True
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
         self._bench.advance()
-        kept, self._kept = self._kept, None
-        if kept is None or sum(len(counts) for counts, _ in kept) < 2:
-            raise RigTimeout("device: wanted two readings or more, got fewer; start a dwell, and dwell longer")
-        counts, rows = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        blocks, self._kept = self._kept, None
+        if blocks is None or sum(len(counts) for counts, _ in blocks) < 2:
+            raise RigTimeout("device: fewer than two readings. Start a dwell, and use a longer one.")
+        counts, rows = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
         model = self._device.model
         return Record(
             time=counts / self._device.rate,
@@ -380,18 +383,18 @@ class SimulatedReadings:
         )
 
     def latest(self) -> str:
-        """Return the newest reading in words."""
+        """Return the latest reading as text."""
         names = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
         return "  ".join(f"{name} {value:.6g}" for name, value in zip(names, self._newest, strict=True))
 
     def close(self) -> None:
-        """Keep no more readings."""
+        """Stop storing readings."""
         self._kept = None
 
 
 def open_from(url: str, settings: RigSettings) -> SimulatedTable:
-    """Open the table of a bench of its own."""
+    """Open the table of a new simulated bench."""
     if url:
-        raise InputError(f"simulated rig: wanted the address 'simulated:', got 'simulated:{url}'; it has no port")
-    made: dict[str, Any] = {"limits": settings.limits, "servo": ServoSettings(encoder_lines=settings.encoder_lines)}
-    return SimulatedBench(settings=SimulatedSettings(**made), clock=settings.timing).table
+        raise InputError(f"simulated rig: the address must be 'simulated:', got 'simulated:{url}'. It has no port.")
+    options: dict[str, Any] = {"limits": settings.limits, "servo": ServoSettings(encoder_lines=settings.encoder_lines)}
+    return SimulatedBench(settings=SimulatedSettings(**options), clock=settings.timing).table
