@@ -77,9 +77,7 @@ def test_every_command_goes_out_as_written():
 @pytest.mark.parametrize("temp_c", [-0.1, 80.1, math.nan, math.inf])
 def test_a_set_point_beyond_the_limits_is_refused_before_a_byte_is_sent(temp_c):
     with scripted() as server, open_chamber(server.url, SETTINGS) as chamber:
-        with pytest.raises(
-            LimitError, match=r"chamber: wanted a set-point from 0 to 80 degC, got .*; choose one in between"
-        ):
+        with pytest.raises(LimitError, match=r"must be 0 to 80 degC, got"):
             chamber.set(temp_c)
         assert server.heard == ["*IDN?"]
 
@@ -87,11 +85,11 @@ def test_a_set_point_beyond_the_limits_is_refused_before_a_byte_is_sent(temp_c):
 @pytest.mark.parametrize(
     ("command", "said", "error", "text"),
     [
-        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"40.0\n", RigFault, r"wanted a set-point of 45 degC, got 40; look at"),
-        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"warm\n", LinkError, r"wanted a number in answer to .*, got 'warm'"),
-        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"nan\n", LinkError, r"wanted a number in answer to .*, got 'nan'"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"40.0\n", RigFault, r"set 45 degC, .* reports 40"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"warm\n", LinkError, r"a number .*, got 'warm'"),
+        ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"nan\n", LinkError, r"a number .*, got 'nan'"),
         ("TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?", b"45", RigTimeout, r"got only b'45'"),
-        ("SYST:ERR?", b'-222,"Data out of range"\n', RigFault, r"wanted a command obeyed, got error -222"),
+        ("SYST:ERR?", b'-222,"Data out of range"\n', RigFault, r"got error -222"),
     ],
 )
 def test_an_answer_that_does_not_fit_is_told(command, said, error, text):
@@ -104,9 +102,7 @@ def test_an_answer_that_does_not_fit_is_told(command, said, error, text):
 def test_what_is_no_chamber_is_not_opened():
     with (
         scripted(answers={"*IDN?": b"DMC1415\n"}) as server,
-        pytest.raises(
-            LinkError, match=r"wanted a chamber's maker, model, number, firmware, got 'DMC1415'; check address"
-        ),
+        pytest.raises(LinkError, match=r"'DMC1415' is not maker"),
     ):
         open_chamber(server.url, SETTINGS)
 
@@ -115,7 +111,7 @@ def test_a_chamber_that_stays_on_is_told():
     with (
         scripted(answers={"OUTP OFF;:OUTP?": b"1\n"}) as server,
         open_chamber(server.url, SETTINGS) as chamber,
-        pytest.raises(RigFault, match=r"wanted heater and compressor off, got them on; switch the chamber off by hand"),
+        pytest.raises(RigFault, match=r"are still on"),
     ):
         chamber.switch_off()
 
@@ -186,7 +182,7 @@ def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_t
 def test_a_soak_needs_a_set_point():
     with (
         ScpiAir().opened() as chamber,
-        pytest.raises(InputError, match=r"chamber: wanted a set-point before a soak, got none; set it first"),
+        pytest.raises(InputError, match=r"no set-point"),
     ):
         chamber.soaked()
 
@@ -212,7 +208,7 @@ def test_steady_is_a_full_window_of_little_slope_near_the_set_point():
 def test_settings_that_cannot_be_are_refused():
     with pytest.raises(InputError, match=r"soak: wanted window_s above 0, got 0"):
         SoakSettings(window_s=0)
-    with pytest.raises(InputError, match=r"wanted a lowest set-point below the highest, got 80 and 80 degC"):
+    with pytest.raises(InputError, match=r"got 80 and 80 degC"):
         ChamberSetup(lowest_c=80, highest_c=80)
-    with pytest.raises(InputError, match=r"chamber: wanted reply_timeout_s above 0, got 0; state it"):
+    with pytest.raises(InputError, match=r"chamber: .*reply_timeout_s .*got 0"):
         ChamberSetup(reply_timeout_s=0)

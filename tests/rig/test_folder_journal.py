@@ -76,9 +76,7 @@ def test_a_changed_byte_in_the_middle_is_refused_with_its_line(tmp_path):
     place = data.index(b"1.5")
     data[place] = ord("2")
     path.write_bytes(bytes(data))
-    with pytest.raises(
-        FileFormatError, match="line 2: wanted a line as it was written after the one before, got another"
-    ):
+    with pytest.raises(FileFormatError, match=r"line 2: .*was changed"):
         Journal(path)
 
 
@@ -87,7 +85,7 @@ def test_a_line_that_is_twice_missing_or_elsewhere_is_refused(tmp_path, order):
     path = written(tmp_path / "j")
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[i] for i in order))
-    with pytest.raises(FileFormatError, match="wanted a line as it was written after the one before, got another"):
+    with pytest.raises(FileFormatError, match="was changed"):
         Journal(path)
 
 

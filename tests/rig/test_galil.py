@@ -20,8 +20,8 @@ from undrift.rig.rig import Limits, RigSettings
 DEGREE = math.pi / 180.0
 PATIENT = LinkSettings(reply_timeout_s=30.0, connect_timeout_s=30.0)
 QUICK = LinkSettings(reply_timeout_s=0.3, connect_timeout_s=0.5)
-SAFE = "the table was stopped and its motor switched off"
-LOST = "it is NOT CONFIRMED that the table stopped: cut the amplifier's power"
+SAFE = "The table was stopped and its motor switched off."
+LOST = "NOT CONFIRMED"
 
 
 class Bench:
@@ -105,7 +105,7 @@ def test_the_motor_is_switched_on_and_off_and_asked(bench):
 
 def test_a_motor_that_stays_off_is_a_fault(bench):
     bench.card.spoil("SHX", b":")
-    with pytest.raises(RigFault, match="wanted the motor on, got it unchanged; look at the amplifier"):
+    with pytest.raises(RigFault, match="did not switch on"):
         bench.rig.enable(True)
 
 
@@ -123,7 +123,7 @@ def test_turn_for_begins_nothing_if_a_number_is_not_read_back(bench, word):
         return bench.card(re.sub(r"\d$", "", command) if re.match(word + " -?\\d", command) else command)
 
     bench.server._answer = poor_line
-    with pytest.raises(LinkError, match=f"wanted {word} .* when it was read back"):
+    with pytest.raises(LinkError, match=f"set {word} to .*, but the card returned"):
         bench.rig.turn_for(-1.0, 2.0)
     assert bench.card.moving == 0
     assert "BGX" not in bench.sent
@@ -134,7 +134,7 @@ def test_turn_for_loses_no_minus_sign(bench):
         return bench.card(command.replace("-", "") if command.startswith("PR -") else command)
 
     bench.server._answer = poor_line
-    with pytest.raises(LinkError, match="when it was read back"):
+    with pytest.raises(LinkError, match="the card returned"):
         bench.rig.turn_for(-1.0, 2.0)
     assert bench.card.moving == 0
 
@@ -155,7 +155,7 @@ def test_a_move_returns_the_angle_between_two_positions():
 
 def test_a_move_that_ends_at_a_limit_switch_is_a_fault_in_words(bench):
     bench.card.held["SC"] = "2"
-    with pytest.raises(RigFault, match=r"got the axis stopped by the forward limit \(stop code 2\); look at the table"):
+    with pytest.raises(RigFault, match=r"forward limit \(stop code 2\)"):
         bench.rig.move_by(1.0)
 
 
@@ -224,7 +224,7 @@ def test_a_second_move_counts_from_where_the_first_ended():
 
 def test_a_refused_command_is_a_fault_with_its_code(bench):
     bench.card.refused["BGX"] = 20
-    with pytest.raises(RigFault, match="wanted 'BGX', got error 20: a move needs the motor on") as refused:
+    with pytest.raises(RigFault, match=r"'BGX' .error 20") as refused:
         bench.rig.turn_for(1.0, 2.0)
     assert refused.value.code == 20
 
@@ -273,9 +273,7 @@ def test_a_stop_that_does_not_stop_becomes_an_abort(bench, monkeypatch):
     bench.card.polls = 10_000
     bench.rig.turn_for(1.0, 2.0)
     bench.card.spoil("STX", *[b":"] * 5)
-    with pytest.raises(
-        RigTimeout, match=f"wanted the axis at rest within .* got it still moving; look at the table; {SAFE}"
-    ):
+    with pytest.raises(RigTimeout, match=f"still moving after .* {SAFE}"):
         bench.rig.stop()
     assert "AB" in bench.sent
 
@@ -286,9 +284,9 @@ def test_a_card_that_is_silent_for_good_is_shouted_at_and_reported_unconfirmed(b
     with pytest.raises(RigTimeout, match=LOST):
         bench.rig.turn_for(1.0, 2.0)
     assert bench.server.heard[-4:] == ["STX", "AB", "MOX", "MOX"]
-    with pytest.raises(LinkError, match=r"got none: it could not be brought to rest; open it again"):
+    with pytest.raises(LinkError, match=r"not be brought to rest"):
         bench.rig.turn_for(1.0, 2.0)
-    with pytest.raises(LinkError, match=f"wanted the motor off at the end, got no answer; {LOST}"):
+    with pytest.raises(LinkError, match=f"no answer .* {LOST}"):
         bench.rig.close()
     bench.rig.close()
 
@@ -299,7 +297,7 @@ def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
     with pytest.raises(LinkError, match=SAFE):
         bench.rig.turn_for(1.0, 2.0)
     assert bench.card.held["MO"] == "1"
-    with pytest.raises(LinkError, match="the connection was lost, and the card may have lost its commands; open it"):
+    with pytest.raises(LinkError, match="the connection was lost"):
         bench.rig.turn_for(1.0, 2.0)
 
 
@@ -312,9 +310,7 @@ def test_a_link_that_is_lost_for_good_is_reported_unconfirmed(bench):
 
 def test_a_position_that_no_axis_can_have_reached_is_no_position(bench):
     bench.card.held["TP"] = "400000"
-    with pytest.raises(
-        LinkError, match="got 400000; the card was restarted, the answer is garbled, or clock_speed is wrong"
-    ):
+    with pytest.raises(LinkError, match="got 400000"):
         bench.rig.position()
 
 
@@ -323,18 +319,18 @@ def test_a_rig_is_closed_once_and_refuses_afterwards(bench):
     heard = len(bench.server.heard)
     bench.rig.close()
     assert len(bench.server.heard) == heard
-    with pytest.raises(LinkError, match="got none: it is closed; open it again"):
+    with pytest.raises(LinkError, match="it is closed"):
         bench.rig.turn_for(1.0, 2.0)
 
 
 def test_what_does_not_answer_like_a_card_is_not_opened():
     with (
         Scripted(lambda command: b"hello\r\n") as server,
-        pytest.raises(RigTimeout, match="wanted an answer to 'MG 41003'"),
+        pytest.raises(RigTimeout, match="no answer to 'MG 41003'"),
     ):
         GalilRig(LinkPort(server.url, QUICK))
 
 
 def test_an_axis_that_no_card_has_is_refused():
-    with pytest.raises(InputError, match="wanted an axis A to H or X, Y, Z, W, got 'Q'"):
+    with pytest.raises(InputError, match=r"axis .*, got 'Q'"):
         open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))

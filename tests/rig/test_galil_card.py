@@ -55,9 +55,7 @@ def test_the_dialogue_of_the_manual_is_understood():
     answer, wrong = transcript(MANUAL)
     with Talk(answer) as talk:
         card = talk.card
-        with pytest.raises(
-            RigFault, match=r"wanted 'bg', got error 1: the command is not known to this card"
-        ) as refused:
+        with pytest.raises(RigFault, match=r"'bg' .error 1:") as refused:
             card.do("bg")
         assert refused.value.code == 1
         assert card.set("PR", 1000) == 1000
@@ -84,7 +82,7 @@ def test_every_error_code_is_said_in_words(code):
     answer, wrong = transcript([("BGX", b"?"), ("TC1", f"{code} Whatever the card says\r\n:".encode())])
     with Talk(answer) as talk, pytest.raises(RigFault) as refused:
         talk.card.do("BGX")
-    assert f"got error {code}: {ERRORS[code]}; see the state of the card" in str(refused.value)
+    assert f"error {code}: {ERRORS[code]}" in str(refused.value)
     assert wrong == []
 
 
@@ -124,13 +122,13 @@ def test_an_answer_ends_at_a_prompt_that_opens_a_line(received, end):
         (None, RigTimeout, "got nothing"),
         (b" 00000", RigTimeout, "got only b' 00000'"),
         (b"", RigTimeout, "got nothing"),
-        (b":", LinkError, "wanted counts in answer to 'TPX', got ''"),
-        (b" 000x000021\r\n:", LinkError, "wanted counts in answer to 'TPX', got ' 000x000021'"),
-        (b" 12 34\r\n:", LinkError, "wanted counts"),
-        (b" 99999999999\r\n:", LinkError, "wanted counts"),
-        (b" 1\r\n 2\r\n:", LinkError, "wanted counts"),
-        (b"\xc3\xa9\r\n:", LinkError, "wanted text"),
-        (b" 21\r\n?", LinkError, r"wanted an answer to 'TPX', got ' 21\\r\\n\?'"),
+        (b":", LinkError, "expected counts in answer to 'TPX', got ''"),
+        (b" 000x000021\r\n:", LinkError, "expected counts in answer to 'TPX', got ' 000x000021'"),
+        (b" 12 34\r\n:", LinkError, "expected counts"),
+        (b" 99999999999\r\n:", LinkError, "expected counts"),
+        (b" 1\r\n 2\r\n:", LinkError, "expected counts"),
+        (b"\xc3\xa9\r\n:", LinkError, "is not text"),
+        (b" 21\r\n?", LinkError, r"' 21\\r\\n\?' is not an answer to 'TPX'"),
     ],
 )
 def test_garbage_for_a_position_is_an_error_and_never_a_number(answer, error, text):
@@ -141,20 +139,20 @@ def test_garbage_for_a_position_is_an_error_and_never_a_number(answer, error, te
 
 @pytest.mark.parametrize("answer", [b" one\r\n:", b":", b" nan\r\n:", b" 1e9\r\n:", b" inf\r\n:", b" $1F\r\n:"])
 def test_garbage_for_a_number_is_an_error(answer):
-    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="wanted a number in answer to 'MG _BGX'"):
+    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="a number in answer to 'MG _BGX'"):
         talk.card.number("MG _BGX")
 
 
 @pytest.mark.parametrize("answer", [b" 2.0000\r\n:", b" 0.5000\r\n:", b"-1.0000\r\n:"])
 def test_a_number_that_cannot_be_is_an_error(answer):
-    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="wanted a whole number from 0 to 1"):
+    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="a whole number from 0 to 1"):
         talk.card.integer("MG _BGX", 0, 1)
 
 
 def test_text_where_only_a_prompt_belongs_is_an_error():
     with (
         Talk(lambda command: b" 5\r\n:") as talk,
-        pytest.raises(LinkError, match="wanted ':' in answer to 'BGX', got ' 5"),
+        pytest.raises(LinkError, match="':' in answer to 'BGX', got ' 5"),
     ):
         talk.card.do("BGX")
 
@@ -167,7 +165,7 @@ def test_a_refusal_without_a_code_is_an_error():
 
 def test_a_number_that_lost_a_byte_on_its_way_to_the_card_is_seen_when_read_back():
     answer, _ = transcript([("JG 10000", b":"), ("JG ?", b" 1000\r\n:")])
-    with Talk(answer) as talk, pytest.raises(LinkError, match="wanted JG 10000, got 1000 when it was read back"):
+    with Talk(answer) as talk, pytest.raises(LinkError, match=r"set JG to 10000, .* returned 1000"):
         talk.card.set("JG", 10_000, tolerance=1)
 
 

@@ -21,8 +21,8 @@ ERRORS, ALARMS = (
     for kind in ("grbl_error", "grbl_alarm")
 )
 DEGREE = math.pi / 180.0
-SAFE = "the table was stopped and its motor put to sleep"
-LOST = "it is NOT CONFIRMED that the table stopped: cut the motor's power"
+SAFE = "The table was stopped and its motor put to sleep."
+LOST = "NOT CONFIRMED"
 
 
 class Bench:
@@ -90,7 +90,7 @@ def test_an_acceleration_is_stored_and_listed(bench):
     assert bench.rig.set_acceleration(2.0) / DEGREE == pytest.approx(114.592)
     assert "$120=114.592" in bench.server.heard
     bench.board.spoilt["$120="] = [b"ok\r\n"]
-    with pytest.raises(LinkError, match=r"wanted \$120=57.296, got 114.592; check cable and baud; " + SAFE):
+    with pytest.raises(LinkError, match=r"set \$120=57.296, .* returned 114.592.*" + SAFE):
         bench.rig.set_acceleration(1.0)
 
 
@@ -119,7 +119,7 @@ def test_an_alarm_that_is_not_ours_stays_for_a_person():
     board.state = board.wakes_to = "Alarm"
     with Bench(board) as bench:
         assert bench.rig.fault() == "an alarm"
-        with pytest.raises(RigFault, match="wanted Idle, got an alarm; look at the table"):
+        with pytest.raises(RigFault, match="expected state Idle, got an alarm"):
             bench.rig.enable(True)
         assert "$X" not in bench.server.heard
 
@@ -134,7 +134,7 @@ def test_every_alarm_is_said_in_words(bench, code):
 @pytest.mark.parametrize("code", sorted(ERRORS))
 def test_every_error_code_is_said_in_words(bench, code):
     bench.board.spoilt["$I"] = [f"error:{code}\r\n".encode()]
-    with pytest.raises(RigFault, match=re.escape(f"wanted '$I', got error {code}: {ERRORS[code]}")) as refused:
+    with pytest.raises(RigFault, match=re.escape(f"error {code}: {ERRORS[code]}")) as refused:
         bench.rig.identify()
     assert refused.value.code == code
 
@@ -148,7 +148,7 @@ def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
 def test_an_open_door_is_a_fault(bench):
     bench.board.state = "Door"
     assert bench.rig.fault() == "the safety door is open"
-    with pytest.raises(RigFault, match="wanted an idle controller, got the safety door is open"):
+    with pytest.raises(RigFault, match="safety door is open"):
         bench.rig.turn_for(1.0, 2.0)
 
 
@@ -161,7 +161,7 @@ def test_a_jog_that_is_refused_is_a_fault(bench):
 
 def test_a_move_that_falls_short_is_a_fault(bench):
     bench.board.spoilt["$J="] = [b"ok\r\n"]
-    with pytest.raises(RigFault, match=r"wanted a move by 89.9989 deg, got 0; look at the table"):
+    with pytest.raises(RigFault, match=r"a move by 89.9989 deg, got 0"):
         bench.rig.move_by(90.0 * DEGREE)
 
 
@@ -187,7 +187,7 @@ def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
 
 def test_a_rate_beyond_the_controllers_own_is_refused(bench):
     bench.rig._axis.fastest_dps = 30.0
-    with pytest.raises(LimitError, match=r"turn rate: wanted 0.0167 to 30 deg/s, got 45.0000; choose another"):
+    with pytest.raises(LimitError, match=r"turn rate .* 0.0167 to 30 deg/s, got 45.0000"):
         bench.rig.turn_for(45.0 * DEGREE, 2.0)
 
 
@@ -226,10 +226,10 @@ def test_a_board_that_is_silent_for_good_is_reported_unconfirmed(bench):
     bench.server._answer = lambda command: None
     with pytest.raises(RigTimeout, match=LOST):
         bench.rig.position()
-    with pytest.raises(LinkError, match=f"wanted the motor off at the end, got no answer; {LOST}"):
+    with pytest.raises(LinkError, match=f"no answer .* {LOST}"):
         bench.rig.close()
     bench.rig.close()
-    with pytest.raises(LinkError, match="it is closed; open it again"):
+    with pytest.raises(LinkError, match="it is closed"):
         bench.rig.turn_for(1.0, 2.0)
 
 
@@ -242,16 +242,16 @@ def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
 
 @pytest.mark.parametrize("line", ["<Idle>", "<Flying|MPos:0.000>", "<Idle|MPos:0>", "<Idle|MPos:a,b>", "Idle|FS:0"])
 def test_what_is_no_status_is_refused(line):
-    with pytest.raises(LinkError, match="here: wanted a status line, got"):
+    with pytest.raises(LinkError, match="here: expected a status line"):
         parse_status(line, "here")
 
 
 def test_a_status_of_work_positions_is_no_place(bench):
     bench.board.spoilt["?"] = [b"<Idle|WPos:1.000|FS:0,0>\r\n"]
-    with pytest.raises(LinkError, match=r"wanted machine positions, got work positions; set \$10 to 1"):
+    with pytest.raises(LinkError, match=r"reports work positions"):
         bench.rig.position()
     bench.board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000|FS:0,0>\r\n"]
-    with pytest.raises(LinkError, match="wanted a position of axis A, got 2; name another axis"):
+    with pytest.raises(LinkError, match="axis A among the 2 positions"):
         bench.rig.position()
 
 
@@ -259,14 +259,14 @@ def test_a_status_of_work_positions_is_no_place(bench):
 def test_steps_that_are_none_are_refused_on_opening(text):
     board = Board()
     board.settings["100"] = text
-    with pytest.raises(LinkError, match=rf"wanted \$100 above 0, got {text}; set it on the controller"):
+    with pytest.raises(LinkError, match=rf"\$100 must be positive, got {text}"):
         Bench(board)
 
 
 def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
-    with pytest.raises(RigTimeout, match="wanted an answer to"):
+    with pytest.raises(RigTimeout, match="no answer to"):
         Bench(lambda command: None, timeout_s=0.2)
-    with pytest.raises(InputError, match="grbl: wanted an axis X, Y, Z, A, B or C, got 'Q'"):
+    with pytest.raises(InputError, match=r"grbl: axis .*, got 'Q'"):
         open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))
 
 
@@ -278,7 +278,7 @@ def test_a_stepper_does_not_know_its_following_error(bench):
 def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
     bench.rig.position()
     bench.board.spoilt["?"] = [b"<Idle|MPos:-20000000.000|FS:0,0>\r\n"]
-    with pytest.raises(LinkError, match=r"wanted a position within [\d.]+ deg of 0, got -2e\+07; .*" + SAFE):
+    with pytest.raises(LinkError, match=r"within [\d.]+ deg of 0, got -2e\+07.*" + SAFE):
         bench.rig.position()
     bench.rig.enable(True)
     assert bench.rig.position().angle == 0.0
@@ -287,7 +287,7 @@ def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
 def test_a_jog_that_is_not_answered_stops_the_table(bench):
     bench.grow_impatient()
     bench.board.spoilt["$J="] = [None]
-    with pytest.raises(RigTimeout, match=r"'\$J=G91G21A[\d.]+F1200.000'.*; " + SAFE):
+    with pytest.raises(RigTimeout, match=r"'\$J=G91G21A[\d.]+F1200.000'.* " + SAFE):
         bench.rig.turn_for(20.0 * DEGREE, 2.0)
     assert bench.board.state == "Sleep"
     bench.rig.enable(True)

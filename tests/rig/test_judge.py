@@ -63,7 +63,7 @@ def test_sound_rests_are_kept(how):
 @pytest.mark.parametrize("count", [False, True])
 def test_a_bump_is_seen_in_the_first_rest_and_in_later_ones(count):
     rng, rests = np.random.default_rng(2), RestCheck()
-    with pytest.raises(Disturbed, match=r"wanted it at rest in step 1, got \d+ times the spread of this rig's rests"):
+    with pytest.raises(Disturbed, match=r"not at rest in step 1, got \d+ times"):
         rests.check(rest(), bumped(read(rng, count=count)), "step 1")
     for _ in range(3):
         rests.keep(rest(), read(rng, count=count))
@@ -76,14 +76,10 @@ def test_a_bump_is_seen_in_the_first_rest_and_in_later_ones(count):
 def test_a_face_that_nobody_mounted_is_seen():
     rng, rests = np.random.default_rng(3), RestCheck()
     rests.keep(rest("+z"), read(rng, "+z", count=True))
-    with pytest.raises(
-        Disturbed, match=r"wanted \+x up in step, got the readings of \+z; one of the two is not mounted"
-    ):
+    with pytest.raises(Disturbed, match=r"\+x must be up in step, got the readings of \+z"):
         rests.check(rest("+x"), read(rng, "+z", count=True), "step")
     rests.check(rest("+x"), read(rng, "+x", count=True), "step")
-    with pytest.raises(
-        Disturbed, match=r"wanted -z up in step, got gravity along another axis"
-    ):  # counts: +z less what is read
+    with pytest.raises(Disturbed, match=r"-z must be up in step, got gravity"):  # counts: +z less what is read
         rests.check(rest("-z"), read(rng, "+y", count=True), "step")
     rests.check(rest("-z"), read(rng, "-z", count=True), "step")
 
@@ -116,9 +112,7 @@ def test_in_counts_a_pair_about_another_axis_tells_which_of_two_faces_is_wrong(p
     if wrong in pair:
         pytest.skip("then both read the same, whatever else there is")
     rests, rng = kept(*pair, "+x", read_as=[("+x", wrong)])
-    with pytest.raises(
-        Contradiction, match=r"wanted -x up in step, got gravity along another axis than \+x; one of"
-    ) as told:
+    with pytest.raises(Contradiction, match=r"-x must be up .* than \+x\. One of") as told:
         rests.check(rest("-x"), read(rng, "-x", count=True), "step")
     assert (told.value.other, told.value.surely) == ("+x", surely)
     rests.forget("+x")
@@ -127,15 +121,13 @@ def test_in_counts_a_pair_about_another_axis_tells_which_of_two_faces_is_wrong(p
 
 def test_in_counts_a_pair_about_another_axis_clears_the_face_that_was_kept():
     rests, rng = kept("+y", "-y", "+x")
-    with pytest.raises(
-        Disturbed, match=r"wanted -x up in step, got gravity along another axis than \+x; mount it again"
-    ):
+    with pytest.raises(Disturbed, match=r"-x must be up .* than \+x\. Mount it"):
         rests.check(rest("-x"), read(rng, "+z", count=True), "step")
 
 
 def test_in_counts_two_faces_that_read_the_same_are_both_in_doubt():
     rests, rng = kept("+y", "-y", "+x", read_as=[("+x", "-x")])
-    with pytest.raises(Contradiction, match=r"got the readings of \+x; one of the two .* mount both again") as told:
+    with pytest.raises(Contradiction, match=r"readings of \+x.* Mount both") as told:
         rests.check(rest("-x"), read(rng, "-x", count=True), "step")
     assert not told.value.surely
 
@@ -177,7 +169,7 @@ def test_a_run_in_counts_takes_the_face_again_that_was_wrong(tmp_path, wrong, mo
 def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path):
     bench = simulated()
     always = Hands(bench, dict.fromkeys(range(1, 99), "+y"))
-    with pytest.raises(RigFault, match=r"wanted .x up in step .*, got the readings of .x; one of the two is not"):
+    with pytest.raises(RigFault, match=r".x must be up in step .*, got the readings of .x"):
         run(bench, tmp_path, replace(SHORT, faces=("+x", "-x"), axes=()), readings=InCounts, hands=always)
     assert not bench.servo.powered
 
@@ -213,7 +205,7 @@ def test_a_run_takes_a_disturbed_rest_again_and_keeps_only_sound_ones(tmp_path, 
 
 def test_a_rest_that_is_always_disturbed_ends_the_run(tmp_path):
     bench = simulated()
-    with pytest.raises(RigFault, match=r"wanted it at rest in step 1 .*continue with `resume`"):
+    with pytest.raises(RigFault, match=r"not at rest in step 1 .*`resume`"):
         run(bench, tmp_path, FACES_ALONE, readings=lambda bench: Clumsy(bench, range(99)))
     assert not bench.servo.powered
 
@@ -230,7 +222,7 @@ def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path):
             noise = np.random.default_rng(1).normal(size=record.gyro.shape)
             return replace(record, gyro=record.gyro + 2.0 * STILL * 0.02 * noise)
 
-    with pytest.raises(RigFault, match="times the spread of this rig's rests"):
+    with pytest.raises(RigFault, match="times the spread"):
         run(bench, tmp_path, FACES_ALONE, resume=True, readings=Loud)
 
 
@@ -287,17 +279,17 @@ def test_sound_turns_are_kept_those_beyond_the_range_too(how):
 @pytest.mark.parametrize(
     ("pairs", "got"),
     [
-        ([(30.0, 0.0)], "step at 30, got those of a rest"),
-        ([(5.0, 0.0)], "step at 5, got those of a rest"),
-        ([(30.0, 30.0), (-30.0, 30.0)], "step at -30, got those of another rate"),
-        ([(30.0, 30.0), (-30.0, -30.0), (60.0, -30.0)], "step at 60, got those of another rate"),
-        ([(60.0, 60.0), (90.0, 30.0)], "step at 90, got those of another rate"),
-        ([(90.0, [0.0, 90.0, 90.0, 90.0])], "step at 90, got readings that change within it"),
-        ([(-30.0, [-30.0] * 7 + [-20.0])], "step at -30, got readings that change within it"),
+        ([(30.0, 0.0)], "step at 30, got readings of a rest"),
+        ([(5.0, 0.0)], "step at 5, got readings of a rest"),
+        ([(30.0, 30.0), (-30.0, 30.0)], "step at -30, got readings of another rate"),
+        ([(30.0, 30.0), (-30.0, -30.0), (60.0, -30.0)], "step at 60, got readings of another rate"),
+        ([(60.0, 60.0), (90.0, 30.0)], "step at 90, got readings of another rate"),
+        ([(90.0, [0.0, 90.0, 90.0, 90.0])], "step at 90, got readings that change"),
+        ([(-30.0, [-30.0] * 7 + [-20.0])], "step at -30, got readings that change"),
     ],
 )
 def test_readings_of_another_dwell_are_not_kept_as_those_of_a_turn(pairs, got):
-    with pytest.raises(Disturbed, match=f"device: wanted the readings of {got}; look at the device's link"):
+    with pytest.raises(Disturbed, match=f"wrong readings in {got}"):
         judge_turns(np.random.default_rng(8), pairs)
 
 
@@ -305,7 +297,7 @@ def test_a_rest_that_reads_as_a_turn_is_not_kept_and_one_at_another_temperature_
     rng = np.random.default_rng(9)
     turns = judge_turns(rng, [(30.0, 30.0), (-30.0, -30.0)])
     late = turning(rng, -30.0)
-    with pytest.raises(Disturbed, match="wanted the readings of step 5, got those of a turn; look"):
+    with pytest.raises(Disturbed, match="step 5, got readings of a turn"):
         turns.check(rest(purpose="bracket"), 0.0, late, "step 5")
     turns.check(replace(rest(purpose="bracket"), temp_c=60.0), 0.0, late, "step 5")
 

@@ -28,16 +28,14 @@ def test_an_axis_that_stands_still_for_a_part_of_a_dwell_is_refused(turn_rate, b
         check_rate(achieved_turn_rate(positions(rate * moving_s, times, 0.002)), rate, RunSettings(), "step 1")
 
     judged(times)
-    with pytest.raises(RigFault, match=r"rig: wanted (a steady turn|.* rad/s held) within .*in step 1, got"):
+    with pytest.raises(RigFault, match=r"rig: expected (a steady turn|.* rad/s) within .*in step 1, got"):
         judged(times - stood)
 
 
 def test_a_stop_that_the_mean_rate_makes_up_for_is_off_the_straight_line():
     times = np.linspace(0.0, 6.0, 61)
     angles = times + 0.05 * np.sin(2.0 * np.pi * times / 3.0)
-    with pytest.raises(
-        RigFault, match=r"wanted a steady turn within 0.05 deg in step 1, got .* deg off a straight line"
-    ):
+    with pytest.raises(RigFault, match=r"steady turn within 0.05 deg in step 1, got"):
         check_rate(achieved_turn_rate(positions(angles, times, 0.0005)), 1.0, RunSettings(), "step 1")
 
 
@@ -48,7 +46,7 @@ def test_quick_answers_count_more_in_the_achieved_rate():
     weighted = achieved_turn_rate(positions(2.0 * (times - late), times, 0.0005 + late))
     assert abs(weighted.turn_rate - 2.0) < 1e-3 * abs(even.turn_rate - 2.0) + 1e-5
     assert weighted.uncertainty < even.uncertainty
-    with pytest.raises(InputError, match="wanted three positions or more, got 2"):
+    with pytest.raises(InputError, match=r"three positions .*got 2"):
         achieved_turn_rate(positions([0.0, 1.0], [0.0, 1.0], 0.0))
 
 

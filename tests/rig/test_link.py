@@ -73,14 +73,12 @@ def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_ta
     with Scripted(lambda command: None) as server, Link(server.url, LINK) as link:
         link.settings = QUICK
         start = time.monotonic()
-        with pytest.raises(
-            RigTimeout, match=r"wanted an answer to 'TP' within 0.2 s, got nothing; check power and cable"
-        ):
+        with pytest.raises(RigTimeout, match=r"no answer to 'TP' within 0.2 s, got nothing"):
             link.exchange("TP")
         assert 0.15 < time.monotonic() - start < 15.0
         link.settings = LINK
         server.say(b"late\n")
-        with pytest.raises(LinkError, match=r"out of step with its device; resynchronise first"):
+        with pytest.raises(LinkError, match=r"out of step"):
             link.exchange("TP")
         server._answer = lambda command: b"token\n"
         found = link.ask_anew("say token", lambda got: got.find(b"token\n") + 6 if b"token\n" in got else 0)
@@ -122,7 +120,7 @@ def test_a_flood_without_an_end_is_refused_before_the_deadline():
     with (
         Scripted(lambda command: b"x" * 100_000) as server,
         Link(server.url, LINK) as link,
-        pytest.raises(LinkError, match="wanted an end of the answer to 'TP'"),
+        pytest.raises(LinkError, match="'TP' does not end"),
     ):
         link.exchange("TP", 30.0)
 
@@ -131,7 +129,7 @@ def test_bytes_that_are_no_text_are_refused():
     with (
         Scripted(lambda command: b"\xff\xfe\n") as server,
         Link(server.url, LINK) as link,
-        pytest.raises(LinkError, match=r"wanted text in answer to 'TP', got b'\\xff\\xfe\\n'"),
+        pytest.raises(LinkError, match=r"'TP' is not text: b'\\xff\\xfe\\n'"),
     ):
         link.exchange("TP")
 
@@ -145,7 +143,7 @@ def test_a_lost_link_says_so_at_once_and_can_be_opened_again():
             link.exchange("b", 30.0)
         assert time.monotonic() - start < 25.0
         assert not link.is_open
-        with pytest.raises(LinkError, match="wanted an open link"):
+        with pytest.raises(LinkError, match="is lost"):
             link.send(b"c\r")
         link.reconnect()
         assert link.is_open
@@ -186,9 +184,9 @@ def test_closing_ends_a_wait_in_another_thread():
 
 
 def test_nobody_there_is_a_link_error():
-    with pytest.raises(LinkError, match=r"tcp://127.0.0.1:9: wanted a connection, got '.*refused'; check power, cable"):
+    with pytest.raises(LinkError, match=r"tcp://127.0.0.1:9: cannot connect .*refused"):
         Link("tcp://127.0.0.1:9", QUICK)
-    with pytest.raises(LinkError, match="wanted a connection"):
+    with pytest.raises(LinkError, match="cannot connect"):
         Link("serial:///dev/ttyNONE", QUICK)
 
 
@@ -196,7 +194,7 @@ def test_nobody_there_is_a_link_error():
     "url", ["", "tcp://", "tcp://host", "tcp://host:x", "tcp://host:1/path", "http://host", "serial://"]
 )
 def test_what_is_no_address_is_refused(url):
-    with pytest.raises(InputError, match="link: wanted tcp://host:port"):
+    with pytest.raises(InputError, match="link: expected tcp://host:port"):
         Link(url, QUICK)
 
 

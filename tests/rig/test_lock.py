@@ -33,7 +33,7 @@ def test_the_spelling_of_an_address_does_not_matter(tmp_path):
 def test_a_lock_is_held_by_one_and_free_after_it():
     with (
         one_run(TABLE, "the first"),
-        pytest.raises(RigFault, match=r"for this run alone, got it in use by the first \(process \d+ of .*\); wait"),
+        pytest.raises(RigFault, match=r"in use by the first \(process \d+ of .*\)"),
         one_run(TABLE.replace("127.0.0.1", "localhost"), "the second"),
     ):
         pass
@@ -48,7 +48,7 @@ def test_a_second_run_is_refused_before_there_is_a_folder(tmp_path, capsys, host
     words = ["rig", "run", str(tmp_path / "p.toml"), "--yes", "--rig", TABLE.replace("127.0.0.1", host)]
     with one_run(TABLE, "the first"):
         assert run([*words, "--device", "tcp://127.0.0.1:9", "-o", str(tmp_path / "two")]) == 3
-    assert "got it in use by the first" in capsys.readouterr().err
+    assert "in use by the first" in capsys.readouterr().err
     assert not (tmp_path / "two").exists()
 
 
@@ -58,13 +58,13 @@ def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
     check_free(card.address, settings)
     with closing(driven(card)) as rig:
         rig.enable(True)
-        with pytest.raises(RigFault, match="got its motor on: another program drives it"):
+        with pytest.raises(RigFault, match="got its motor on"):
             check_free(card.address, settings)
         check_free(card.address, settings, motor_on=True)
         rig.turn_for(30.0 * DPS, 600.0)
         bench.clock.wait(1.0)
         for motor_on in (False, True):
-            with pytest.raises(RigFault, match=r"got moving: another program.*undrift rig stop with `rig`"):
+            with pytest.raises(RigFault, match=r"got moving"):
                 check_free(card.address, settings, motor_on=motor_on)
         before = bench.angle()
         bench.clock.wait(1.0)
@@ -78,12 +78,12 @@ def test_a_stepper_board_that_moves_is_refused():
     settings = RigSettings(clock=board.bench.clock)
     check_free(board.address, settings)
     assert board("$J=G91G21A3600F600") == b"ok\r\n"
-    with pytest.raises(RigFault, match=r"got state Jog: another program drives it"):
+    with pytest.raises(RigFault, match=r"got state Jog"):
         check_free(board.address, settings)
 
 
 def test_a_table_that_does_not_answer_is_named():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
-        with pytest.raises(LinkError, match=r"127\.0\.0\.1.*wanted a connection"):
+        with pytest.raises(LinkError, match=r"127\.0\.0\.1.*cannot connect"):
             check_free(f"galil:tcp://127.0.0.1:{taken.getsockname()[1]}?reply_timeout_s=0.2")

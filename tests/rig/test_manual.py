@@ -44,13 +44,13 @@ def test_a_turn_is_what_the_person_says_it_was():
 def test_a_wrong_answer_is_asked_for_again_three_times():
     rig = ManualRig(Person("once", "nan", "355"))
     assert rig.move_by(2 * math.pi) / DEGREE == pytest.approx(355)
-    with pytest.raises(InputError, match="wanted an angle in deg, got none in three answers"):
+    with pytest.raises(InputError, match="three answers"):
         ManualRig(Person("a", "b", "c")).move_by(1.0)
 
 
 @pytest.mark.parametrize("said", ["q", "QUIT", "stop"])
 def test_a_person_may_give_up(said):
-    with pytest.raises(RigFault, match="the person gave up"):
+    with pytest.raises(RigFault, match="operator gave up"):
         ManualRig(Person(said)).move_by(1.0)
 
 
@@ -58,13 +58,13 @@ def test_a_terminal_that_ends_is_a_person_who_gave_up():
     def ended(line: str) -> str:
         raise EOFError
 
-    with pytest.raises(RigFault, match="the person gave up"):
+    with pytest.raises(RigFault, match="operator gave up"):
         ManualRig(ended).move_by(1.0)
 
 
 def test_a_hand_holds_no_rate():
     rig = ManualRig(Person())
-    with pytest.raises(RigFault, match=r"wanted a steady rate, got a hand; plan turns through known angles"):
+    with pytest.raises(RigFault, match=r"a steady rate"):
         rig.turn_for(1.0, 6.0)
 
 
@@ -89,14 +89,14 @@ def test_a_closed_rig_asks_nothing():
     rig = ManualRig(Person())
     rig.close()
     rig.close()
-    with pytest.raises(LinkError, match="it is closed; open it again"):
+    with pytest.raises(LinkError, match="it is closed"):
         rig.move_by(1.0)
 
 
 def test_nobody_to_ask_and_a_person_with_a_port_are_refused():
-    with pytest.raises(InputError, match=r"wanted a way to ask a person, got none; give RigSettings\(ask=...\)"):
+    with pytest.raises(InputError, match=r"RigSettings\(ask=...\)"):
         open_rig("manual:")
-    with pytest.raises(InputError, match="a person has no port"):
+    with pytest.raises(InputError, match=r"manual rig: .*address"):
         open_rig("manual:tcp://host:1", RigSettings(ask=lambda line: ""))
 
 
@@ -218,7 +218,7 @@ def test_an_operator_who_gives_up_a_turn_goes_on_with_it_on_resume(by_hand, tmp_
             return turn(self, line)
 
     operator.__class__ = GivesUp
-    with pytest.raises(RigFault, match="the person gave up"):
+    with pytest.raises(RigFault, match="operator gave up"):
         run(tmp_path / "run")
     assert len(read_session(tmp_path / "run").turns) == 1
     run(tmp_path / "run", resume=True)
@@ -232,7 +232,5 @@ def test_a_protocol_of_turns_reads_back_and_needs_no_rate_table(by_hand, tmp_pat
     write_protocol(protocol, tmp_path / "again.toml")
     assert read_protocol(tmp_path / "again.toml") == protocol
     check_programme(programme_of(protocol), Limits(), by_hand=True)
-    with pytest.raises(
-        InputError, match=r"turn by \+360 deg about x.*travel: wanted at most 90 deg from the start, got 360"
-    ):
+    with pytest.raises(InputError, match=r"turn by \+360 deg about x.*travel: at most 90 deg .*, got 360"):
         check_programme(programme_of(protocol), Limits(travel=90.0 * DEGREE))

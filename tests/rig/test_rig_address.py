@@ -37,9 +37,9 @@ def test_a_rig_that_is_none_of_ours_is_refused(address):
 @pytest.mark.parametrize(
     ("query", "text"),
     [
-        ("limits=9", "wanted options out of encoder_lines, axis"),
-        ("baud=fast", "wanted a value for baud, got 'fast'"),
-        ("hardware_handshake=1", "wanted a value for hardware_handshake, got '1'"),
+        ("limits=9", "unknown option 'limits'"),
+        ("baud=fast", "'fast' is not a value for baud"),
+        ("hardware_handshake=1", "'1' is not a value for hardware_handshake"),
         ("baud", "wanted options as name=value"),
     ],
 )
@@ -57,7 +57,7 @@ def test_the_factory_opens_each_kind():
 
 
 def test_nobody_there_is_a_link_error():
-    with pytest.raises(LinkError, match="wanted a connection"):
+    with pytest.raises(LinkError, match="cannot connect"):
         open_rig("grbl:tcp://127.0.0.1:9")
 
 
@@ -72,13 +72,11 @@ def test_limits_refuse_what_goes_beyond_and_allow_what_meets_them():
     limits.check_turn_rate(-1.0)
     limits.check_acceleration(2.0)
     limits.check_travel(-3.0)
-    with pytest.raises(
-        LimitError, match=r"turn rate: wanted at most 1 rad/s either way, got -1.1; choose a slower one"
-    ):
+    with pytest.raises(LimitError, match=r"at most 1 rad/s .*, got -1.1"):
         limits.check_turn_rate(-1.1)
-    with pytest.raises(LimitError, match=r"acceleration: wanted above 0 and at most 2 rad/s2, got 0"):
+    with pytest.raises(LimitError, match=r"acceleration .* at most 2 rad/s2, got 0"):
         limits.check_acceleration(0.0)
-    with pytest.raises(LimitError, match=r"travel: wanted to stay within 3 rad of the start, got a move to 3.1"):
+    with pytest.raises(LimitError, match=r"travel: .* within 3 rad .*3.1"):
         limits.check_travel(3.1)
     with pytest.raises(LimitError, match="turn rate"):
         limits.check_turn_rate(float("nan"))

@@ -40,17 +40,17 @@ def test_accelerations_are_multiples_of_1024_and_slew_speeds_even(grid, counts, 
 )
 def test_what_the_card_cannot_hold_is_refused_with_its_range(grid, counts):
     with pytest.raises(
-        LimitError, match=rf"{grid.name}: wanted {grid.smallest} to {grid.largest} in steps of {grid.step}, got"
+        LimitError, match=rf"{grid.name}: .* {grid.smallest} to {grid.largest} in steps of {grid.step}, got"
     ):
         grid.round(counts)
 
 
 @pytest.mark.parametrize("angle", [math.nan, math.inf])
 def test_what_is_no_number_is_refused(angle):
-    with pytest.raises(InputError, match="wanted a finite angle or rate"):
+    with pytest.raises(InputError, match="must be finite"):
         NOTE.counts(angle)
 
 
 def test_an_encoder_without_lines_is_refused():
-    with pytest.raises(InputError, match="encoder: wanted counts per turn above 0, got 0"):
+    with pytest.raises(InputError, match=r"encoder: counts per turn .*got 0"):
         CountScale.from_lines(0)

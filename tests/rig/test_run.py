@@ -152,9 +152,7 @@ def test_a_face_for_room_temperature_is_not_read_in_a_chamber_that_was_heated(tm
 
     monkeypatch.setattr(RestCheck, "check", withdraw)
     bench = simulated()
-    with pytest.raises(
-        RigFault, match=r"wanted it at room temperature for step \d+ \(rest, \+x up\), got it after a soak"
-    ):
+    with pytest.raises(RigFault, match=r"step \d+ \(rest, \+x up\) requires room temperature"):
         run(bench, tmp_path, heated, chamber=Oven())
     assert at_rest(bench)
     result, _ = run(bench, tmp_path, heated, chamber=Oven(), resume=True)
@@ -163,9 +161,9 @@ def test_a_face_for_room_temperature_is_not_read_in_a_chamber_that_was_heated(tm
 
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
     bench = simulated()
-    with pytest.raises(InputError, match="wanted a chamber for the programme's temperatures, got none"):
+    with pytest.raises(InputError, match="require a chamber"):
         run(bench, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
-    with pytest.raises(InputError, match=r"turn rate: wanted at most 200 deg/s, got 210; mend the protocol"):
+    with pytest.raises(InputError, match=r"turn rate: at most 200 deg/s .*, got 210"):
         run(bench, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
     assert at_rest(bench)
     assert bench.angle() == 0.0
@@ -174,7 +172,7 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
 def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(Oven, "soaked", lambda self: False)
     bench = simulated()
-    with pytest.raises(RigTimeout, match=r"chamber: wanted 30 degC steady to 0.1 K/min within 5 s, got 30.00 degC"):
+    with pytest.raises(RigTimeout, match=r"not steady at 30 degC within 0.1 K/min after 5 s, got 30.00 degC"):
         run(
             bench,
             tmp_path,
@@ -190,19 +188,15 @@ def test_hands_that_give_up_or_are_not_there_are_a_fault():
         raise EOFError
 
     for ask in (lambda line: "q", nobody):
-        with pytest.raises(RigFault, match=r"wanted the device mounted \+x up, got 'q'; continue with `resume`"):
+        with pytest.raises(RigFault, match=r"not mounted \+x up, got 'q'"):
             AskedOperator(ask).mount("+x")
 
 
 def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
     bench = simulated()
-    with pytest.raises(
-        RigFault, match=r"rad/s held within .* in step 3 .*look at the table, its amplifier and its encoder"
-    ):
+    with pytest.raises(RigFault, match=r"rad/s within .* in step 3 .*its amplifier"):
         run(bench, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
-    with pytest.raises(
-        RigTimeout, match=r"device: wanted 9900% of .* readings in step 1 .*look at the device and its link"
-    ):
+    with pytest.raises(RigTimeout, match=r"at least 9900% of .* readings in step 1"):
         run(bench, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
     assert at_rest(bench)
 
@@ -270,7 +264,7 @@ def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constan
     assert next(at for phase, at in said if phase == "settling") > 100.0
     assert read_session(tmp_path).stills[0].temp_c == 40.0
     assert read_session(tmp_path).kind == "calibration"  # one temperature makes no tables
-    with pytest.raises(InputError, match=r"run: wanted a device lag of 0 s or more, got -1.0"):
+    with pytest.raises(InputError, match=r"device lag .*got -1.0"):
         RunSettings(device_lag_s=-1.0)
 
 
@@ -282,7 +276,7 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
             oven.temp_c = 25.0
 
     bench = simulated()
-    with pytest.raises(RigFault, match=r"chamber: wanted 40 degC within 0.5 K throughout step 3 .*, got 25.00 degC"):
+    with pytest.raises(RigFault, match=r"40 degC within 0.5 K in step 3 .*, got 25.00 degC"):
         run(bench, tmp_path, replace(SHORT, faces=(), temperatures_c=(40.0,)), chamber=oven, report=report)
     assert at_rest(bench)
     assert len(read_session(tmp_path).stills) == 1
@@ -291,7 +285,7 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
 @pytest.mark.parametrize("away", [lambda t: -0.5 * t, lambda t: np.where(t > 1.5, 3.0, 0.0)], ids=["slope", "jump"])
 def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, away):
     bench = simulated()
-    with pytest.raises(RigFault, match=r"device: wanted its thermometer steady within 0.5 K throughout step 2"):
+    with pytest.raises(RigFault, match=r"steady within 0.5 K in step 2"):
         heated(bench, tmp_path, Warm(bench, away))
     assert at_rest(bench)
 
@@ -310,7 +304,7 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
     bench = simulated()
     piece = run(bench, tmp_path / "few", still, readings=device(1))[0].pieces[0]
     assert 0.09 < piece.missing / piece.samples < 0.11
-    with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 1 .*the others missing"):
+    with pytest.raises(RigTimeout, match=r"at least 80% of \d+ readings in step 1"):
         run(bench, tmp_path / "many", still, readings=device(3))
 
 

@@ -108,7 +108,7 @@ def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_pat
             return record.part(len(record) // 2, len(record))
 
     bench = simulated(limits=replace(LIMITS, travel=1000.0))
-    with pytest.raises(RigTimeout, match=r"device: wanted 80% of \d+ readings in step 3 .*, got \d+"):
+    with pytest.raises(RigTimeout, match=r"at least 80% of \d+ readings in step 3 .*, got \d+"):
         run(bench, tmp_path, SHORT, readings=LateOnce)
     assert at_rest(bench)
     assert LateOnce.turning == 1

@@ -182,7 +182,7 @@ def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_p
     process = Command(simulated_run(protocol, tmp_path / "run"), tmp_path, largest_file=6000)
     code, _, err = process.result()
     assert code == 2, err
-    assert re.search("wanted to write a dwell, got .*; all dwells before it are kept", err)
+    assert re.search("cannot write a dwell", err)
 
 
 def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
@@ -196,9 +196,7 @@ def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
     bench = simulated()
     with monkeypatch.context() as patched:
         patched.setattr(folder_file, "synchronise", full)
-        with pytest.raises(
-            InputError, match=r"No space left on device.*make room on the disk and continue with `resume`"
-        ):
+        with pytest.raises(InputError, match=r"No space left on device.*Free space"):
             run(bench, tmp_path / "run")
     assert at_rest(bench)
     assert [turn.axis for turn in read_session(tmp_path / "run").turns] == ["z", "z"]
@@ -229,21 +227,19 @@ def test_half_written_pieces_are_put_aside_and_whole_ones_checked(finished):
         assert len(folder.done) == 7
     name = path / folder.pieces[0].name
     name.write_bytes(name.read_bytes()[:-1])
-    with pytest.raises(
-        InputError, match="wanted the readings of step 1 as they were written, got them missing or changed"
-    ):
+    with pytest.raises(InputError, match=r"readings of step 1 .*missing"):
         RunFolder(path, SHORT, resume=True)
 
 
 def test_another_run_is_not_mixed_in(finished):
     path = finished
-    with pytest.raises(InputError, match="wanted an empty folder, got one with a run in it; continue it with `resume`"):
+    with pytest.raises(InputError, match="contains a run"):
         RunFolder(path, SHORT)
-    with pytest.raises(InputError, match="wanted the protocol that the run began with, got another"):
+    with pytest.raises(InputError, match="protocol differs"):
         RunFolder(path, replace(SHORT, dwell_s=2.0), resume=True)
     with RunFolder(path, SHORT, resume=True) as folder:
         assert folder.head is not None
-        with pytest.raises(InputError, match=r"wanted the rig that the run began with, 'simulated.*', got 'other'"):
+        with pytest.raises(InputError, match=r"began with rig 'simulated.*', got 'other'"):
             folder.begin(replace(folder.head, rig="other"))
 
 
@@ -259,10 +255,10 @@ def test_a_line_of_the_journal_that_is_lost_is_a_dwell_done_again(finished):
 def test_two_programs_never_write_into_one_folder(tmp_path, protocol):
     path = tmp_path / "run"
     with RunFolder(path, SHORT) as first:
-        with pytest.raises(InputError, match="wanted a folder that no other program writes to, got one where a run"):
+        with pytest.raises(InputError, match="another run is writing"):
             RunFolder(path, SHORT, resume=True)
         code, _, err = Command(simulated_run(protocol, path), tmp_path).result()
-        assert (code, "no other program writes to" in err) == (2, True)
+        assert (code, "another run is writing" in err) == (2, True)
     assert first.pieces == ()
     result, _ = run(simulated(), path)
     assert result.added == 7
@@ -277,9 +273,7 @@ def test_readings_of_a_step_are_never_written_over(tmp_path):
         if progress.number == 5:
             strange.write_bytes(b"of another program")
 
-    with pytest.raises(
-        InputError, match=r"0005\.parquet: wanted no readings of this step yet, got some, which are kept"
-    ):
+    with pytest.raises(InputError, match=r"0005\.parquet: .* are kept"):
         run(bench, tmp_path / "run", report=drop_in)
     assert at_rest(bench)
     assert strange.read_bytes() == b"of another program"
@@ -288,9 +282,7 @@ def test_readings_of_a_step_are_never_written_over(tmp_path):
 def test_readings_without_their_journal_are_refused(finished):
     (finished / JOURNAL).write_bytes(b"")
     for resume in (False, True):
-        with pytest.raises(
-            InputError, match=r"wanted journal.jsonl with the readings in pieces, got it empty or missing"
-        ):
+        with pytest.raises(InputError, match=r"journal.jsonl is empty or missing"):
             RunFolder(finished, SHORT, resume=resume)
     assert len(os.listdir(finished / "pieces")) == 7
 
