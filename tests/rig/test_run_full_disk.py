@@ -36,7 +36,7 @@ while True:
         if calls[0] <= n:
             break
         assert text is not None, f"fault {n} was not noticed"
-        assert "make room" in text and chr(10) not in text, (n, text)
+        assert "Free space" in text and chr(10) not in text, (n, text)
         assert at_rest(bench), n
         opened = [os.path.realpath(link) for link in Path("/proc/self/fd").iterdir()]
         assert not [name for name in opened if folder in name], n  # a deleted file that is open still takes room
