@@ -99,9 +99,9 @@ def test_few_packets_or_a_short_while_do_not_settle_a_clock():
 
 
 def test_a_clock_without_packets_says_so():
-    with pytest.raises(InputError, match=r"clock: wanted one packet or more, got none; wait for the device"):
+    with pytest.raises(InputError, match=r"no packet"):
         DeviceClock().fit()
-    with pytest.raises(InputError, match=r"wanted a memory above 0 s and a tolerance between 0 and 1, got 0 and 0.02"):
+    with pytest.raises(InputError, match=r"got 0 and 0.02"):
         ClockSettings(memory_s=0.0)
 
 

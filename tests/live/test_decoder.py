@@ -141,10 +141,10 @@ def test_floats_and_wide_integers_are_read():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"sync": "xy"}, r"wanted sync bytes in hex, got 'xy'; as in aa55"),
-        ({"sync": ""}, r"wanted sync bytes, got none"),
-        ({"pack": "H3h"}, r"wanted pack as < or > and codes out of bBhHiIqQfd, got 'H3h'"),
-        ({"pack": "<H2h"}, r"wanted a field for each of 4 channels, got 3 in '<H2h'"),
+        ({"sync": "xy"}, r"hex bytes, got 'xy'"),
+        ({"sync": ""}, r"require sync bytes"),
+        ({"pack": "H3h"}, r"pack .*got 'H3h'"),
+        ({"pack": "<H2h"}, r"each of 4 channels, got 3 in '<H2h'"),
     ],
 )
 def test_frames_that_cannot_be_are_refused(options, text):
@@ -153,7 +153,7 @@ def test_frames_that_cannot_be_are_refused(options, text):
 
 
 def test_a_line_needs_a_separator():
-    with pytest.raises(InputError, match=r"wanted a separator between the numbers of a line, got none"):
+    with pytest.raises(InputError, match=r"no separator"):
         lines(separator="")
 
 

@@ -148,9 +148,7 @@ def test_the_board_warms_a_little(held):
 def test_moves_that_are_asked_for_at_once_follow_each_other_and_only_a_few_wait(held):
     for face in ("+x", "-x") * 8:
         held.lay(face)
-    with pytest.raises(
-        InputError, match=r"hand held: wanted at most 16 moves that wait, got one more; wait until it rests"
-    ):
+    with pytest.raises(InputError, match=r"at most 16 moves"):
         held.lay("+y")
     truth(held, 80.0)
     assert truth(held, 0.1)[3][0, 0] == pytest.approx(-STANDARD_GRAVITY, rel=1e-3)
@@ -160,12 +158,12 @@ def test_moves_that_are_asked_for_at_once_follow_each_other_and_only_a_few_wait(
 
 
 def test_what_cannot_be_is_refused(held):
-    with pytest.raises(InputError, match=r"face: wanted one of \+x, .*, got 'up'; name the axis that points up"):
+    with pytest.raises(InputError, match=r"face: .*\+x, .*, got 'up'"):
         held.lay("up")
     for axis, angle in (("z", 1.0), ("w", TURN), ("z", 0.0), ("z", 11.0 * TURN)):
-        with pytest.raises(InputError, match=r"turn: wanted an axis x, y or z and 1 to 10 whole turns, got '"):
+        with pytest.raises(InputError, match=r"1 to 10 whole turns, got '"):
             held.turn(axis, angle)
-    with pytest.raises(InputError, match=r"hand held: wanted turn_s above 0, the shorter first, got 4 and 3 s"):
+    with pytest.raises(InputError, match=r"turn_s .*got 4 and 3 s"):
         HandSettings(turn_s=(4.0, 3.0))
 
 
@@ -183,7 +181,7 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
     assert record.duration_s > 8.0
     assert record.accel[-1, 0] == pytest.approx(-DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.05)
     assert recorder.timeline.marker.missing == 0
-    with pytest.raises(InputError, match=r"wanted simulated:, got 'simulated:\d+', which nobody holds"):
+    with pytest.raises(InputError, match=r"no device 'simulated:\d+'"):
         source_at(held.address)
 
 
@@ -206,7 +204,7 @@ def test_a_device_that_nobody_holds_is_laid_on_all_faces_and_turned_about_all_ax
 
 @pytest.mark.parametrize("address", ["simulated:?seed=one", "simulated:?clock_speed=0", "simulated:?color=red"])
 def test_an_address_that_says_something_else_is_refused(address):
-    with pytest.raises(InputError, match=r"device: wanted simulated:\?seed=1&clock_speed=2"):
+    with pytest.raises(InputError, match=r"simulated:\?seed=1&clock_speed=2"):
         source_at(address)
 
 

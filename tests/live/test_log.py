@@ -78,7 +78,7 @@ def test_most_shapes_need_no_description():
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_a_shape_that_is_not_described_asks_for_it(name: str):
     shape = next(one for one in ALL if one.name == name)
-    with pytest.raises(InputError, match=r"board: wanted .* describe it in the address, as in channels="):
+    with pytest.raises(InputError, match=r"board: .*Describe it"):
         description_of(listened(shape), "board", {})
 
 
@@ -88,7 +88,7 @@ def lines(text: str, count: int = 300) -> list[tuple[float, bytes]]:
 
 def test_a_unit_that_nothing_shows_is_asked_for_and_taken_from_the_address():
     resting = lines("ax:0.0{n},ay:0.02,az:9.81,gx:0.0{n},gy:0.02,gz:0.01\n")
-    with pytest.raises(InputError, match=r"wanted the unit of its gyro readings, got .*: board\?gyro_unit=dps"):
+    with pytest.raises(InputError, match=r"unit of its gyro .*board\?gyro_unit=dps"):
         description_of(resting, "board", {})
     options, notes = description_of(resting, "board", {"gyro_unit": "dps"})
     assert (options["gyro_unit"], options["accel_unit"]) == ("dps", "m/s2")
@@ -109,7 +109,7 @@ def test_a_header_names_plain_numbers_and_a_counter_counts():
 
 def test_what_holds_no_readings_is_refused():
     for text in ("hello\n", "t: {k}\n", "T={k},H=40,P=1013\n"):
-        with pytest.raises(InputError, match="describe it in the address"):
+        with pytest.raises(InputError, match="Describe it"):
             description_of(lines(text), "board", {})
 
 
@@ -146,10 +146,10 @@ def test_a_way_without_bytes_and_a_description_stay_as_they_are():
 def test_silence_and_other_bytes_are_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("undrift.live.log.SILENCE_S", 0.3)
     monkeypatch.setattr("undrift.live.log.TRY_S", 0.1)
-    with Sender([]) as silent, pytest.raises(RigTimeout, match=r"wanted text within 0\.3 s, got nothing"):
+    with Sender([]) as silent, pytest.raises(RigTimeout, match=r"no text within 0\.3 s"):
         described_address(f"tcp://127.0.0.1:{silent.port}")
     with (
         Sender([bytes(range(128, 256)) * 10]) as binary,
-        pytest.raises(InputError, match="wanted lines of text, got other bytes;"),
+        pytest.raises(InputError, match="not lines of text"),
     ):
         described_address(f"tcp://127.0.0.1:{binary.port}")

@@ -75,7 +75,7 @@ def test_dwells_follow_each_other():
     recorder, clock = on_virtual_clock(paced(300))
     with recorder:
         dwells = DwellReadings(recorder)
-        with pytest.raises(InputError, match=r"dwell: wanted one that was started, got none; start it first"):
+        with pytest.raises(InputError, match=r"no dwell"):
             dwells.stop()
         records = []
         for _ in range(2):
@@ -104,17 +104,17 @@ def test_drop_outs_are_rows_of_nan_in_dwells():
 def test_a_device_that_never_sends_is_a_timeout_and_nothing_keeps_running():
     with Sender([b"rubbish\n" * 9]) as device:
         recorder = Recorder(source_at(f"tcp://127.0.0.1:{device.port}{THREE}"), QUICK)
-        with pytest.raises(RigTimeout, match=r"wanted a reading within 0.2 s"):
+        with pytest.raises(RigTimeout, match=r"no reading within 0.2 s"):
             recorder.start()
         assert recorder.timeline.readings == 0
-        with pytest.raises(InputError, match=r"wanted a fresh one, got one that was started before; make another"):
+        with pytest.raises(InputError, match=r"was started before"):
             recorder.start()
 
 
 def test_a_device_that_falls_silent_is_told():
     recorder, _ = on_virtual_clock(paced(30))
     with recorder:
-        with pytest.raises(RigTimeout, match=r"got nothing; check that the device sends"):
+        with pytest.raises(RigTimeout, match=r"got nothing"):
             recorder.between(recorder.now(), recorder.now() + 60.0)
         with pytest.raises(RigTimeout, match=r"got nothing"):
             recorder.check()
@@ -125,9 +125,9 @@ def test_a_device_that_falls_silent_is_told():
 def test_a_device_that_hangs_up_is_told():
     recorder, _ = on_virtual_clock(paced(30), hang_up=True)
     with recorder:
-        with pytest.raises(LinkError, match=r"got a lost link: the other side closed the connection"):
+        with pytest.raises(LinkError, match=r"link is lost .the other side"):
             recorder.between(recorder.now(), recorder.now() + 60.0)
-        with pytest.raises(LinkError, match=r"lost link"):
+        with pytest.raises(LinkError, match=r"is lost"):
             recorder.latest()
 
 
@@ -135,9 +135,9 @@ def test_readings_that_do_not_come_in_time_are_a_timeout():
     recorder, _ = on_virtual_clock(paced(500))
     with recorder:
         now = recorder.now()
-        with pytest.raises(InputError, match=r"wanted a start before the stop"):
+        with pytest.raises(InputError, match=r"start must be before"):
             recorder.between(now, now)
-        with pytest.raises(InputError, match=r"wanted two or more in 0.001 s, got [01]; dwell longer"):
+        with pytest.raises(InputError, match=r"in 0.001 s, got [01]"):
             recorder.between(now, now + 0.001)
 
 
@@ -145,9 +145,7 @@ def test_a_stopped_recorder_does_not_let_anybody_wait():
     recorder, _ = on_virtual_clock(paced(500))
     with recorder:
         recorder.stop()
-        with pytest.raises(
-            LinkError, match=r"wanted readings up to the end of a dwell, got a recorder that was stopped"
-        ):
+        with pytest.raises(LinkError, match=r"recorder was stopped"):
             recorder.between(recorder.now(), recorder.now() + 5.0)
 
 
@@ -155,17 +153,17 @@ def test_what_is_no_longer_kept_is_refused():
     recorder, _ = on_virtual_clock(paced(3000), RecorderSettings(keep_s=0.1))
     with recorder:
         start = recorder.now()
-        with pytest.raises(InputError, match=r"got a recorder that keeps 0.1 device seconds; keep more"):
+        with pytest.raises(InputError, match=r"stores only 0.1"):
             recorder.between(start, start + 0.4)
 
 
 def test_the_newest_reading_is_asked_of_a_started_recorder():
-    with pytest.raises(InputError, match=r"wanted the newest, got none yet; start the recorder"):
+    with pytest.raises(InputError, match=r"no reading yet"):
         Recorder(source_at(f"tcp://127.0.0.1:9{THREE}")).latest()
 
 
 def test_waits_without_end_are_refused():
-    with pytest.raises(InputError, match=r"recorder: wanted silence_s above 0, got 0; every wait has an end"):
+    with pytest.raises(InputError, match=r"recorder: .*silence_s .*got 0"):
         RecorderSettings(silence_s=0)
 
 
@@ -181,7 +179,7 @@ def test_readings_gather_where_that_is_asked_and_none_is_lost():
         assert record.gyro[:, 0].tolist() == list(range(50, 300))
         assert recorder.since(2.985) is None, "one reading is no record"
     assert blocks[0.05] < 0.6 * blocks[0.0]
-    with pytest.raises(InputError, match=r"wanted gather_s from 0 to 0.2 s, got 1.0; readings would pile up"):
+    with pytest.raises(InputError, match=r"gather_s .*0 to 0.2 s, got 1.0"):
         RecorderSettings(gather_s=1.0)
 
 
@@ -192,5 +190,5 @@ def test_what_came_before_a_link_was_lost_is_returned_before_the_loss_is_raised(
         record = recorder.since()
         assert record is not None
         np.testing.assert_array_equal(record.gyro[:, 0], np.arange(20.0))
-        with pytest.raises(LinkError, match="got a lost link"):
+        with pytest.raises(LinkError, match="link is lost"):
             recorder.since(record.time[-1])

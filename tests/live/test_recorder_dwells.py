@@ -155,7 +155,7 @@ def test_a_stream_that_goes_on_catching_up_opens_no_dwell():
         bench.dwells = DwellReadings(bench.recorder, deadline_s=0.3)
         with pytest.raises(
             RigTimeout,
-            match=r"wanted a reading that is certainly later than the start of a dwell within 0.3 s, got a backlog",
+            match=r"certainly later .*within 0.3 s, got a backlog",
         ):
             bench.during(bench.dwells.start)
 
@@ -180,7 +180,7 @@ def test_a_dwell_that_is_shorter_than_the_delays_is_refused():
         bench.up_to(CONNECTED + 4.0)
         with pytest.raises(
             RigTimeout,
-            match=r"scripted: wanted two readings or more that are certainly later than the start of a dwell",
+            match=r"scripted: .*certainly later",
         ):
             bench.dwells.stop()
 
@@ -192,5 +192,5 @@ def test_a_look_that_need_not_be_certain_waits_for_nothing():
         bench.up_to(CONNECTED + 0.3)
         record = bench.dwells.stop()
         assert 2 <= len(record) < 100
-        with pytest.raises(InputError, match=r"dwell: wanted one that was started, got none; start it first"):
+        with pytest.raises(InputError, match=r"no dwell"):
             bench.dwells.stop()

@@ -21,5 +21,5 @@ def test_ports_of_boards_stand_first_then_those_of_usb(monkeypatch: pytest.Monke
 
 def test_a_missing_lsl_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "pylsl", None)
-    with pytest.raises(LinkError, match=r"wanted the package pylsl, got none; pip install undrift\[live\]"):
+    with pytest.raises(LinkError, match=r"pylsl .*pip install undrift\[live\]"):
         lsl_streams()

@@ -51,16 +51,14 @@ def test_readings_come_over_tcp_stamped_with_the_hosts_time():
 def test_a_device_that_hangs_up_is_a_lost_link_and_can_be_opened_again():
     with Sender([TEXT], hang_up=True) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
         counts(source)
-        with pytest.raises(LinkError, match=r"wanted readings, got a lost link: the other side closed .*; reconnect"):
+        with pytest.raises(LinkError, match=r"link is lost .the other side"):
             source.read(30.0)
 
 
 def test_silence_and_rubbish_are_timeouts_that_say_which():
     with Sender([b""]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
         start = time.monotonic()
-        with pytest.raises(
-            RigTimeout, match=r"wanted a reading within 0.1 s, got nothing; check that the device sends"
-        ):
+        with pytest.raises(RigTimeout, match=r"within 0.1 s, got nothing"):
             source.read(0.1)
         assert time.monotonic() - start < 15.0
     with Sender([b"x\n" * 50]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
@@ -80,12 +78,12 @@ def test_silence_and_rubbish_are_timeouts_that_say_which():
 def test_nobody_there_is_a_lost_link():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-    with pytest.raises(LinkError, match=r"wanted a connection, got '.*refused.*'; check power, cable and address"):
+    with pytest.raises(LinkError, match=r"cannot connect .*refused"):
         source_at(f"tcp://127.0.0.1:{port}{OPTIONS}").open()
 
 
 def test_a_source_that_is_not_open_does_not_read():
-    with pytest.raises(LinkError, match=r"wanted an open link, got a closed one; open it first"):
+    with pytest.raises(LinkError, match=r"link is closed"):
         source_at(f"tcp://127.0.0.1:9{OPTIONS}").read(0.1)
 
 
@@ -107,7 +105,7 @@ def test_readings_come_over_udp_a_datagram_each():
 def test_a_udp_port_that_is_taken_is_a_lost_link():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
-        with pytest.raises(LinkError, match=r"udp://127.0.0.1:\d+: wanted a connection, got"):
+        with pytest.raises(LinkError, match=r"udp://127.0.0.1:\d+: cannot connect"):
             source_at(f"udp://127.0.0.1:{taken.getsockname()[1]}{OPTIONS}").open()
 
 
@@ -125,7 +123,7 @@ def test_readings_come_over_a_serial_line():
 
 
 def test_a_serial_port_that_is_not_there_is_a_lost_link():
-    with pytest.raises(LinkError, match=r"serial:/dev/none: wanted a connection, got"):
+    with pytest.raises(LinkError, match=r"serial:/dev/none: cannot connect"):
         source_at(f"serial:///dev/none{OPTIONS}").open()
 
 
@@ -159,13 +157,13 @@ def test_lsl_stamps_are_the_devices_clock():
 def test_an_lsl_stream_of_another_width_or_that_ends_says_so():
     inlet = FakeInlet(([[1.0, 2.0], [1.0, float("inf"), 0.0]], [7.5, 7.6]))
     source = LslSource("lsl:imu", PLAIN, lambda: inlet)
-    with pytest.raises(LinkError, match=r"wanted an open stream, got a closed one; open it first"):
+    with pytest.raises(LinkError, match=r"stream is closed"):
         source.read(0.1)
     source.open()
     with pytest.raises(RigTimeout, match=r"got 2 samples of another width than 3"):
         source.read(0.01)
     inlet.pulls.append(RuntimeError("the stream has been lost"))
-    with pytest.raises(LinkError, match=r"got a lost stream: the stream has been lost; start the sender again"):
+    with pytest.raises(LinkError, match=r"stream is lost"):
         source.read(0.1)
 
 

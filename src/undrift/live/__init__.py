@@ -1,11 +1,13 @@
-"""Live readings of a device. In: an address, ``tcp://host:port?channels=...&rate=100``, or a TOML file that describes the stream.
-Out: a ``Record`` of a stretch of time, in the device's units and axes (frame s), with rows of NaN where readings are missing.
+"""Read a device live.
 
-``transports`` are ways for bytes and SOURCES, a row for each kind of address; ``decoder`` makes rows of numbers of bytes; ``clock``
-lays the device's clock on the host's, from packets that come late and never early; ``recorder`` is the one ring: a thread reads,
-any other asks for what came between two moments. ``hands`` is a simulated device to practise with.
+Input: an address, ``tcp://host:port?channels=...&rate=100``, or a TOML file that describes the stream. Output: a ``Record`` of a
+stretch of time, in the device's units and axes (frame s), with rows of NaN for missing readings.
 
-Device time is in s from the first reading; dwells are asked for by the host's monotonic clock, and a reading counts for one only
-where it was certainly taken after its start. A garbled reading is counted and left out, a silent device is an error. Open
-``recorder`` first; a new kind of source is a function from an ``Address`` and a row in ``transports.SOURCES``.
+``transports`` opens ports and contains SOURCES, with a row for each kind of address. ``decoder`` converts bytes to rows of numbers.
+``clock`` fits the device's clock to the host's, from packets that arrive late but never early. ``recorder`` stores the readings: a
+thread reads the device, and other threads ask for the readings between two times. ``hands`` is a simulated device for practice.
+
+Device time is in s from the first reading. Dwells are requested in the host's monotonic clock. A reading belongs to a dwell only if
+it was certainly taken after the start of the dwell. A corrupted reading is counted and omitted. A silent device raises an error.
+Open ``recorder`` first. A new kind of source needs a function from an ``Address`` and a row in ``transports.SOURCES``.
 """

@@ -1,10 +1,10 @@
-"""The device's clock on the host's: ``host = offset + rate * device + delay`` with a delay that is never negative.
+"""Fit of the device's clock to the host's: ``host = offset + rate * device + delay``, with a delay that is never negative.
 
-Packets come late, never early: the clock is the line below all points (device, host) that lies closest to them on the whole,
-min sum(host - offset - rate device). Its solution is the edge of their lower convex hull that spans the mean device time [1]_, and
-the hull is kept up at a few operations a packet. Old points are forgotten, since a clock drifts with temperature. A backlog that
-drains shows a clock that is too late, until the first prompt packet: the clock is settled when several packets in turn, over a
-while, did not come earlier than those before allow. A constant delay cannot be seen from one side.
+Packets arrive late but never early. So the clock is the line below all points (device, host) with the smallest sum of distances,
+min sum(host - offset - rate device). The solution is the edge of the lower convex hull that spans the mean device time [1]_. The
+hull is updated with a few operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog
+drains, the line is too late, until the first prompt packet. The clock is settled when several successive packets over some time
+were not earlier than the earlier packets allow. A constant delay cannot be determined from one side.
 
 .. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999.
 """
@@ -21,42 +21,42 @@ from undrift.live.decoder import Arrivals, Chunk, Counter, StreamDescription
 
 Point = tuple[float, float]
 KEPT_DELAYS = 2000
-SETTLED_PACKETS = 8  # in turn, none of which shows that all before it were late
-SETTLED_S = 0.2  # for so long, host s
-DRAINING = 0.1  # a stream this much faster than nominal is a backlog, not a clock in error
+SETTLED_PACKETS = 8  # number of successive packets, without an earlier one, until the clock is settled
+SETTLED_S = 0.2  # shortest duration of these packets, host s
+DRAINING = 0.1  # relative excess of the rate from which a stream counts as a backlog
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockSettings:
-    """How the clock is found."""
+    """Settings of the clock fit."""
 
-    memory_s: float = 300.0  # Device time after which a point may be forgotten, s; at most twice as much is used
-    # Largest relative error of a device's clock; holds the line before there is much to go by
+    memory_s: float = 300.0  # shortest memory of a point, device s (the longest is twice that)
+    # largest relative error of a device's clock, which limits the slope if there are few points
     rate_tolerance: float = 0.02
 
     def __post_init__(self) -> None:
         if not (self.memory_s > 0.0 and 0.0 < self.rate_tolerance < 1.0):
             raise InputError(
-                f"clock: wanted a memory above 0 s and a tolerance between 0 and 1, got {self.memory_s:g} and "
-                f"{self.rate_tolerance:g}; 300 and 0.02 are usual"
+                f"clock: memory must be above 0 s and tolerance between 0 and 1, got {self.memory_s:g} and "
+                f"{self.rate_tolerance:g}. Use for example 300 and 0.02."
             )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockLine:
-    """A line between two clocks."""
+    """A line that relates two clocks."""
 
-    device_zero: float  # A point on it, s and s
-    host_zero: float
-    rate: float  # Host seconds per device second
-    rate_error: float  # Relative departure of the device's clock from nominal: positive for one that runs fast
-    # 95 of 100 packets come at most so much later than the promptest, host s; those of a backlog left out
+    device_zero: float  # device time of a point on the line, s
+    host_zero: float  # host time of that point, s
+    rate: float  # host seconds per device second
+    rate_error: float  # relative error of the device's clock (positive if it runs fast)
+    # 95 % quantile of the delay relative to the promptest packet, without a backlog, host s
     jitter_s: float
-    settled: bool  # False while a backlog drains, and while too few packets have come to tell
-    count: int  # Packets that it rests on
+    settled: bool  # False while a backlog drains, or with too few packets
+    count: int  # number of packets in the fit
 
     def host_time(self, device_time: float) -> float:
-        """Return the host's time of a device time, as the promptest packet would come."""
+        """Return the host time at which the promptest packet of a device time would arrive."""
         return self.host_zero + self.rate * (device_time - self.device_zero)
 
     def device_time(self, host_time: float) -> float:
@@ -65,7 +65,7 @@ class ClockLine:
 
 
 class _Block:
-    """Points of one stretch of time: their lower hull, their number and the sum of their device times."""
+    """Points of a stretch of time, as lower hull, number of points and sum of device times."""
 
     def __init__(self, start: float) -> None:
         self.start, self.count, self.total = start, 0, 0.0
@@ -78,7 +78,7 @@ class _Block:
 
 
 class DeviceClock:
-    """Follows a device's clock, packet by packet."""
+    """Fit of a device's clock, updated with each packet."""
 
     def __init__(self, clock_speed: float = 1.0, settings: ClockSettings = ClockSettings()) -> None:
         self._nominal = 1.0 / clock_speed
@@ -86,30 +86,32 @@ class DeviceClock:
         self._blocks: deque[_Block] = deque(maxlen=2)
         self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
         self._zero: Point | None = None
-        self._prompt: Point = (0.0, np.inf)  # shows that all packets before it were late; those are forgotten
+        self._prompt: Point = (0.0, np.inf)  # earliest packet (earlier points are removed, because they were late)
 
     def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
-        """Take readings; of those that came at one moment only the last can have been prompt.
-        device_time (N,) s, host_time (N,) s."""
+        """Add readings with device_time (N,), s, and host_time (N,), s.
+
+        If several readings arrive at the same time, only the last of them is used, because the others were late.
+        """
         last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
         for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
             if self._zero is None:
                 self._zero = point
-            moved: Point = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers, to keep their digits
-            earliest = self._prompt[1] + (1.0 - DRAINING) * self._nominal * (moved[0] - self._prompt[0])
-            if moved[1] < earliest:
-                self._prompt = moved
+            relative: Point = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers keep their digits
+            earliest = self._prompt[1] + (1.0 - DRAINING) * self._nominal * (relative[0] - self._prompt[0])
+            if relative[1] < earliest:
+                self._prompt = relative
                 self._recent.clear()
                 self._blocks.clear()
-            if not self._blocks or moved[0] - self._blocks[-1].start > self._settings.memory_s:
-                self._blocks.append(_Block(moved[0]))
-            self._blocks[-1].add(moved)
-            self._recent.append(moved)
+            if not self._blocks or relative[0] - self._blocks[-1].start > self._settings.memory_s:
+                self._blocks.append(_Block(relative[0]))
+            self._blocks[-1].add(relative)
+            self._recent.append(relative)
 
     def fit(self) -> ClockLine:
-        """Return the line as it is known by now."""
+        """Return the line fitted to all packets so far."""
         if self._zero is None:
-            raise InputError("clock: wanted one packet or more, got none; wait for the device")
+            raise InputError("clock: no packet has arrived. Wait for the device.")
         hull: list[Point] = []
         for block in self._blocks:
             for point in block.hull:
@@ -153,11 +155,11 @@ def _slope_at(hull: list[Point], x: float, nominal: float) -> float:
     return nominal
 
 
-# ---- Readings in order, gaps marked.
+# ---- Readings in order, with gaps marked.
 
 
 class GapMarker:
-    """Counts what is missing and marks it with rows of NaN, chunk by chunk; a gap beyond a stated span by one row only."""
+    """Marker of missing readings, which counts them and inserts rows of NaN. A gap longer than a limit gets only one row."""
 
     def __init__(self, period_s: float, longest_fill_s: float = 1.0) -> None:
         self._period = period_s
@@ -167,7 +169,7 @@ class GapMarker:
         self.missing = 0
 
     def mark(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return readings with rows of NaN where some are missing: time (N,) s, values (N, C) -> (M,) s, (M, C)."""
+        """Return the readings with rows of NaN in the gaps. Shapes are time (N,), s, and values (N, C) -> (M,), (M, C)."""
         if not len(time):
             return time, values
         before = np.concatenate(([time[0] - self._period if self._last is None else self._last], time[:-1]))
@@ -189,11 +191,11 @@ class Block:
     """Readings on the device's clock."""
 
     time: FloatArray  # (N,), device time, s, strictly increasing, 0 at the first reading
-    values: FloatArray  # (N, C), raw, NaN where a reading is missing
+    values: FloatArray  # (N, C), raw, NaN for missing readings
 
 
 class Timeline:
-    """Puts the readings of one connection on the device's own clock, gaps marked, the host's clock beside it."""
+    """Converter of chunks to device time, with gaps marked and a fit of the device's clock to the host's."""
 
     def __init__(self, description: StreamDescription, clock: ClockSettings = ClockSettings()) -> None:
         speed = description.clock_speed
@@ -205,16 +207,16 @@ class Timeline:
         self._clock = DeviceClock(speed, clock)
 
     def add(self, chunk: Chunk) -> Block:
-        """Take a chunk."""
+        """Add a chunk and return its readings on the device's clock."""
         if chunk.counter is None:
-            count, kept = self._arrivals.count(chunk.host_time), np.ones(len(chunk), dtype=bool)
+            count, valid = self._arrivals.count(chunk.host_time), np.ones(len(chunk), dtype=bool)
         else:
-            count, kept = self.counter.unwrap(chunk.counter, chunk.host_time)
-        time = count[kept] * self._tick_s
+            count, valid = self.counter.unwrap(chunk.counter, chunk.host_time)
+        time = count[valid] * self._tick_s
         self.readings += len(time)
-        self._clock.add(time, chunk.host_time[kept])
-        return Block(*self.marker.mark(time, chunk.values[kept]))
+        self._clock.add(time, chunk.host_time[valid])
+        return Block(*self.marker.mark(time, chunk.values[valid]))
 
     def clock(self) -> ClockLine:
-        """Return how the device's clock stands to the host's."""
+        """Return the line that relates the device's clock to the host's."""
         return self._clock.fit()

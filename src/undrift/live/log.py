@@ -1,9 +1,9 @@
-"""A device that prints text: what its lines hold is found by listening for a few seconds, so that no option need describe it.
+"""Description of a device that prints text, determined by listening for a few seconds, so that no options are required.
 
-The lines are those that ``io/log.py`` reads in a file. Names, or a header, say which channel a number is, and in which unit; what
-they do not say is proposed by the size of the readings, as ``undrift info`` does, and noted. Time is the device's own where it
-prints one, else by its counter of readings or their order, at a rate by this computer's clock. A serial port is tried at the usual
-baud rates until its bytes are text.
+The lines have the formats that ``io/log.py`` reads from a file. Names or a header determine channels and units. A missing unit is
+proposed from the size of the readings, as in ``undrift info``, and reported in a note. If the device prints its time, that time is
+used. Otherwise time is derived from its counter or from the order of the readings, with a rate measured with this computer's clock.
+On a serial port, the usual baud rates are tried until the bytes are text.
 """
 
 import tomllib
@@ -25,37 +25,39 @@ from undrift.live.transports import GROUP, POLL_S, SOURCES, ByteSource, SerialPo
 from undrift.plugins import split_address
 from undrift.record import sample_rate_of
 
-BAUDS = (115_200, 9_600, 921_600, 57_600, 460_800, 230_400, 38_400, 19_200, 1_000_000, 2_000_000)  # the usual first
+BAUDS = (115_200, 9_600, 921_600, 57_600, 460_800, 230_400, 38_400, 19_200, 1_000_000, 2_000_000)  # most common first
 BYTE_WAYS = ("serial", "tcp", "udp")
-SILENCE_S = 6.0  # host s until the first byte: a board that was reset by the connection starts first
-LISTEN_S, TRY_S = 3.0, 1.0  # host s of readings, and of one baud rate
-GARBAGE = 0.1  # a larger share of bytes that are no text is another baud rate
-ANY = StreamDescription(channels=("accel_x", "accel_y", "accel_z"), rate=1.0)  # until it is known
-LEARNT_LINES = 256  # among which the shapes of a log are looked for
+SILENCE_S = 6.0  # longest wait for the first byte, host s (some boards restart when a connection is opened)
+LISTEN_S, TRY_S = 3.0, 1.0  # time to listen, and time to try a baud rate, host s
+GARBAGE = 0.1  # largest fraction of bytes that are not text at the right baud rate
+ANY = StreamDescription(
+    channels=("accel_x", "accel_y", "accel_z"), rate=1.0
+)  # placeholder until the description is known
+LEARNT_LINES = 256  # number of lines to learn the shapes of a log from
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 DESCRIBE = (
-    "describe it in the address, as in channels=count,accel_x,accel_y,accel_z&rate=100 (docs/live.md), or record its lines as they "
-    "come: `output` walk.log"
+    "Describe it in the address, for example with channels=count,accel_x,accel_y,accel_z&rate=100 (docs/live.md), or record its "
+    "raw lines: `output` walk.log"
 )
-Pieces = Sequence[tuple[float, bytes]]  # bytes, and when they came, host s
+Pieces = Sequence[tuple[float, bytes]]  # time of arrival, host s, and bytes
 
 
 class LogDecoder(Decoder):
-    """Lines as firmware prints them, words and all: which shapes make a reading is learnt from the first lines."""
+    """Decoder of text lines with words and numbers. It learns the shapes of a reading from the first lines."""
 
     def __init__(self, description: StreamDescription) -> None:
         super().__init__(description)
         self._first, self._reader = description.separator, LineReader()
         self._begun, self._lines, self._cycle = False, list[LogLine](), list[tuple[str, ...]]()
 
-    def _rows(self, held: bytes, whole: bool) -> FloatArray:
-        *lines, self._rest = held.split(b"\n")
-        if whole:
+    def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
+        *lines, self._rest = buffer.split(b"\n")
+        if is_datagram:
             lines, self._rest, self._begun = [*lines, self._rest], b"", True
         elif len(self._rest) > LONGEST_LINE:
             self._rest, self.errors = b"", self.errors + 1
         texts = [line.decode("utf-8", "replace") for line in lines]
-        if texts and not self._begun:  # it may be torn
+        if texts and not self._begun:  # the first line may be incomplete
             texts, self._begun = texts[1:], True
         fresh = list(filter(None, map(self._reader.take, texts)))
         self._lines += fresh
@@ -64,18 +66,18 @@ class LogDecoder(Decoder):
             return np.empty((0, self._width))
         self.errors += sum(line.shape not in self._cycle for line in fresh)
         readings = list(readings_in(self._lines, self._cycle))
-        if readings:  # what is behind the last may go on
+        if readings:  # lines after the last reading may continue
             last = readings[-1][-1]
             self._lines = self._lines[next(k for k, line in enumerate(self._lines) if line is last) + 1 :]
         stamped = self._width > sum(len(shape) - 2 for shape in self._cycle)
         rows = [
-            [*([one[0].stamp_s] if stamped else ()), *(value for line in one for value in line.values)]
-            for one in readings
+            [*([reading[0].stamp_s] if stamped else ()), *(value for line in reading for value in line.values)]
+            for reading in readings
         ]
         return np.array(rows, dtype=float).reshape(-1, self._width)
 
     def _learn(self) -> bool:
-        """Learn the shapes in turn; whether they hold as many numbers as there are channels."""
+        """Learn the sequence of line shapes. Return True if their count of numbers matches the channels."""
         cycle = cycle_of(self._lines)
         start = next((k for k, shape in enumerate(cycle) if " ".join(shape[:2]).strip() == self._first), 0)
         cycle = cycle[start:] + cycle[:start]
@@ -86,10 +88,10 @@ class LogDecoder(Decoder):
 
 
 def described_address(address: str) -> tuple[str, tuple[str, ...]]:
-    """Return an address that says what the device sends, and notes; as it is where it says so itself."""
+    """Return an address with a description of the device, and notes. An address that has a description is not changed."""
     kind, place, options = split_address(address, "device", SOURCES, GROUP, "name how it is connected")
-    stated = dict(options)
-    if kind not in BYTE_WAYS or {"channels", "rate", "description", "format"} & stated.keys():
+    given_options = dict(options)
+    if kind not in BYTE_WAYS or {"channels", "rate", "description", "format"} & given_options.keys():
         return address, ()
     source = source_at(address, ANY)
     if not isinstance(source, ByteSource):
@@ -98,13 +100,13 @@ def described_address(address: str) -> tuple[str, tuple[str, ...]]:
         pieces, baud = listen(source)
     finally:
         source.close()
-    sent, notes = description_of(pieces, source.name, stated)
-    sent |= {"baud": str(baud)} if baud and "baud" not in stated else {}
-    return f"{kind}:{place}?{urlencode(sent | stated, safe=',/+')}", notes
+    stream_options, notes = description_of(pieces, source.name, given_options)
+    stream_options |= {"baud": str(baud)} if baud and "baud" not in given_options else {}
+    return f"{kind}:{place}?{urlencode(stream_options | given_options, safe=',/+')}", notes
 
 
 def listen(source: ByteSource) -> tuple[Pieces, int]:
-    """Open a device and return what it sends for some seconds, at the first baud rate at which it is text; 0 for another way."""
+    """Open a device and return its bytes of a few seconds and the baud rate at which they are text, 0 if not serial."""
     source.open()
     now, port = source.clock.now, source.port
     bauds = dict.fromkeys((port.baud, *BAUDS)) if isinstance(port, SerialPort) else (0,)
@@ -120,18 +122,16 @@ def listen(source: ByteSource) -> tuple[Pieces, int]:
                 garbage = sum(byte > 0x7E or (byte < 0x20 and byte not in b"\t\n\r\x1b") for byte in content)
                 text = garbage <= GARBAGE * len(content)
         if not pieces:
-            raise RigTimeout(
-                f"{source.name}: wanted text within {SILENCE_S:g} s, got nothing; check that the device sends"
-            )
+            raise RigTimeout(f"{source.name}: no text within {SILENCE_S:g} s. Check that the device sends.")
         if text:
             return pieces, baud
     raise InputError(
-        f"{source.name}: wanted lines of text, got other bytes{f' at {len(bauds)} baud rates' * (len(bauds) > 1)}; {DESCRIBE}"
+        f"{source.name}: the bytes are not lines of text{f' at {len(bauds)} baud rates' * (len(bauds) > 1)}. {DESCRIBE}"
     )
 
 
-def description_of(pieces: Pieces, name: str, stated: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Return the options of an address for what was heard of a device, and notes of what no name states."""
+def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Return the options of an address for the bytes from a device, and notes on proposed units and times."""
     content = b"".join(data for _, data in pieces)
     lines = [line.strip()[:60] for line in content.decode("utf-8", "replace").split("\n")[:-1]]
     sheet, log = sheet_of(Path(name), content), find_readings(content.partition(b"\n")[2])  # the first may be torn
@@ -139,50 +139,60 @@ def description_of(pieces: Pieces, name: str, stated: dict[str, str]) -> tuple[d
         log = replace(log, names=sheet.names)
     if log is None or len(log.names) < 3 or log.names[-1].isdecimal():
         raise InputError(
-            f"{name}: wanted lines of numbers with names, got '{next(filter(None, lines[::-1]), '')}'; {DESCRIBE}"
+            f"{name}: expected lines of numbers with names, got '{next(filter(None, lines[::-1]), '')}'. {DESCRIBE}"
         )
     first = " ".join(cycle_of([*lines_of(content.partition(b"\n")[2])])[0][:2]).strip()
     decoder = LogDecoder(replace(ANY, channels=(*ANY.channels, *[IGNORED] * (len(log.names) - 3)), separator=first))
     rows = [decoder.feed(data) for _, data in pieces]
-    values, came = np.concatenate(rows), np.repeat([arrived for arrived, _ in pieces], [len(one) for one in rows])
-    named, shown = example_map(log.names, log_text(Path(name), log), ())[:2]  # what a file of these lines would need
-    places = {
-        channel: [log.names.index(one) for one in (held if isinstance(held, list) else [held]) if one in log.names]
-        for channel, held in tomllib.loads(named)["columns"].items()
+    values, arrival_s = (
+        np.concatenate(rows),
+        np.repeat([arrived for arrived, _ in pieces], [len(block) for block in rows]),
+    )
+    columns_toml, units_toml = example_map(log.names, log_text(Path(name), log), ())[:2]  # as for a file
+    columns_of = {
+        channel: [
+            log.names.index(column) for column in (entry if isinstance(entry, list) else [entry]) if column in log.names
+        ]
+        for channel, entry in tomllib.loads(columns_toml)["columns"].items()
     }
-    units = tomllib.loads(shown)["units"]
-    labels = [label_of(one) for one in log.names]
-    for channel in {"mag", "temp"} - places.keys():
+    units = tomllib.loads(units_toml)["units"]
+    labels = [label_of(column) for column in log.names]
+    for channel in {"mag", "temp"} - columns_of.keys():
         columns = [k for k, label in enumerate(labels) if label and label.unit and label.channel == channel]
-        places |= {channel: columns} if len(columns) == {"mag": 3, "temp": 1}[channel] else {}
-    triads = [places[triad] for triad in ("gyro", "accel") if triad in places]
+        columns_of |= {channel: columns} if len(columns) == {"mag": 3, "temp": 1}[channel] else {}
+    triads = [columns_of[triad] for triad in ("gyro", "accel") if triad in columns_of]
     if not len(values) or not triads or any(len(columns) != 3 for columns in triads):
-        raise InputError(f"{name}: wanted readings of three axes, got '{lines[-1]}'; {DESCRIBE}")
-    channels, sent = [IGNORED] * len(log.names), {"format": "log", "separator": first}
-    for channel, columns in places.items():
+        raise InputError(f"{name}: expected readings of three axes, got '{lines[-1]}'. {DESCRIBE}")
+    channels, stream_options = [IGNORED] * len(log.names), {"format": "log", "separator": first}
+    for channel, columns in columns_of.items():
         label = labels[columns[0]]
-        units[channel] = stated.get(f"{channel}_unit") or (label.unit if label and label.unit else units[channel])
+        units[channel] = given_options.get(f"{channel}_unit") or (
+            label.unit if label and label.unit else units[channel]
+        )
         if channel in ("gyro", "accel"):
             if units[channel] == "?":
                 raise InputError(
-                    f"{name}: wanted the unit of its {channel} readings, got '{lines[-1]}'; name it in the address: "
+                    f"{name}: the unit of its {channel} readings is unknown, got '{lines[-1]}'. Set it in the address: "
                     f"{name}?{channel}_unit={'dps' if channel == 'gyro' else 'g'}, or record its lines: `output` walk.log"
                 )
-            sent |= {f"{channel}_unit": units[channel], f"{channel}_gain": f"{label.gain if label else 1.0:g}"}
+            stream_options |= {
+                f"{channel}_unit": units[channel],
+                f"{channel}_gain": f"{label.gain if label else 1.0:g}",
+            }
         if channel != "temp" or units[channel].lower() == "degc":
             for k, axis in zip(columns, ("_x", "_y", "_z") if len(columns) == 3 else ("",), strict=True):
                 channels[k] = f"{channel}{axis}"
-    clock, notes = _clock_of(values, came, channels, TICKS.get(units.get("time", ""), 0.0))
-    why = shown.partition("  # proposed: ")[2]
-    taken = ", ".join(f"{channel} in {unit}" for channel, unit in units.items() if f"{channel} by " in why)
-    notes += (f"no name states the units; taken: {taken} ({why})",) if why else ()
-    return sent | clock | {"channels": ",".join(channels)}, notes
+    clock, notes = _clock_of(values, arrival_s, channels, TICKS.get(units.get("time", ""), 0.0))
+    reason = units_toml.partition("  # proposed: ")[2]
+    proposed = ", ".join(f"{channel} in {unit}" for channel, unit in units.items() if f"{channel} by " in reason)
+    notes += (f"the names do not contain the units, so these are proposed: {proposed} ({reason})",) if reason else ()
+    return stream_options | clock | {"channels": ",".join(channels)}, notes
 
 
 def _clock_of(
-    values: FloatArray, came: FloatArray, channels: list[str], tick: float
+    values: FloatArray, arrival_s: FloatArray, channels: list[str], tick: float
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Mark the channel that is time or counts; return the options of the clock, and a note of a device without time."""
+    """Mark the channel of time or counter. Return the options of the clock, and a note for a device without time."""
     steps, time = np.diff(values, axis=0), channels.index("time") if "time" in channels else None
     if time is not None and tick and (steps[:, time] > 0.0).mean() > 0.9:
         channels[time] = COUNTER
@@ -190,13 +200,15 @@ def _clock_of(
         rate = sample_rate_of(values[rises, time] * tick)
         return {"tick": f"{tick:g}", "counter_bits": "0" if tick == 1.0 else "32", "rate": f"{rate:.5g}"}, ()
     channels[:] = [IGNORED if channel == "time" else channel for channel in channels]
-    counter = next((k for k, one in enumerate(channels) if one == IGNORED and (steps[:, k] == 1.0).mean() > 0.9), None)
-    count = np.arange(float(len(came))) if counter is None else values[:, counter] - values[0, counter]
+    counter = next(
+        (k for k, name in enumerate(channels) if name == IGNORED and (steps[:, k] == 1.0).mean() > 0.9), None
+    )
+    count = np.arange(float(len(arrival_s))) if counter is None else values[:, counter] - values[0, counter]
     if counter is not None:
         channels[counter] = COUNTER
-    # By this computer's clock: the line below all arrivals, as packets come late and never early
-    nominal, line = float(count[-1]) / max(came[-1] - came[0], 1e-3), DeviceClock()
-    line.add(count / nominal, came)
+    # rate from this computer's clock: the line below all arrivals, as packets arrive late but never early
+    nominal, line = float(count[-1]) / max(arrival_s[-1] - arrival_s[0], 1e-3), DeviceClock()
+    line.add(count / nominal, arrival_s)
     return {"rate": f"{nominal / line.fit().rate:.5g}"}, (
-        "the device states no time: times are by this computer's clock",
+        "the device prints no time, so times are from this computer's clock",
     )

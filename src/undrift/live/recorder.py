@@ -1,9 +1,9 @@
-"""Recorder: a thread reads the device; what it says stays at hand for a while.
+"""Recorder: a thread reads the device and stores its latest readings.
 
 ::
 
-    with Recorder(source) as recorder:              # open, first reading awaited
-        start = recorder.now()                      # the host's monotonic clock
+    with Recorder(source) as recorder:              # open the device and wait for its first reading
+        start = recorder.now()                      # host's monotonic clock
         ...                                         # a dwell
         record = recorder.between(start, recorder.now(), deadline_s=2.0)
 """
@@ -25,30 +25,28 @@ from undrift.record import Record
 
 log = logging.getLogger(__name__)
 READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
-WAITED_S = 5e-4  # a read that took longer than this had to wait for data
+WAITED_S = 5e-4  # duration from which a read has waited for data, host s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderSettings:
-    """How a device is recorded."""
+    """Settings of a recorder."""
 
-    silence_s: float = 5.0  # Longest host time without a good reading before the device counts as lost, s
-    keep_s: float = 600.0  # Device time that ``between`` reaches back, s
-    clock: ClockSettings = field(default_factory=ClockSettings)  # How the device's clock is found
-    # Rest of the reader after it had to wait for a reading, host s: readings gather meanwhile, and cost less together. They
-    # come so much later at most; each wait still shows when a reading came.
+    silence_s: float = 5.0  # longest time without a valid reading before the device counts as lost, host s
+    keep_s: float = 600.0  # duration of the stored readings, device s
+    clock: ClockSettings = field(default_factory=ClockSettings)  # settings of the clock fit
+    # Pause of the reader after a wait for a reading, host s. Readings collect in the pause, which reduces the load. They
+    # arrive later by the pause at most. Each wait still determines the time of arrival of a reading.
     gather_s: float = 0.0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recorder", "every wait has an end", "silence_s", "keep_s")
+        check_positive(self, "recorder", "set a positive value", "silence_s", "keep_s")
         if not 0.0 <= self.gather_s <= READ_S:
-            raise InputError(
-                f"recorder: wanted gather_s from 0 to {READ_S:g} s, got {self.gather_s}; readings would pile up"
-            )
+            raise InputError(f"recorder: gather_s must be 0 to {READ_S:g} s, got {self.gather_s}. Set a shorter pause.")
 
 
 class Recorder:
-    """Records a device from ``start`` to ``stop``; a context manager does both. One thread brings readings, any other asks."""
+    """Recorder of a device from ``start`` to ``stop``, also a context manager. A thread reads, and any thread may ask."""
 
     def __init__(self, source: Source, settings: RecorderSettings = RecorderSettings(), clock: Clock = HOST) -> None:
         self.source, self.settings = source, settings
@@ -58,7 +56,7 @@ class Recorder:
         self._stopping, self._heard = False, clock.now()
         self._news = clock.condition()
         self._ring: deque[Block] = deque()
-        self._forgotten = -np.inf  # device time up to which blocks have left the ring
+        self._forgotten = -np.inf  # device time up to which readings were removed, s
         self._failure: UndriftError | None = None
 
     def __enter__(self) -> "Recorder":
@@ -69,38 +67,41 @@ class Recorder:
         self.stop()
 
     def now(self) -> float:
-        """Return the host's monotonic clock, s."""
+        """Return the time of the host's monotonic clock, s."""
         return self._clock.now()
 
     def start(self) -> None:
         """Open the device and wait for its first reading."""
         if self._reader is not None:
-            raise InputError("recorder: wanted a fresh one, got one that was started before; make another")
+            raise InputError("recorder: it was started before. Create a new recorder.")
         self.source.open()
         try:
             self._heard = self.now()
             self._reader = self._clock.repeat(self._read, "device-reader")
             self._wait(lambda: bool(self._ring), self.settings.silence_s + 2.0 * READ_S, "a first reading")
-        except BaseException:  # Ctrl-C too: nothing is left running
+        except BaseException:  # includes Ctrl-C, so that no thread remains
             self.stop()
             raise
 
     def begun(self, moment: float, deadline_s: float = 5.0) -> float:
-        """Wait for a reading that was certainly taken after a moment; return its device time, s. RigTimeout where none comes."""
-        found: list[float] = []
+        """Wait for a reading that was certainly taken after a host time, s, and return its device time, s.
+
+        RigTimeout is raised if no such reading arrives.
+        """
+        times: list[float] = []
 
         def later() -> bool:
             if self._ring and self._ring[-1].time[-1] >= self._first_after(moment):
-                found.append(float(self._ring[-1].time[-1]))
-            return bool(found)
+                times.append(float(self._ring[-1].time[-1]))
+            return bool(times)
 
         self._wait(later, deadline_s, "a reading that is certainly later than the start of a dwell")
-        return found[0]
+        return times[0]
 
     def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
-        """Return the readings in a stretch of the host's time; with a device time from `begun`, none taken before its start."""
+        """Return the readings between two host times, s. `first` is a device time from `begun` that excludes earlier readings."""
         if not start < stop:
-            raise InputError(f"readings: wanted a start before the stop, got {start:.3f} and {stop:.3f} s; swap them")
+            raise InputError(f"readings: start must be before stop, got {start:.3f} and {stop:.3f} s. Swap them.")
         certain = first is not None
 
         def complete() -> bool:
@@ -115,27 +116,31 @@ class Recorder:
             if first < self._forgotten:
                 keep_s = self.settings.keep_s
                 raise InputError(
-                    f"readings: wanted those since {self.now() - start:.1f} s ago, got a recorder that keeps "
-                    f"{keep_s:g} device seconds; keep more",
+                    f"readings: the start was {self.now() - start:.1f} s ago, but the recorder stores only "
+                    f"{keep_s:g} device seconds. Increase keep_s.",
                     keep_s=keep_s,
                 )
             blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
         times, values = _joined(blocks)
-        # in the host's time, as in `complete`: rounding there and back would leave the last one out
+        # compared in host time, as in `complete`, because conversion with rounding could omit the last reading
         inside = (times >= first) & (fit.host_zero + fit.rate * (times - fit.device_zero) <= stop)
         if (count := int(inside.sum())) >= 2:
             return self.source.description.record(times[inside], values[inside])
         if certain:
             raise RigTimeout(
-                f"{self.source.name}: wanted two readings or more that are certainly later than the start of a dwell of "
-                f"{stop - start:.3f} s, got {count}; the link is late: dwell longer",
+                f"{self.source.name}: at least two readings must be certainly later than the start of a dwell of "
+                f"{stop - start:.3f} s, got {count}. The link is late. Use a longer dwell.",
                 readings=count,
             )
-        raise InputError(f"readings: wanted two or more in {stop - start:.3f} s, got {count}; dwell longer")
+        raise InputError(
+            f"readings: at least two are required in {stop - start:.3f} s, got {count}. Use a longer dwell."
+        )
 
     def since(self, device_time: float = -np.inf) -> Record | None:
-        """Return what has come later than a device time, without waiting; None while that is less than two readings.
-        A failure is raised once all that came before it was returned."""
+        """Return the readings after a device time, s, without waiting, or None if there are fewer than two.
+
+        A failure is raised after all readings before it were returned.
+        """
         with self._news:
             blocks = list(itertools.takewhile(lambda block: block.time[-1] > device_time, reversed(self._ring)))[::-1]
         times, values = _joined(blocks)
@@ -146,23 +151,23 @@ class Recorder:
         return None
 
     def latest(self) -> str:
-        """Return the newest reading in words."""
+        """Return the latest reading as text."""
         with self._news:
             self.check()
             if not self._ring:
-                raise InputError("readings: wanted the newest, got none yet; start the recorder")
+                raise InputError("readings: no reading yet. Start the recorder.")
             newest = self._ring[-1].values[-1].tolist()
         return "  ".join(
             f"{name} {value:.6g}" for name, value in zip(self.source.description.measured, newest, strict=True)
         )
 
     def check(self) -> None:
-        """Raise what has gone wrong behind the scenes, if anything."""
+        """Raise the error of the reading thread, if it has failed."""
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
-        """Stop and let go of the device; harmless when called again."""
+        """Stop recording and close the device. A second call has no effect."""
         with self._news:
             self._stopping = True
             self._news.notify_all()
@@ -171,7 +176,7 @@ class Recorder:
         self.source.close()
 
     def _read(self) -> float | None:
-        """Read what comes; return how long to rest until the next, None after a failure."""
+        """Read the device once. Return the pause until the next read, host s, or None after a failure."""
         began = self.now()
         try:
             chunk = self.source.read(READ_S)
@@ -197,10 +202,10 @@ class Recorder:
         self._news.notify_all()
 
     def _first_after(self, moment: float) -> float:
-        """Return the device time that certainly lies after a moment; infinite while the clock is not settled."""
+        """Return the device time that is certainly after a host time, s. It is infinite until the clock is settled."""
         fit, description = self.timeline.clock(), self.source.description
-        # later by what 95 of 100 packets are late at most: delays that differ so much may hide as much that they share
-        period_s = 1.0 / (description.rate * description.clock_speed)  # a reading may be the mean since the one before
+        # later by the 95 % quantile of the delays, because a common delay of that size cannot be excluded
+        period_s = 1.0 / (description.rate * description.clock_speed)  # a reading may be a mean over a period
         return fit.device_time(moment + fit.jitter_s + period_s) if fit.settled else np.inf
 
     def _wait(self, ready: Callable[[], bool], deadline_s: float, what: str) -> None:
@@ -210,59 +215,61 @@ class Recorder:
                 self.check()
                 if ready():
                     return
-                left = last - self.now()
+                left_s = last - self.now()
                 if self._stopping:
                     raise LinkError(
-                        f"{self.source.name}: wanted {what}, got a recorder that was stopped; start another"
+                        f"{self.source.name}: the recorder was stopped while waiting for {what}. Start another recorder."
                     )
-                if left <= 0.0:
+                if left_s <= 0.0:
                     behind = bool(self._ring) and not self.timeline.clock().settled
-                    got = "a backlog; wait, or check the stated rate" if behind else "none; check that the device sends"
-                    raise RigTimeout(
-                        f"{self.source.name}: wanted {what} within {deadline_s:g} s, got {got}", deadline_s=deadline_s
+                    cause = (
+                        "got a backlog. Wait, or check the rate" if behind else "got none. Check that the device sends"
                     )
-                self._news.wait(min(left, WAKE_S))
+                    raise RigTimeout(
+                        f"{self.source.name}: expected {what} within {deadline_s:g} s, {cause}.", deadline_s=deadline_s
+                    )
+                self._news.wait(min(left_s, WAKE_S))
 
 
 def _joined(blocks: Sequence[Block]) -> tuple[FloatArray, FloatArray]:
-    """Return device times (N,) and values (N, C) of blocks of the ring, one after the other."""
+    """Return device times (N,) and values (N, C) of successive blocks."""
     times, values = [np.empty(0), *(block.time for block in blocks)], [block.values for block in blocks]
     return np.concatenate(times), np.concatenate(values) if values else np.empty((0, 0))
 
 
 class DwellReadings:
-    """Readings of a recorder that has been started, dwell by dwell; none that the device took before ``start``, unless asked."""
+    """Readings of a started recorder, dwell by dwell. By default, readings before ``start`` are excluded."""
 
     def __init__(self, recorder: Recorder, deadline_s: float = 5.0) -> None:
         self.recorder = recorder
         self._deadline_s = deadline_s
         self._start: float | None = None
-        self._first: float | None = None  # by the device's clock, where that is certain
+        self._first: float | None = None  # first certain reading, device time, s
         self._end: float | None = None
 
     def start(self, *, certain: bool = True) -> None:
-        """Begin a dwell now."""
+        """Start a dwell now. With `certain`, wait until a reading is certainly after the start."""
         self.recorder.check()
         start = self.recorder.now()
         self._first = self.recorder.begun(start, self._deadline_s) if certain else None
         self._start, self._end = start, None
 
     def end(self) -> None:
-        """Let the dwell end now, whenever ``stop`` is called."""
+        """End the dwell now, independent of the time of ``stop``."""
         self._end = self.recorder.now()
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
         if self._start is None:
-            raise InputError("dwell: wanted one that was started, got none; start it first")
+            raise InputError("dwell: no dwell was started. Start it first.")
         start, self._start = self._start, None
         stop = self.recorder.now() if self._end is None else self._end
         return self.recorder.between(start, stop, self._deadline_s, first=self._first)
 
     def latest(self) -> str:
-        """Return the newest reading in words."""
+        """Return the latest reading as text."""
         return self.recorder.latest()
 
     def close(self) -> None:
-        """Stop the recorder; harmless when called again."""
+        """Stop the recorder. A second call has no effect."""
         self.recorder.stop()

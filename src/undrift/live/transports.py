@@ -1,10 +1,11 @@
-"""Sources: where readings come from, by address: ``kind:place?option=value&option=value``.
+"""Sources of live readings by address, ``kind:place?option=value&option=value``.
 
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name
 
-The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file of them. A device on TCP listens; one on
-UDP sends to this computer's port; each datagram is whole. LSL has time stamps of its own. A new
-kind is a function from an Address to a Source, and a row in SOURCES; or a package with an entry point in "undrift.sources".
+The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file with these fields. A TCP device is a
+server to which this computer connects. A UDP device sends whole datagrams to a port of this computer. LSL provides its own time
+stamps. A new kind of source needs a function from an Address to a Source, and either a row in SOURCES or an entry point in
+"undrift.sources".
 """
 
 import contextlib
@@ -31,15 +32,15 @@ WRITE_S = 1.0
 CONNECT_S = 5.0
 LARGEST = 1 << 16
 BAUD = 115_200
-BUFFER_BYTES = 1 << 22  # what the system keeps of datagrams while nobody looks
+BUFFER_BYTES = 1 << 22  # size of the system's buffer for datagrams
 RESOLVE_S = 5.0
-SCAN_S = 3.0  # for devices and streams that are listed
+SCAN_S = 3.0  # time to search for streams, s
 QUIET = "[log]\nlevel = -2\n"
-# USB vendors of microcontroller boards, and of the chips by which they or a card of a rate table are connected
+# USB vendors of microcontroller boards and of USB serial converters
 BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A, 0x2886, 0x2A03, 0x2E8A, 0x303A}
-LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # of lsl_api.cfg, which a person wrote
+LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # folders of a user's lsl_api.cfg
 OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
-SOURCES = {  # kind -> the function that makes a source of an address
+SOURCES = {  # function that returns the source of an address, by kind
     **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
     "simulated": "undrift.live.hands:source_of",
 }
@@ -47,62 +48,62 @@ GROUP = "undrift.sources"
 
 
 class Source(Protocol):
-    """A device that sends by itself."""
+    """A device that sends readings without being asked."""
 
-    name: str  # What to call it in a message
-    description: StreamDescription  # What it sends
-    errors: int  # Garbled readings that were left out so far
+    name: str  # name for messages
+    description: StreamDescription  # channels, units and framing
+    errors: int  # number of corrupted readings that were omitted so far
 
     def open(self) -> None:
-        """Connect; raise LinkError if nothing answers."""
+        """Connect, or raise LinkError if nothing answers."""
 
     def read(self, deadline_s: float) -> Chunk:
-        """Return what has come, one reading or more."""
+        """Return the readings that have arrived, at least one."""
 
     def close(self) -> None:
-        """Close it; harmless when called again."""
+        """Close the source. A second call has no effect."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """An address taken apart."""
+    """Parts of an address."""
 
-    kind: str  # A row of SOURCES
-    place: str  # What stands between the colon and the question mark
-    options: Options = ()  # What stands behind it
-    description: StreamDescription | None = None  # What the options change
-    clock: Clock = HOST  # By which its source waits, and says when readings came
+    kind: str  # kind of source, a key of SOURCES
+    place: str  # text between the colon and the question mark
+    options: Options = ()  # options after the question mark
+    description: StreamDescription | None = None  # description to which the options are applied
+    clock: Clock = HOST  # clock for timeouts and times of arrival
 
     def option(self, name: str, default: str) -> str:
-        """Return an option that belongs to the kind of source."""
+        """Return an option of the address, or the default."""
         return dict(self.options).get(name, default)
 
-    def describe(self, *own: str) -> StreamDescription:
-        """Return what is sent, by the file and the options."""
+    def describe(self, *source_options: str) -> StreamDescription:
+        """Return the stream description from file and options. `source_options` are not part of the description."""
         file = self.option("description", "")
         base = read_description(file) if file else self.description
-        return described(base, tuple(pair for pair in self.options if pair[0] not in (*own, "description")))
+        return described(base, tuple(pair for pair in self.options if pair[0] not in (*source_options, "description")))
 
 
 def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
-    """Return the source of an address, not opened yet."""
+    """Return the unopened source of an address."""
     kind, place, options = split_address(text, "device", SOURCES, GROUP, "name how it is connected")
     address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
     source: Source = load_named(kind, SOURCES, GROUP)(address)
     return source
 
 
-# ---- Ports: ways for bytes. A read returns b"" when nothing came in time, and raises OSError or EOFError when the way is gone.
+# ---- Ports, which transfer bytes. A read returns b"" on timeout, and raises OSError or EOFError if the connection is lost.
 
 
 class SocketPort:
-    """Bytes over a socket."""
+    """Port of a socket."""
 
     def __init__(self, connection: socket.socket, datagrams: bool = False) -> None:
         self.datagrams, self._socket = datagrams, connection
 
     def receive(self, wait_s: float) -> bytes:
-        """Return what has come."""
+        """Return the bytes that have arrived."""
         self._socket.settimeout(max(wait_s, 0.0))
         try:
             data = self._socket.recv(LARGEST)
@@ -113,12 +114,12 @@ class SocketPort:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it or raise OSError."""
+        """Send all bytes, or raise OSError."""
         self._socket.settimeout(WRITE_S)
         self._socket.sendall(data)
 
     def wake(self) -> None:
-        """End the conversation, so that a read that waits in another thread returns at once."""
+        """Shut the connection down, so that a blocked read in another thread returns immediately."""
         with contextlib.suppress(OSError):  # the peer has already closed
             self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -137,7 +138,7 @@ def tcp_port(host: str, port: int, longest_s: float, clock: Clock = HOST) -> Por
 
 
 class SerialPort:
-    """Bytes over whatever pyserial opens: a port, a pty, ``socket://`` or ``loop://``."""
+    """Port that pyserial opens: a serial port, a pty, ``socket://`` or ``loop://``."""
 
     datagrams = False
 
@@ -146,7 +147,7 @@ class SerialPort:
         self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S, rtscts=hardware_handshake)
 
     def receive(self, wait_s: float) -> bytes:
-        """Return what has come."""
+        """Return the bytes that have arrived."""
         if wait_s <= 0.0:
             return bytes(self._port.read(self._port.in_waiting)) if self._port.in_waiting else b""
         if self._port.timeout != wait_s:
@@ -156,16 +157,16 @@ class SerialPort:
         return first + bytes(self._port.read(waiting)) if waiting else first
 
     def set_baud(self, baud: int) -> None:
-        """Read at another rate from now on, without what came before."""
+        """Set another baud rate and discard the received bytes."""
         self._port.baudrate = self.baud = baud
         self._port.reset_input_buffer()
 
     def write(self, data: bytes) -> None:
-        """Send all of it or raise OSError."""
+        """Send all bytes, or raise OSError."""
         self._port.write(data)
 
     def wake(self) -> None:
-        """Nothing to do: a read waits a moment only."""
+        """Do nothing, because a read of a serial port blocks only briefly."""
 
     def close(self) -> None:
         """Close the port."""
@@ -173,12 +174,12 @@ class SerialPort:
 
 
 def reason_of(error: Exception) -> str:
-    """Return an error in words, whatever it is."""
+    """Return the text of an error, or its type if it has no text."""
     return str(error) or type(error).__name__
 
 
 def number_of(text: str) -> float:
-    """Return the number that a text states, NaN where it states none."""
+    """Return the number in a text, or NaN if it is not a number."""
     try:
         return float(text)
     except ValueError:
@@ -186,7 +187,7 @@ def number_of(text: str) -> float:
 
 
 def host_and_port(place: str) -> tuple[str, int]:
-    """Return host and port of ``//host:port``; "" and 0 where they are missing."""
+    """Return host and port of ``//host:port``, with "" or 0 for missing parts."""
     parts = urlsplit(place)
     try:
         port = parts.port or 0
@@ -196,37 +197,37 @@ def host_and_port(place: str) -> tuple[str, int]:
 
 
 def serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this computer, and what is behind each; boards first, then all others of USB."""
+    """Return names and descriptions of the serial ports: microcontroller boards first, then other USB ports, then the rest."""
     ports = package_of("serial.tools.list_ports", "pyserial", "serial port").comports()
-    found = sorted(ports, key=lambda port: (port.vid is None, port.vid not in BOARDS, port.device))
-    return [(port.device, port.description if port.vid is not None else "built in") for port in found]
+    ports_by_kind = sorted(ports, key=lambda port: (port.vid is None, port.vid not in BOARDS, port.device))
+    return [(port.device, port.description if port.vid is not None else "built in") for port in ports_by_kind]
 
 
 def lsl_streams() -> list[tuple[str, str]]:
-    """Return the LSL streams in the network by their names, and what they hold."""
+    """Return names and descriptions of the LSL streams in the network."""
     if not any(Path(folder, "lsl_api.cfg").expanduser().exists() for folder in LSL_FOLDERS):
         configure_lsl(QUIET)
     pylsl = package_of("pylsl", "pylsl", "LSL")
-    streams = ((one, one.nominal_srate()) for one in pylsl.resolve_streams(SCAN_S))
-    return [(one.name(), f"{one.type()}, {one.channel_count()} channels, {rate:g} Hz") for one, rate in streams]
+    streams = ((info, info.nominal_srate()) for info in pylsl.resolve_streams(SCAN_S))
+    return [(info.name(), f"{info.type()}, {info.channel_count()} channels, {rate:g} Hz") for info, rate in streams]
 
 
 def package_of(module: str, package: str, who: str, extra: str = "live") -> Any:
-    """Import an optional package, or say what to install."""
+    """Import an optional package, or raise LinkError with the package to install."""
     try:
         return importlib.import_module(module)
-    except (ImportError, RuntimeError) as error:  # pylsl: the second where the library beneath it is missing
-        raise LinkError(f"{who}: wanted the package {package}, got none; pip install undrift[{extra}]") from error
+    except (ImportError, RuntimeError) as error:  # pylsl raises RuntimeError if its library is missing
+        raise LinkError(f"{who}: the package {package} is missing. Run pip install undrift[{extra}].") from error
 
 
-# ---- Sources: a way that is opened, and read until it has brought a reading.
+# ---- Sources, which open a port and read it until a reading is complete.
 
 
 class ByteSource:
-    """A device whose bytes come through a port."""
+    """A device that sends bytes through a port."""
 
     way = "link"
-    ending = "close"  # what its port calls that
+    ending = "close"  # name of the port's closing method
 
     def __init__(
         self, name: str, description: StreamDescription, connect: Callable[[], Any], clock: Clock = HOST
@@ -234,27 +235,27 @@ class ByteSource:
         self.name, self.description, self.errors = name, description, 0
         self._connect, self.clock = connect, clock
         self.port: Any = None
-        self._came = 0  # bytes of this read
+        self._received = 0  # number of bytes in this read
         self._decoder = decoder_for(description)
 
     def open(self) -> None:
-        """Connect."""
+        """Connect to the device."""
         self.close()
         self._decoder = decoder_for(self.description)
         try:
             self.port = self._connect()
-        except InputError:  # the address is wrong, and says how
+        except InputError:  # the message already describes the error in the address
             raise
         except (OSError, ValueError) as error:
-            got = reason_of(error)
-            raise LinkError(f"{self.name}: wanted a connection, got '{got}'; check power, cable and address") from error
+            reason = reason_of(error)
+            raise LinkError(f"{self.name}: cannot connect ({reason}). Check power, cable and address.") from error
 
     def read(self, deadline_s: float) -> Chunk:
-        """Return what has come."""
+        """Return the readings that have arrived, at least one. Raise RigTimeout after the deadline, s."""
         if self.port is None:
-            raise LinkError(f"{self.name}: wanted an open {self.way}, got a closed one; open it first")
+            raise LinkError(f"{self.name}: the {self.way} is closed. Open it first.")
         now = self.clock.now
-        last, self._came = now() + deadline_s, 0
+        last, self._received = now() + deadline_s, 0
         while True:
             rows = self._poll(min(max(last - now(), 0.0), POLL_S))
             arrived = now()
@@ -263,37 +264,37 @@ class ByteSource:
                 return Chunk(host_time=np.full(len(rows), arrived), counter=counter, values=values)
             if arrived >= last:
                 raise RigTimeout(
-                    f"{self.name}: wanted a reading within {deadline_s:g} s, got {self._instead()}; check that the device sends",
+                    f"{self.name}: no reading within {deadline_s:g} s, got {self._instead()}. Check that the device sends.",
                     deadline_s=deadline_s,
                 )
 
     def close(self) -> None:
-        """Close the port; harmless when called again."""
+        """Close the port. A second call has no effect."""
         if self.port is not None:
             getattr(self.port, self.ending)()
             self.port = None
 
     def receive(self, wait_s: float) -> bytes:
-        """Return bytes as they come, b"" where none came in time."""
+        """Return the bytes that have arrived, or b"" on timeout."""
         try:
             data: bytes = self.port.receive(wait_s)
         except (OSError, EOFError) as error:
-            raise LinkError(f"{self.name}: wanted readings, got a lost link: {reason_of(error)}; reconnect") from error
+            raise LinkError(f"{self.name}: the link is lost ({reason_of(error)}). Reconnect it.") from error
         return data
 
     def _poll(self, wait_s: float) -> FloatArray:
-        """Return the readings that a short wait completes, (N, K)."""
+        """Return the readings that are complete after a short wait, (N, K)."""
         data = self.receive(wait_s)
-        self._came += len(data)
-        garbled = self._decoder.errors
+        self._received += len(data)
+        errors = self._decoder.errors
         rows = self._decoder.feed(data, whole=self.port.datagrams) if data else np.empty((0, 0))
-        self.errors += self._decoder.errors - garbled
+        self.errors += self._decoder.errors - errors
         return rows
 
     def _instead(self) -> str:
-        if not self._came:
+        if not self._received:
             return "nothing"
-        return f"{self._came} bytes and no reading in them; check format, checksum and baud"
+        return f"{self._received} bytes without a reading. Check format, checksum and baud rate"
 
 
 class LslSource(ByteSource):
@@ -303,9 +304,7 @@ class LslSource(ByteSource):
 
     def __init__(self, name: str, description: StreamDescription, connect: Callable[[], Any]) -> None:
         if description.has_counter:
-            raise InputError(
-                "lsl: wanted the channels of the stream, got 'count' among them; LSL has stamps of its own"
-            )
+            raise InputError("lsl: the channels contain 'count', but LSL has its own time stamps. Remove 'count'.")
         stamped = replace(description, channels=(COUNTER, *description.channels), tick=1.0, counter_bits=0)
         super().__init__(name, stamped, connect)
 
@@ -313,14 +312,12 @@ class LslSource(ByteSource):
         try:
             samples, stamps = self.port.pull_chunk(timeout=wait_s)
         except (RuntimeError, OSError) as error:  # pylsl's LostError is a RuntimeError
-            raise LinkError(
-                f"{self.name}: wanted readings, got a lost stream: {error}; start the sender again"
-            ) from error
+            raise LinkError(f"{self.name}: the stream is lost ({error}). Start the sender again.") from error
         width = len(self.description.channels)
         whole = [(stamp, *row) for stamp, row in zip(stamps, samples, strict=True) if len(row) == width - 1]
-        sound = finite(np.array(whole, dtype=float).reshape(-1, width))
-        self.errors += len(stamps) - len(sound)
-        return sound
+        valid = finite(np.array(whole, dtype=float).reshape(-1, width))
+        self.errors += len(stamps) - len(valid)
+        return valid
 
     def _instead(self) -> str:
         width = len(self.description.channels) - 1
@@ -330,8 +327,8 @@ class LslSource(ByteSource):
 def _listed(address: Address) -> tuple[str, int]:
     host, port = host_and_port(address.place)
     if not port:
-        wanted = f"{address.kind}://host:port"
-        raise InputError(f"device: wanted {wanted}, got '{address.kind}:{address.place}'; name host and port")
+        expected = f"{address.kind}://host:port"
+        raise InputError(f"device: expected {expected}, got '{address.kind}:{address.place}'. Enter host and port.")
     return host, port
 
 
@@ -339,10 +336,10 @@ def tcp_source(address: Address) -> Source:
     """Return a source that connects over TCP."""
     host, port = _listed(address)
     if not host:
-        raise InputError(f"device: wanted tcp://host:port, got no host in '{address.place}'; name it")
+        raise InputError(f"device: expected tcp://host:port, got no host in '{address.place}'. Enter the host.")
 
-    way = f"tcp://{host}:{port}"
-    return ByteSource(way, address.describe(), lambda: tcp_port(host, port, CONNECT_S, address.clock), address.clock)
+    url = f"tcp://{host}:{port}"
+    return ByteSource(url, address.describe(), lambda: tcp_port(host, port, CONNECT_S, address.clock), address.clock)
 
 
 def udp_source(address: Address) -> Source:
@@ -366,7 +363,9 @@ def serial_source(address: Address) -> Source:
     """Return a source that reads a serial port."""
     place, text = address.place.removeprefix("//"), address.option("baud", str(BAUD))
     if not place or not text.isdigit() or int(text) == 0:
-        raise InputError(f"device: wanted serial:///dev/name?baud=115200, got '{place}' and baud '{text}'; name both")
+        raise InputError(
+            f"device: expected serial:///dev/name?baud=115200, got '{place}' and baud '{text}'. Enter both."
+        )
     return ByteSource(f"serial:{place}", address.describe("baud"), lambda: SerialPort(place, int(text)))
 
 
@@ -374,23 +373,25 @@ def lsl_source(address: Address) -> Source:
     """Return a source that reads an LSL stream."""
     name, offline = address.place, address.option("offline", "no")
     if not name or offline not in ("yes", "no"):
-        raise InputError(f"device: wanted lsl:name?offline=yes or no, got '{name}' and '{offline}'; name the stream")
+        raise InputError(
+            f"device: expected lsl:name?offline=yes or no, got '{name}' and '{offline}'. Enter the stream's name."
+        )
 
     def connect() -> Any:
         if offline == "yes":
             configure_lsl(OFFLINE)
         pylsl = package_of("pylsl", "pylsl", "lsl")
-        found = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
-        if not found:
-            raise LinkError(f"lsl:{name}: wanted a stream of that name, got none in {RESOLVE_S:g} s; start the sender")
-        steadied = pylsl.proc_dejitter | pylsl.proc_monotonize
-        return pylsl.StreamInlet(found[0], recover=False, processing_flags=steadied)
+        streams = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
+        if not streams:
+            raise LinkError(f"lsl:{name}: no stream with that name within {RESOLVE_S:g} s. Start the sender.")
+        flags = pylsl.proc_dejitter | pylsl.proc_monotonize
+        return pylsl.StreamInlet(streams[0], recover=False, processing_flags=flags)
 
     return LslSource(f"lsl:{name}", address.describe("offline"), connect)
 
 
 def configure_lsl(text: str) -> None:
-    """Configure the library before its first use in this process; a stated configuration stays."""
+    """Configure the LSL library before its first use in this process, unless LSLAPICFG is already set."""
     if "LSLAPICFG" not in os.environ:
         path = Path(tempfile.gettempdir()) / f"undrift-lsl-{os.getpid()}.cfg"
         path.write_text(text, encoding="ascii")
