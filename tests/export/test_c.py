@@ -147,7 +147,7 @@ def test_what_is_not_carried_is_listed():
     exported = export_c(device(drift=drift, adc=ROUNDINGS[1]))
     said = " | ".join(exported.not_carried)
     assert "lag" not in said
-    assert "undrift_temperature removes the lag of the thermometer of 30 s" in " ".join(exported.notes)
+    assert "lag of 30 s" in " ".join(exported.notes)
     assert "power-on" not in said
     assert "uncertainties" in said
     assert "uncertainties" in exported.header
@@ -177,29 +177,25 @@ def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_i
 
 def test_the_header_says_the_unit_of_a_triad_without_a_model():
     exported = export_c(device(accel=None), ExportOptions(accel_unit="g"))
-    assert "accelerometers have no model: accel_raw is taken as g, with nominal values" in exported.notes
+    assert "accelerometers have no model, so accel_raw is read in g, with nominal values" in exported.notes
     assert "accel_raw: g, temperatures without a table" in exported.header
     assert "accel_raw is taken as m/s2" in export_c(device(accel=None)).header
     exported = export_c(device(gyro=None))
-    assert "gyroscopes have no model: gyro_raw is taken as rad/s, with nominal values" in exported.notes
-    with pytest.raises(
-        InputError, match="wanted no unit of the accel, whose model is for count, got g; leave accel_unit out"
-    ):
+    assert "gyroscopes have no model, so gyro_raw is read in rad/s, with nominal values" in exported.notes
+    with pytest.raises(InputError, match=r"accel .*unit count, got g"):
         export_c(device(), ExportOptions(accel_unit="g"))
-    with pytest.raises(InputError, match="wanted a physical unit of the accel, which has no model, got count"):
+    with pytest.raises(InputError, match="physical unit, got count"):
         export_c(device(accel=None), ExportOptions(accel_unit="count"))
 
 
 def test_what_is_refused():
-    with pytest.raises(
-        InputError, match="wanted a model of gyroscopes or accelerometers, got neither; calibrate first"
-    ):
+    with pytest.raises(InputError, match="no model of"):
         export_c(device(gyro=None, accel=None))
     bad = device(drift=None)
-    with pytest.raises(InputError, match="wanted numbers throughout the model of the gyro, got 3 NaN"):
+    with pytest.raises(InputError, match="gyro contains 3 NaN"):
         export_c(replace(bad, gyro=replace(bad.gyro, offset=np.full(3, np.nan))))
     for prefix in ("Undrift", "1a", "a-b", "", "a" * 40):
-        with pytest.raises(InputError, match="wanted a prefix of lower-case letters"):
+        with pytest.raises(InputError, match="prefix must be"):
             export_c(bad, ExportOptions(prefix=prefix))
-    with pytest.raises(InputError, match="wanted numbers that float holds, got 1e\\+300"):
+    with pytest.raises(InputError, match=r"1e\+300 is beyond"):
         literal(1e300)

@@ -73,7 +73,7 @@ def test_c_header_holds_the_same_numbers(tmp_path):
 def test_a_triad_without_a_model_is_left_out_and_named():
     exported = write_constants(device(accel=None, drift=None), ExportOptions(), "a.json")
     assert json.loads(exported.text)["accel"] is None
-    assert "no accelerometer constants: the calibration has no model of it" in exported.notes
+    assert "no accelerometer constants, because the calibration has no accelerometer model" in exported.notes
 
 
 def test_a_temperature_outside_the_tables_is_refused():

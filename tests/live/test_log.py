@@ -93,8 +93,8 @@ def test_a_unit_that_nothing_shows_is_asked_for_and_taken_from_the_address():
     options, notes = description_of(resting, "board", {"gyro_unit": "dps"})
     assert (options["gyro_unit"], options["accel_unit"]) == ("dps", "m/s2")
     assert notes == (
-        "the device states no time: times are by this computer's clock",
-        "no name states the units; taken: accel in m/s2 (accel by the median |a| 9.81)",
+        "the device prints no time, so times are from this computer's clock",
+        "the names do not contain the units, so these are proposed: accel in m/s2 (accel by the median |a| 9.81)",
     )
 
 

@@ -1,15 +1,15 @@
-"""Targets of ``undrift export``: a name, and the object that writes the file.
+"""Targets of ``undrift export``, each with a name and a function that writes the file.
 
     c            C source of the correction in float and double
-    firmware     the constants of correction/plan.py on findable grids
+    firmware     constants of correction/plan.py with tables that firmware can look up quickly
     constants    matrix and offset at one temperature, as JSON and as a C header
-    losses       what a target cannot carry, with figures
+    losses       parts of a calibration that a target does not contain, with numbers
 
-In goes a ``Calibration``, readings in the device's unit and frame b; out comes the text of a file whose numbers are in the units
-that its program wants, rad/s and m/s2 for C. Open c first.
+Input: a ``Calibration``, for readings in the device's unit and frame b. Output: the text of a file with numbers in the units of the
+receiving program, rad/s and m/s2 for C. Open c first.
 
-A target is one file that ends in ``TARGET = Target(endings=(".bin",), write=write)`` and one line in ``TARGETS``; another package
-adds one through the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration, the options of the
+A target is a module with ``TARGET = Target(endings=(".bin",), write=write)`` and a row in ``TARGETS``. Another package can add a
+target through the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration, the options of the
 command line and the name of the file, and returns ``Exported``.
 """
 
@@ -33,20 +33,20 @@ GROUP = "undrift.targets"
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Options that some targets take.
+    """Options of the targets.
 
     Parameters
     ----------
     double : bool
-        c: double where the build defines nothing.
+        c: use double if the build does not define the arithmetic.
     prefix : str
-        c: what every name begins with, in lower case.
+        c: prefix of all names, in lower case.
     gyro_unit : str or None
-        c: unit of the gyroscope readings where the calibration has no model of them; rad/s where not given.
+        c: unit of the gyroscope readings if the calibration has no gyroscope model, rad/s by default.
     accel_unit : str or None
-        c: the same of the accelerometer readings; m/s2 where not given.
+        c: unit of the accelerometer readings if the calibration has no accelerometer model, m/s2 by default.
     temp_c : float or None
-        constants: temperature at which tables are read, degC; the reference temperature by default.
+        constants: temperature at which tables are read, degC, the reference temperature by default.
     """
 
     double: bool = False
@@ -58,19 +58,21 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """How a target's file is named and written."""
+    """File endings and write function of a target."""
 
-    endings: tuple[str, ...]  # of the file
-    more: tuple[str, ...] = ()  # endings of the files beside it, as many as ``Exported.more``
-    write: "Callable[[Calibration, ExportOptions, str], Exported]"  # takes the name of the file last
+    endings: tuple[str, ...]  # endings of the file
+    more: tuple[str, ...] = ()  # endings of the further files, as many as ``Exported.more``
+    write: "Callable[[Calibration, ExportOptions, str], Exported]"  # the last argument is the name of the file
 
 
 def find_target(name: str) -> Target:
-    """Return the target of a name."""
+    """Return the target with a name."""
     names = names_in(TARGETS, GROUP)
     if name not in names:
-        raise InputError(f"target: wanted one of {', '.join(names)}, got '{name}'; name one of them")
+        raise InputError(f"target: unknown target '{name}'. Use one of {', '.join(names)}.")
     target = load_named(name, TARGETS, GROUP)
     if not isinstance(target, Target):
-        raise InputError(f"{name}: wanted a Target of undrift.export, got {target!r}; mend the package that has it")
+        raise InputError(
+            f"{name}: expected a Target of undrift.export, got {target!r}. Correct the package that adds it."
+        )
     return target

@@ -1,10 +1,11 @@
 """A C99 header and source that correct readings on a microcontroller, in float or double.
 
-The source evaluates the model of ``correction/correct.py`` in its order: rounding, static table and warm-up, matrix or scale table,
-g-sensitivity, dynamic table; a table is held at its ends. It allocates nothing, calls nothing, keeps no state, and looks a table
-up in a time that does not depend on the data. A thermometer's lag is removed by a function of its own, whose state the caller
-owns (export/firmware.py), and the change of the offset from motion to rest likewise; the warm-up by a second entry, to which the
-caller gives the time since power-on. One source makes two builds: ``-DUNDRIFT_FLOAT`` and ``-DUNDRIFT_DOUBLE``.
+The source evaluates the model of ``correction/correct.py`` in the same order: rounding, static table and warm-up, matrix or scale
+table, g-sensitivity, dynamic table. Beyond its ends, a table is constant. The source allocates no memory, calls no library and
+keeps no state. The time of a table lookup does not depend on the data. A separate function removes a thermometer's lag, with a
+state that the caller owns (export/firmware.py). Another one adds the change of the offset from motion to rest. The warm-up requires
+a second entry function, to which the caller passes the time since power-on. Two builds are possible: ``-DUNDRIFT_FLOAT`` and
+``-DUNDRIFT_DOUBLE``.
 """
 
 import re
@@ -24,20 +25,20 @@ from undrift.model import SENSORS, Calibration, Sensor
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, canonical_unit, is_physical
 
-# ---- C text: literals, arrays, lookups in a table, and comments that nothing can break out of.
+# ---- C text: literals, arrays, table lookups and safe comments.
 
 WIDTH = 116
-SMALLEST, LARGEST = 1e-37, 3e38  # what a float literal may be
+SMALLEST, LARGEST = 1e-37, 3e38  # range of a float literal
 
 
 class Printer:
-    """Prints arrays and lookups."""
+    """Printer of arrays and lookups as C text."""
 
     def __init__(self, prefix: str) -> None:
         self.prefix, self.upper = prefix, prefix.upper()
 
     def reals(self, name: str, values: FloatArray) -> str:
-        """Return the definition of an array of floats or doubles, as the build has it."""
+        """Return the definition of an array of floats or doubles, depending on the build."""
         cells = [f"{self.upper}_C({literal(float(v))})" for v in np.ravel(values)]
         text = textwrap.fill(
             ", ".join(cells) + ",", WIDTH, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False
@@ -55,23 +56,23 @@ class Printer:
         what: str,
         cell: str = "cell",
     ) -> str:
-        """Return the lines that find a cell and a position in it, and mark what lies outside."""
+        """Return the C lines that find a cell and the position in it, and mark a value outside the table."""
         name, c = f"{self.prefix}_{triad}_{table}_{place}", f"{self.upper}_C"
         start, stop = f"{c}({literal(axis.start)})", f"{c}({literal(axis.stop)})"
         outside = f"{x} >= {start} && {x} <= {stop} ? 0 : {self.upper}_{what}_HELD"
         pad = "\n" + " " * (4 if cell == "cell" else 8)
-        held = f"status |= {outside};{pad}" if what else ""
+        mark = f"status |= {outside};{pad}" if what else ""
         if axis.even:
             even = f"{start}, {c}({literal(float(axis.inverse[0]))})"
-            return f"{held}{cell} = {self.prefix}_cell({x}, {even}, {axis.cells}, &{fraction});"
+            return f"{mark}{cell} = {self.prefix}_cell({x}, {even}, {axis.cells}, &{fraction});"
         inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {firmware.stride_of(axis)}, &{fraction}"
-        return f"{held}{cell} = {self.prefix}_search({inner});"
+        return f"{mark}{cell} = {self.prefix}_search({inner});"
 
 
 def literal(x: float) -> str:
-    """Return a C literal that reads back to the last bit as a double, and that a float can be."""
+    """Return a C literal that is exact as a double and in the range of a float."""
     if abs(x) > LARGEST:
-        raise InputError(f"export c: wanted numbers that float holds, got {x:g}; mend the calibration")
+        raise InputError(f"export c: {x:g} is beyond the range of float. Check the calibration.")
     text = repr(x if abs(x) >= SMALLEST else 0.0)
     return text if "." in text or "e" in text else text + ".0"
 
@@ -84,17 +85,19 @@ def comment_text(text: str) -> str:
 
 
 def wrapped(line: str) -> list[str]:
-    """Return a line of a comment as lines that are not too long."""
+    """Return a line of a comment, wrapped to the line width."""
     return textwrap.wrap(line, WIDTH + 6, subsequent_indent="    ") or [""]
 
 
 def check_prefix(prefix: str) -> None:
-    """Refuse a prefix that does not begin an identifier."""
+    """Raise InputError if a prefix is not the start of an identifier."""
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", prefix):
-        raise InputError(f"export: wanted a prefix of lower-case letters, digits and _, got {prefix!r}; name it so")
+        raise InputError(
+            f"export: prefix must be lower-case letters, digits and _, got {prefix!r}. Choose another prefix."
+        )
 
 
-# ---- c
+# ---- Export of the C source.
 
 CARRIED: frozenset[Part] = frozenset(
     ("lag", "warm-up", "moving", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross",
@@ -109,7 +112,7 @@ class ExportedC:
     header: str
     source: str
     not_carried: tuple[str, ...]  # parts of the calibration that the source does not contain
-    notes: tuple[str, ...]  # what the firmware must know or do
+    notes: tuple[str, ...]  # requirements for the firmware
 
 
 def export_c(
@@ -124,24 +127,24 @@ def export_c(
     Parameters
     ----------
     calibration : Calibration
-        The device's model.
+        Calibration of the device.
     options : ExportOptions
         Default arithmetic, prefix of names, units of a triad without a model.
     header_name : str
-        Name of the file that the source includes.
+        Name of the header file, for the source's include.
     date : str
-        When it was exported, for the comment.
+        Date of the export, for the comment.
 
     Returns
     -------
     ExportedC
-        Both files, and what they do not carry.
+        Both files, and the parts of the calibration that they do not contain.
 
     Raises
     ------
     InputError
-        No model, NaN in it, a unit for a triad that has a model, a prefix that is no identifier, or numbers that the arithmetic
-        does not hold.
+        If the model is missing or contains NaN, if a unit is given for a triad with a model, if the prefix is not an identifier, or
+        if a number is beyond the range of float.
 
     Examples
     --------
@@ -161,23 +164,23 @@ def export_c(
     lead = firmware.lead_of(calibration)
     if lead is not None:
         notes.append(
-            f"{prefix}_temperature removes the lag of the thermometer of {lead.lag_s:.3g} s: pass every temperature through it "
+            f"{prefix}_temperature removes the thermometer's lag of {lead.lag_s:.3g} s. Pass every temperature through it "
             f"before {prefix}_correct"
         )
     if gyro.warm_up_table is not None:
         notes.append(
             f"{prefix}_correct_since takes the time since power-on and subtracts the extra offset after power-on, which is zero "
-            f"from {gyro.warm_up_table.temp.stop:g} s on; {prefix}_correct does not subtract it"
+            f"after {gyro.warm_up_table.temp.stop:g} s. {prefix}_correct does not subtract it"
         )
     if gyro.at_rest is not None:
         notes.append(
-            f"offsets apply while the device turns: pass every result of {prefix}_correct through {prefix}_at_rest, which adds "
+            f"offsets apply while the device turns. Pass every result of {prefix}_correct through {prefix}_at_rest, which adds "
             "the difference at rest"
         )
     if calibration.magnetometer is not None:
         notes.append(
-            f"{prefix}_magnetometer corrects the magnetometer (uT to uT, in the axes of the gyroscopes): pass the corrected rate "
-            "of the same time with each reading"
+            f"{prefix}_magnetometer corrects the magnetometer (uT to uT, in the axes of the gyroscopes). Pass the corrected rate "
+            "at the same time with each reading"
         )
     not_carried = losses(calibration, CARRIED)
     return ExportedC(
@@ -189,25 +192,25 @@ def export_c(
 
 
 def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, notes: list[str]) -> Constants:
-    """Return a triad, nominal where there is no model, with a note on that."""
+    """Return a triad. Without a model, return nominal constants and add a note."""
     triad = firmware.triads_of(calibration)[SENSORS.index(name)]
     unit = options.gyro_unit if name == "gyro" else options.accel_unit
     if triad is not None and unit is not None:
         raise InputError(
-            f"export c: wanted no unit of the {name}, whose model is for {triad.unit_in}, got {unit}; leave {name}_unit out",
+            f"export c: the {name} model already has the unit {triad.unit_in}, got {unit}. Omit {name}_unit.",
             wanted=triad.unit_in,
             got=unit,
         )
-    if triad is None:  # readings in a physical unit, made SI and left alone otherwise
+    if triad is None:  # readings in a physical unit are only converted to SI
         what, quantity = "gyroscopes" if name == "gyro" else "accelerometers", calibration.triad(name).quantity
-        known = canonical_unit(unit or SI_UNIT[quantity], quantity)
-        if not is_physical(known):
+        unit_name = canonical_unit(unit or SI_UNIT[quantity], quantity)
+        if not is_physical(unit_name):
             raise InputError(
-                f"export: wanted a physical unit of the {name}, which has no model, got {unit}; calibrate it, or name the unit "
-                "that the firmware hands over"
+                f"export: the {name} has no model and requires a physical unit, got {unit}. Calibrate it, or set the unit "
+                "of the firmware's readings."
             )
-        triad = constants_of(calibration, name, known)
-        notes.append(f"{what} have no model: {name}_raw is taken as {known}, with nominal values")
+        triad = constants_of(calibration, name, unit_name)
+        notes.append(f"{what} have no model, so {name}_raw is read in {unit_name}, with nominal values")
     return triad
 
 
@@ -280,7 +283,7 @@ def _header(
         "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
     }  # fmt: skip
     lines = _environment().get_template("comment.j2").render(about).splitlines()
-    comment = [comment_text(part) for line in lines for part in wrapped(line)]
+    comment = [comment_text(piece) for line in lines for piece in wrapped(line)]
     return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
 
 
@@ -291,17 +294,19 @@ def _span(tables: list[LookupTable]) -> str:
     return f"{low:g} to {high:g} degC"
 
 
-# ---- Target of ``undrift export``
+# ---- Target of ``undrift export``.
 
 
 def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
-    """Return header and source with their figures; the source includes the header by its name."""
+    """Return header and source. The source includes the header by its name."""
     if not re.fullmatch(r"[\w.-]+", name, re.ASCII):
         raise InputError(
-            f"{name}: wanted a file name of letters, digits, -, _ and . for a C header, got others; rename it"
+            f"{name}: the name of a C header may contain only letters, digits, -, _ and . (full stop). Rename it."
         )
-    made = export_c(calibration, options, header_name=name, date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    return Exported(text=made.header, more=(made.source,), not_carried=made.not_carried, notes=made.notes)
+    exported = export_c(calibration, options, header_name=name, date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
+    return Exported(
+        text=exported.header, more=(exported.source,), not_carried=exported.not_carried, notes=exported.notes
+    )
 
 
 TARGET = Target(endings=(".h",), more=(".c",), write=write_c)

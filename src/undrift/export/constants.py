@@ -1,4 +1,4 @@
-"""Matrix and offset of both triads at one temperature, as JSON or as a C header, for programs that have no tables.
+"""Matrix and offset of both triads at one temperature, as JSON or as a C header, for programs without tables.
 
 ::
 
@@ -30,23 +30,25 @@ UNIT_OUT = {"gyro": "rad/s", "accel": "m/s2"}
 class ConstantPair:
     """Both triads at one temperature."""
 
-    gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a; None if the calibration has no model
+    gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a (None if there is no model)
     accel: Constants | None
-    temp_c: float  # temperature of the constants; NaN without tables and without a reference temperature
-    read_tables: bool  # tables over temperature were read at temp_c
+    temp_c: float  # temperature of the constants, degC, or NaN without tables and reference temperature
+    read_tables: bool  # True if tables over temperature were read at temp_c
 
 
 def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
-    """Return both triads at one temperature; at the reference temperature by default."""
+    """Return both triads at one temperature, the reference temperature by default."""
     gyro, accel = triads_of(calibration)
-    held = [table for triad in (gyro, accel) if triad is not None for table in (triad.offset_table, triad.matrix_table)]
-    tables = [table for table in held if table is not None]
+    candidates = [
+        table for triad in (gyro, accel) if triad is not None for table in (triad.offset_table, triad.matrix_table)
+    ]
+    tables = [table for table in candidates if table is not None]
     temp = calibration.reference_temp_c if temp_c is None else temp_c
     if tables:
         low, high = max(t.temp.start for t in tables), min(t.temp.stop for t in tables)
         if not low <= temp <= high:
             raise InputError(
-                f"export: wanted a temperature from {low:g} to {high:g} degC to read the tables at, got {temp:g}; give temp_c",
+                f"export: the tables cover {low:g} to {high:g} degC, got {temp:g}. Set temp_c within this range.",
                 low=low,
                 high=high,
             )
@@ -76,7 +78,7 @@ def write_constants(calibration: Calibration, options: ExportOptions, name: str)
     notes = [f"tables over temperature are read at {pair.temp_c:g} degC"] if pair.read_tables else []
     for sensor, triad in (("gyroscope", pair.gyro), ("accelerometer", pair.accel)):
         if triad is None:
-            notes.append(f"no {sensor} constants: the calibration has no model of it")
+            notes.append(f"no {sensor} constants, because the calibration has no {sensor} model")
         else:
             notes.append(f"{sensor} readings are in {triad.unit_in}")
     if name.lower().endswith(".h"):

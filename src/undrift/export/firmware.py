@@ -1,9 +1,9 @@
-"""The constants of correction (correction/plan.py) as firmware evaluates them: tables on findable grids.
+"""Constants of the correction (correction/plan.py) for firmware, with tables that can be looked up in constant time.
 
-A table whose nodes are whole multiples of one step is put on the even grid that holds them all, where the cell is found by one
-multiplication; one that would more than double its memory that way keeps its nodes, and the cell is found by bisection in a
-number of steps that depends on the table alone. Either way a lookup takes constant
-time. Then the lead that removes a thermometer's lag.
+If the nodes of a table are whole multiples of a step, the table is converted to the even grid that contains them all. A
+multiplication then finds the cell. If this would more than double the memory, the table keeps its nodes, and bisection finds the
+cell. The number of bisection steps depends only on the table. This module also computes the filter that removes a thermometer's
+lag.
 """
 
 from dataclasses import dataclass, replace
@@ -19,14 +19,14 @@ TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
 
 def named_tables(constants: Constants) -> list[tuple[str, LookupTable]]:
-    """Return the tables that firmware has, by name."""
+    """Return names and values of the tables in the constants."""
     return [(name, getattr(constants, name)) for name in TABLES if getattr(constants, name) is not None]
 
 
 def triads_of(calibration: Calibration) -> tuple[Constants | None, Constants | None]:
-    """Return gyroscopes and accelerometers as firmware evaluates them."""
+    """Return the constants of gyroscopes and accelerometers for firmware, None for a triad without a model."""
     if calibration.gyro is None and calibration.accel is None:
-        raise InputError("export: wanted a model of gyroscopes or accelerometers, got neither; calibrate first")
+        raise InputError("export: no model of gyroscopes or accelerometers. Calibrate first.")
     gyro, accel = (
         None if triad.model is None else _on_grids(constants_of(calibration, name))
         for name, triad in zip(SENSORS, calibration.triads, strict=True)
@@ -35,14 +35,14 @@ def triads_of(calibration: Calibration) -> tuple[Constants | None, Constants | N
 
 
 def _on_grids(constants: Constants) -> Constants:
-    """Return the constants with findable tables; NaN in any of them is refused."""
+    """Return the constants with tables for fast lookup. Raise InputError if any of them contains NaN."""
     tables = named_tables(constants)
     parts = [constants.matrix, *(table.values for _, table in tables), constants.half_step, constants.g_sensitivity]
     parts += [constants.offset] if constants.offset_table is None else []
-    missing = sum(int(np.isnan(part).sum()) for part in parts if part is not None)
+    missing = sum(int(np.isnan(array).sum()) for array in parts if array is not None)
     if missing:
         raise InputError(
-            f"export: wanted numbers throughout the model of the {constants.name}, got {missing} NaN; calibrate what is missing",
+            f"export: the model of the {constants.name} contains {missing} NaN. Calibrate the missing parameters.",
             missing=missing,
         )
     findable: dict[str, Any] = {name: table.evened() for name, table in tables}
@@ -54,37 +54,37 @@ def stride_of(axis: TableAxis) -> int:
     return 1 << max(0, (axis.cells - 1).bit_length() - 1)
 
 
-# ---- Lead: removes a thermometer's lag, the filter of drift/temperature.py rewritten
+# ---- Lead filter, which removes a thermometer's lag. It is equivalent to the filter of drift/temperature.py.
 #
-# With d = x - z, how far the reading x is from its low-passed z, a = dt / smooth, and g = lag / smooth:
+# With the low-passed reading z, d = x - z, a = dt / smooth and g = lag / smooth:
 #
 #     d = e^-a d + m (x - x_before)     m = (1 - e^-a) / a          y = x + (g - 1) d
 #
-# so that two numbers are carried, and d is small where the temperature is steady: float loses little.
+# The state has two numbers. At steady temperature d is small, so the rounding errors of float are also small.
 
-SHORTEST_S, LONGEST_S = 1e-3, 1e5  # smoothing that float holds with its accuracy
+SHORTEST_S, LONGEST_S = 1e-3, 1e5  # range of smoothing times for the accuracy of float, s
 MOST_GAIN = 2.0**15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lead:
-    """Constants of the lead."""
+    """Constants of the lead filter."""
 
-    lag_s: float  # The thermometer's time constant
-    smooth_s: float  # Time constant of the smoothing
+    lag_s: float  # time constant of the thermometer, s
+    smooth_s: float  # time constant of the smoothing, s
     gain: float  # g - 1
-    rate: float  # One over the smoothing, 1/s
+    rate: float  # inverse of the smoothing time constant, 1/s
 
 
 def lead_of(calibration: Calibration) -> Lead | None:
-    """Return the lead that a calibration asks for."""
+    """Return the lead filter of a calibration, or None if it has no lag or no tables."""
     drift = calibration.drift
     if drift is None or not drift.lag_s > 0.0 or (drift.static, drift.scale, drift.dynamic) == (None, None, None):
         return None
     smooth = drift.lag_smooth_s
     if not (SHORTEST_S <= smooth <= LONGEST_S and drift.lag_s / smooth <= MOST_GAIN):
         raise InputError(
-            f"export c: wanted a lag smoothed over {SHORTEST_S:g} to {LONGEST_S:g} s, of at most {MOST_GAIN:g} times that, got "
-            f"{drift.lag_s:g} s over {smooth:g} s; fit the lag again"
+            f"export c: smoothing must be {SHORTEST_S:g} to {LONGEST_S:g} s and lag at most {MOST_GAIN:g} times that, got a lag of "
+            f"{drift.lag_s:g} s with smoothing over {smooth:g} s. Fit the lag again."
         )
     return Lead(lag_s=drift.lag_s, smooth_s=smooth, gain=drift.lag_s / smooth - 1.0, rate=1.0 / smooth)

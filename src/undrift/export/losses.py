@@ -21,7 +21,7 @@ class Exported:
     not_carried : tuple of str
         Parts of the calibration that the file does not contain, one sentence each.
     notes : tuple of str
-        What the reader of the file must know or do.
+        Requirements for the user of the file.
     more : tuple of str
         Further files, written next to it.
     figures : mapping
@@ -43,7 +43,7 @@ Part = Literal[
 
 def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[str, ...]:
     """Return the parts of a calibration that are not among the carried ones, one sentence each."""
-    return tuple(text for part, text in _parts(calibration) if part not in carried)
+    return tuple(text for name, text in _parts(calibration) if name not in carried)
 
 
 def _parts(calibration: Calibration) -> Iterator[tuple[Part, str]]:
@@ -51,7 +51,7 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, str]]:
     if any(triad.lsb is not None and triad.rounding == "toward_zero" for triad in calibration.triads) or any(
         fitted_codes
     ):
-        yield "rounding", "half a code step for codes that are cut off toward zero"
+        yield "rounding", "half a code step for codes that are truncated toward zero"
     parts: tuple[tuple[Part, Part, str], ...] = (
         ("gain", "cross", "gyroscopes"),
         ("accel gain", "accel cross", "accelerometers"),
@@ -75,8 +75,8 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, str]]:
             yield (
                 "moving",
                 (
-                    "the change of the offset from motion to rest: the offsets apply in motion, and rates at rest are off by "
-                    f"up to {largest:.2g} deg/s"
+                    "the change of the offset from motion to rest (the offsets apply in motion, and rates at rest are wrong by "
+                    f"up to {largest:.2g} deg/s)"
                 ),
             )
     if calibration.magnetometer is not None:
@@ -103,4 +103,4 @@ def _tables(drift: DriftTables) -> Iterator[tuple[Part, str]]:
         largest = float(np.abs(drift.dynamic.error).max()) / RADIAN_PER_DEGREE
         yield "dynamic", f"error over rate and temperature (the dynamic table), up to {largest:.2g} deg/s"
     if drift.lag_s > 0.0:
-        yield "lag", f"the lag of the thermometer of {drift.lag_s:.3g} s: remove it from the temperature first"
+        yield "lag", f"the thermometer's lag of {drift.lag_s:.3g} s (remove it from the temperature first)"
