@@ -277,7 +277,7 @@ def test_lines_without_names_are_recorded_with_stamps_that_info_reads(undrift, t
         board.print_lines(lambda k: b"%d %d %d %d %d %d\r\n" % (k % 7, 3, 16384 - k % 5, 12, k % 3, 40))
         why = undrift.refused("record", board.port, "-o", tmp_path / "a.parquet")
         assert "numbers with names, got '" in why
-        assert "or record its lines as they come: --output walk.log" in why
+        assert "or record its raw lines: --output walk.log" in why
         path = tmp_path / "a.log"
         answer = undrift("record", board.port, "-o", path, "--duration-s", "5", "--json")
         assert answer.code == 0, answer
