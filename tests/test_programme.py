@@ -37,7 +37,7 @@ def test_a_device_settles_to_a_thousandth_and_never_less_than_the_table_needs():
     assert settle_time(11.1) == 0.3
     assert settle_time(2.0) == pytest.approx(math.log(1000.0) / (math.sqrt(0.5) * 2.0 * math.pi * 2.0))
     assert settle_time(2.0, damping=1.0) < settle_time(2.0)
-    with pytest.raises(InputError, match="wanted cutoff_hz and damping above 0, got 0"):
+    with pytest.raises(InputError, match=r"cutoff_hz and damping .*got 0"):
         settle_time(0.0)
 
 
@@ -48,7 +48,7 @@ def test_a_dwell_is_as_long_as_a_count_and_the_noise_need():
     u, noise = 0.002 * DPS, 0.003 * DPS
     t = dwell_time(u, count=count, noise_density=noise)
     assert (count / t) ** 2 + noise**2 / t == pytest.approx(u * u)
-    with pytest.raises(InputError, match="wanted an uncertainty above 0 rad/s, got 0"):
+    with pytest.raises(InputError, match=r"uncertainty .*got 0"):
         dwell_time(0.0, count=count)
 
 
@@ -175,13 +175,13 @@ def test_no_bracket_is_asked_for_by_zero_seconds():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"purpose": "face"}, "wanted a rest at 0 rad/s, got 0.1; a rest does not turn"),
-        ({"up": "-x"}, "wanted the device mounted -x up, got \\+x; mount it first"),
-        ({"temp_c": 40.0}, "wanted a soak at its temperature before it, got None; soak first"),
-        ({"axis": "y"}, "wanted a rate about the axis that is up, got 0.1 rad/s"),
-        ({"turn_rate": 0.0}, "wanted a rate about the axis that is up, got 0 rad/s"),
-        ({"dwell_s": 0.0}, "wanted times above 0 s, got a dwell of 0 s"),
-        ({"dwell_s": math.nan}, "wanted times above 0 s, got a dwell of nan s"),
+        ({"purpose": "face"}, "0 rad/s, got 0.1"),
+        ({"up": "-x"}, "mounted -x up, got \\+x"),
+        ({"temp_c": 40.0}, "soak at 40.0 .*got None"),
+        ({"axis": "y"}, "axis that is up, got 0.1 rad/s"),
+        ({"turn_rate": 0.0}, "axis that is up, got 0 rad/s"),
+        ({"dwell_s": 0.0}, "got a dwell of 0 s"),
+        ({"dwell_s": math.nan}, "got a dwell of nan s"),
     ],
 )
 def test_steps_that_do_not_fit_together_are_refused(change, message):
@@ -193,7 +193,7 @@ def test_steps_that_do_not_fit_together_are_refused(change, message):
 
 
 def test_a_programme_without_a_dwell_is_refused():
-    with pytest.raises(InputError, match="wanted one dwell or more, got none"):
+    with pytest.raises(InputError, match="at least one dwell"):
         Programme(steps=(Mount(up="+x", duration_s=1.0),), acceleration=1.0)
 
 
