@@ -43,8 +43,8 @@ OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
 MOVING_NAMES, CODE_NAMES = tuple(f"moving_{axis}" for axis in AXES), tuple(f"code_{axis}" for axis in AXES)
 SOURCES = (  # of uncertainty, in the order of a budget
-    "rate", "angle", "axis", "ripple", "mounting", "level", "temperature", "noise", "adc", "instability", "repeatability", "prior",
-    "fit",
+    "rate", "angle", "axis", "ripple", "mounting", "level", "nonlinearity", "temperature", "noise", "adc", "instability",
+    "repeatability", "prior", "fit",
 )  # fmt: skip
 Triple = Annotated[FloatArray, Shape(3)]
 Vector = Annotated[FloatArray | None, Shape(3)]

@@ -135,7 +135,7 @@ def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
     assert fit.verdict.status == "bad"
     moved = only(fit.verdict.findings, "multi_position.residual")
     assert moved.level == "fail"
-    assert moved.values["rms_mg"] == pytest.approx(fit.model.rms_residual / 9.80665e-3)
+    assert moved.values["rms"] == pytest.approx(fit.model.rms_residual / 9.80665e-3)
     assert moved.values["wanted"] == 3.0
     assert fit.verdict.reasons[0] == moved.text
 
@@ -238,5 +238,5 @@ def test_quadratic_terms_change_no_estimate() -> None:
     fits = [fit_norm(raw, gravity=G, variances=np.full(raw.shape, 0.09), quadratic_sd=sd) for sd in (0.0, QUADRATIC_SD)]
     np.testing.assert_array_equal(fits[0].p, fits[1].p)
     added = fits[1].covariance - fits[0].covariance
-    np.testing.assert_allclose(added, fits[1].quadratic, atol=1e-12)
+    np.testing.assert_allclose(added, fits[1].budget["nonlinearity"], atol=1e-12)
     assert (np.diag(added)[6:] > (0.2 * 0.6 * G**2 * QUADRATIC_SD) ** 2).all()  # twelve poses hardly bound them

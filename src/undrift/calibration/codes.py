@@ -34,7 +34,7 @@ FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: fl
 SIDE_CODES = 8  # codes on either side of zero that give its expected count
 SWEEP_SAMPLES, SWEEP_CODES = 5, 20  # a sample is in motion if the readings 5 before and 5 after differ by 20 codes
 MIN_SWEPT = 100  # samples in motion near code 0
-SIGNIFICANCE_SIGMAS = 4.0  # by which the other ratio must be excluded
+SIGMAS = 4.0  # by which the other ratio must be excluded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,11 +61,13 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     expected = float(beside.mean())
     uneven = max(1.0, float(beside.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
     ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
-    chance = {k: SIGNIFICANCE_SIGMAS * sigma * np.sqrt(k + k**2 / (2 * SIDE_CODES)) for k in (1.0, 2.0)}
-    roundings: tuple[tuple[Rounding, float, float], ...] = (("toward_zero", 2.0, 1.0), ("nearest", 1.0, 2.0))
-    for rounding, expected_ratio, other in roundings:
-        if abs(ratio - expected_ratio) < max(0.3, chance[expected_ratio]) and abs(ratio - other) > chance[other]:
-            return CodeGrid(lsb=steps, rounding=rounding)
+    off = ratio - np.array([1.0, 2.0])
+    chance = SIGMAS * sigma * np.sqrt([1.0 + 0.5 / SIDE_CODES, 2.0 + 2.0 / SIDE_CODES])  # of the ratios 1 and 2
+    possible, excluded = np.abs(off) < np.maximum(0.3, chance), np.abs(off) > chance
+    if possible[1] and excluded[0]:
+        return CodeGrid(lsb=steps, rounding="toward_zero")
+    if possible[0] and excluded[1]:
+        return CodeGrid(lsb=steps, rounding="nearest")
     reason = f"code 0 occurs {ratio:.2f} +- {sigma:.2f} times as often as expected"
     return CodeGrid(lsb=steps, rounding=None, reason=reason)
 
@@ -113,14 +115,11 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 
 def _swept_codes(column: FloatArray, step: float) -> FloatArray:
     """Return how often each code near zero occurs while the reading sweeps through zero."""
-    known = np.isfinite(column)
-    codes = np.round(np.where(known, column, 0.0) / step).astype(np.int64)
-    sweeps = np.zeros(len(codes), bool)
-    before, after = slice(None, -2 * SWEEP_SAMPLES), slice(2 * SWEEP_SAMPLES, None)
-    travelled = np.abs(codes[after] - codes[before]) >= SWEEP_CODES
-    sweeps[SWEEP_SAMPLES:-SWEEP_SAMPLES] = travelled & known[after] & known[before]  # a gap is no motion
-    near = codes[sweeps & known & (np.abs(codes) <= SIDE_CODES)] + SIDE_CODES
-    return np.bincount(near, minlength=2 * SIDE_CODES + 1).astype(float)
+    codes = np.round(column / step)
+    travelled = np.abs(codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES])  # NaN beside a gap, which is no motion
+    middle = codes[SWEEP_SAMPLES:-SWEEP_SAMPLES]
+    near = middle[(travelled >= SWEEP_CODES) & (np.abs(middle) <= SIDE_CODES)]
+    return np.bincount(near.astype(np.int64) + SIDE_CODES, minlength=2 * SIDE_CODES + 1).astype(float)
 
 
 # ---- readings without truncation
@@ -143,9 +142,9 @@ def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = No
     """Return a record corrected for the half steps that the rounding took, gyroscopes by what a fit found of them, (3,)."""
     if adc is None:
         return record
-    accel, gyro = record.accel, None if record.gyro is None else restored_gyro(record.gyro, adc)
-    if codes is not None and record.gyro is not None:
-        gyro = record.gyro + codes * np.sign(record.gyro)
+    accel, gyro = record.accel, record.gyro
+    if gyro is not None:
+        gyro = restored_gyro(gyro, adc) if codes is None else gyro + codes * np.sign(gyro)
     if accel is not None and adc.accel_lsb is not None:
         accel = without_truncation(accel, adc.accel_lsb, adc.accel_rounding)
     return replace(record, gyro=gyro, accel=accel)
@@ -160,13 +159,12 @@ MAX_SHARE = 0.5  # of a variance: the error of rounding is not normal
 
 def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
     """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), NaN if readings lie on no grid."""
-    parts = [values for record in records if (values := record.gyro if rate else record.accel) is not None]
-    return _steps(parts) if parts else np.full(3, np.nan)
+    return _steps([values for record in records if (values := record.gyro if rate else record.accel) is not None])
 
 
 def _steps(values: Sequence[FloatArray]) -> FloatArray:
-    steps = []
-    for column in np.concatenate(values).T:
+    steps = list[float]()
+    for column in np.concatenate((np.empty((0, 3)), *values)).T:
         distinct = np.unique(column[np.isfinite(column)])
         few = 1 < len(distinct) < MIN_CODES  # too few for a grid: the nearest two are a step apart
         steps.append(float(np.diff(distinct).min()) if few else code_grid(column)[0])
@@ -183,8 +181,7 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
-    within = np.mean([rest.var(axis=0) for rest in rests], axis=0)
-    return np.sqrt(code_variance(_steps(values), within))
+    return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0)))
 
 
 def limited_by_codes(

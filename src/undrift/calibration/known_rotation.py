@@ -23,14 +23,13 @@ Moves between the rests turn gravity, which shows the matrix as well (moves.py):
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
-from undrift.calibration.moves import ByTurns, fit_moves, offsets_in_moves
+from undrift.calibration.moves import fit_moves
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     axis_vectors,
@@ -206,13 +205,13 @@ def fit_known_rotation(
     cross_axis_prior: float = 0.01,
     scale_tolerance: float = SCALE_TOLERANCE,
     creep: Creep | None = None,
-    moves: Callable[[TriadParameters, FloatArray], TriadModel | PoorFit | None] = lambda fitted, walk: None,
+    moves: Callable[[TriadParameters], TriadModel | PoorFit | None] = lambda fitted: None,
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
-    Angle and axis have standard uncertainties, rad. ``moves`` takes the parameters and the variance (3,) of the walk of each
-    offset, (rad/s)^2 / s, and returns the matrix that turns and moves together determine. The columns of axes that were not turned
-    keep the nominal scale factor, and cross-axis terms of ``cross_axis_prior``.
+    Angle and axis have standard uncertainties, rad. ``moves`` takes the parameters and returns the matrix that turns and moves
+    together determine. The columns of axes that were not turned keep the nominal scale factor, and cross-axis terms of
+    ``cross_axis_prior``.
     """
     turned = _check_complete(rows, mode)
     matrix = first_table_matrix(rows.rate, rows.reading, turned, rows.unit)
@@ -228,10 +227,9 @@ def fit_known_rotation(
             excess["angle"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
         prior = table_prior(matrix, turned, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
-        walk = np.array([gls.excess.get(f"instability {axis}", 0.0) for axis in AXES])
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
         if len(turned) == 3:
-            fitted, findings = _with_moves(fitted, moves(fitted, walk))
+            fitted, findings = _with_moves(fitted, moves(fitted))
         else:
             findings = [axes_missing([AXES[k] for k in turned], rows.unit, cross_axis_prior)]
     if rows.rounding is not None:
@@ -391,14 +389,13 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
 
 
 def _by_moves(
-    seen: Observed, rows: RotationRows, accel: TriadModel, fitted: TriadParameters, walk: FloatArray
+    seen: Observed, rows: RotationRows, accel: TriadModel, fitted: TriadParameters
 ) -> TriadModel | PoorFit | None:
     """Fit the matrix to turns and moves, with readings freed of the g-sensitivity.
 
     Return None if the moves determine nothing, and the error if no matrix fits turns and moves together.
     """
-    forward = np.linalg.inv(fitted.matrix)
-    slope = np.zeros((3, 3)) if fitted.g_sensitivity is None else forward @ fitted.g_sensitivity
+    slope = np.zeros((3, 3)) if fitted.g_sensitivity is None else np.linalg.solve(fitted.matrix, fitted.g_sensitivity)
     records = [
         replace(r, gyro=r.gyro - (r.accel - accel.offset) @ accel.matrix.T @ slope.T)
         for r in seen.session.records
@@ -406,13 +403,8 @@ def _by_moves(
     ]
     stills = sorted((p for p in rows.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
-    # an offset that follows the temperature is interpolated between the rests as a walk is
-    drift = creep[1].offset_per_k * creep[1].span_k
-    walk = walk + drift**2 / max(float(np.ptp(spans_of(seen.session.records, stills))), 1.0)
-    offset = partial(offsets_in_moves, scale=np.linalg.norm(forward, axis=1), walk=walk)
-    by_turns = ByTurns(fitted.matrix, fitted.covariance[:9, :9], offset)
     try:
-        return fit_moves(records, stills, accel, creep=creep, by_turns=by_turns).model
+        return fit_moves(records, stills, accel, creep=creep, turns=fitted).model
     except NotObservable:
         return None
     except PoorFit as error:
@@ -472,7 +464,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
-        moves=lambda fitted, walk: None if model is None else _by_moves(seen, rows, model, fitted, walk),
+        moves=lambda fitted: None if model is None else _by_moves(seen, rows, model, fitted),
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's

@@ -1,24 +1,24 @@
 """Calibration without equipment: hold the device still in many poses, turn it by hand between them (Tedaldi et al., ICRA 2014).
 
     |M_a (u_k - o_a)| = g                over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular (norm.py)
-    C_j(M_g, o_j) n_j = n_(j+1)          gyroscopes, over the moves j between the poses
+    m_k = o + H f_k + d_k                gyroscopes at rest: mean reading, under the specific force f_k
+    C_j(M, o + d_j, H) n_j = n_(j+1)     gyroscopes, over the moves j between the poses
 
 A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes: the sensor's z axis is the
 case's, its y axis lies in the case's y-z plane.
 
-C_j turns the body frame at the end of still j into that at the start of still j + 1, integrated from w = M_g (u - o_j). n_j is the
-direction of gravity in still j, from the accelerometer. A move determines two angles; the one about the vertical is not observable.
-The angles that a matrix misses are fitted by generalised least squares (fit/gls.py). Their sources of error are the noise of both
-stills and of the readings, the calibration of the accelerometer, the offset, temperature, and an excess for the hand.
+C_j turns the body frame at the end of still j into that at the start of still j + 1, integrated from w = M (u - o - d_j - H f).
+n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles; the one about the vertical is not
+observable. M, o and H are fitted to rests and moves together by generalised least squares (fit/gls.py).
 
-The offset in a move is interpolated between the rests. With means m_k of the rests under the specific force f_k:
-
-    m_k = o + H f_k + d_k + e_k          d flicker of a stated size and a random walk about their means, e noise and sway
+d, the offset about its mean over the rests, is a source of error that rests and moves share: flicker of a stated size, a change
+with temperature, and a random walk, whose size is an excess variance. The offset in a move thus follows the rests beside it. The
+other sources are noise, codes, jitter of the clock, the calibration of the accelerometer, and an excess each for the hand in rests
+and in moves.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,9 +30,9 @@ from undrift.calibration.session import Observed, Outcome
 from undrift.calibration.sources import Creep, creep_of, flicker_of_means, slip_covariance, walk_about_mean
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
-from undrift.fit.gls import GlsFit, Prior, solve
+from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, UNCERTAIN_PERCENT
-from undrift.fit.triad import TriadFit, parameter_names, scaled_condition, triad_fit
+from undrift.fit.triad import TriadFit, TriadParameters, parameter_names, scaled_condition, triad_fit
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -88,8 +88,9 @@ def _pose_means(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Flo
 
 
 def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return the mean (K, 3) of each still, the variance (3,) of one sample pooled over all, and the counts (K,)."""
-    mean, square, count = np.zeros((len(start), 3)), np.zeros(3), np.zeros(len(start), np.int64)
+    """Return the mean (K, C) of each still, the variance (C,) of one sample pooled over all, and the counts (K,)."""
+    mean, square = np.zeros((len(start), values.shape[1])), np.zeros(values.shape[1])
+    count = np.zeros(len(start), np.int64)
     for k, (low, high) in enumerate(zip(start, stop, strict=True)):
         piece = values[low:high]
         piece = piece[np.isfinite(piece).all(axis=1)]
@@ -111,7 +112,8 @@ class Moves:
     first: IntArray  # (J,), last sample of the still before the move
     last: IntArray  # (J,), first sample of the still after it
     before: IntArray  # (J,), number of the still before; the next one is after it
-    stills: tuple[IntArray, IntArray]  # (K,), samples [start, stop) of the stills
+    start: IntArray  # (K,), samples [start, stop) of the stills
+    stop: IntArray
 
     @property
     def duration_s(self) -> FloatArray:
@@ -128,8 +130,8 @@ class Moves:
     def spans(self) -> FloatArray:
         """Start and end of the stills and the moves (K + J, 2), s, on one clock; recordings follow each other."""
         clock = np.concatenate(([0.0], np.cumsum(np.diff(self.time).clip(0.0))))
-        stills = np.stack((self.stills[0], self.stills[1] - 1))
-        return np.asarray(clock[np.hstack((stills, np.stack((self.first, self.last)))).T])
+        edges = np.append(self.start, self.first), np.append(self.stop - 1, self.last)
+        return np.asarray(clock[np.column_stack(edges)])
 
 
 def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
@@ -157,7 +159,8 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
         first=stop[before] - 1,
         last=start[before + 1],
         before=before,
-        stills=(start, stop),
+        start=start,
+        stop=stop,
     )
 
 
@@ -171,7 +174,7 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
 
     n = a / |a|, a = M (u - o) of the mean reading, so that dn = (1 - n n^T) / |a| da with da = dM (u - o) - M do + M du.
     """
-    mean, variance, count = still_moments(moves.accel, *moves.stills)
+    mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
     d = mean - accel.offset
     a = d @ accel.matrix.T
     length = np.linalg.norm(a, axis=1)
@@ -228,133 +231,60 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
     return rotation.reshape(j, 3, 3).transpose(0, 2, 1), sums.reshape(j, 4, 3, 3)
 
 
-# ---- offset of the gyroscopes in the moves
-
-_TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestOffsets:
-    """Offset, g-sensitivity, drift and noise of the gyroscopes from the stills, raw unit."""
-
-    mean: FloatArray  # (3,), mean offset over the stills, under their mean specific force
-    variance: FloatArray  # (3,), of the mean
-    drift: FloatArray  # (J, 3), offset of each move minus the mean
-    drift_covariance: FloatArray  # (3, J, J), of the drift, per axis
-    noise: FloatArray  # (3,), variance of one sample at rest
-    force: FloatArray  # (3,), mean specific force, m/s2
-    g: FloatArray | None = None  # (3, 3), H, raw unit per m/s2; None if the readings are free of it
-    g_covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3, 3)))  # of each row
-
-
-def offsets_in_moves(
-    moves: Moves, scale: FloatArray, *, force: FloatArray | None = None, walk: FloatArray | None = None
-) -> RestOffsets:
-    """Return the offset in each move from the rests; scale (3,) is raw units per rad/s.
-
-    o and H by least squares, d of a move from the rests around it (best linear prediction). ``force`` (K, 3) is the specific force
-    in the rests; without it the readings are free of H. ``walk`` (3,), (rad/s)^2 / s, is the size of the random walk; without it,
-    the walk and the sway of the hand are excess variances of the rests. Stills that turn about the vertical are left out.
-    """
-    reading, noise, count = still_moments(moves.gyro, *moves.stills)
-    away = np.abs(reading - np.median(reading, axis=0))
-    rest = np.all(away <= _TURNING * np.maximum(np.median(away, axis=0), 1e-12), axis=1)
-    rests, number = np.flatnonzero(rest), len(reading)
-    middle = np.zeros(3) if force is None else count[rests] @ force[rests] / count[rests].sum()
-    felt = np.zeros((len(rests), 0)) if force is None else (force - middle)[rests]
-    design = np.column_stack((np.ones(len(rests)), felt))
-    about_mean = np.eye(number + len(moves.before))  # d counts from the mean over the rests
-    about_mean[:, :number] -= rest / rest.sum()
-    flicker = about_mean @ flicker_of_means(moves.spans) @ about_mean.T
-    brownian = about_mean @ walk_about_mean(moves.spans.mean(axis=1)) @ about_mean.T
-    own = np.ix_(rests, rests)
-    fits = list[GlsFit]()
-    drift, covariance = np.zeros((3, len(moves.before))), np.zeros((3, len(moves.before), len(moves.before)))
-    for axis in range(3):
-        instability = (GYRO_FLICKER * scale[axis]) ** 2
-        white = np.maximum(noise[axis] / count[rests], 1e-6 * instability)
-        total = instability * flicker + (0.0 if walk is None else walk[axis] * scale[axis] ** 2) * brownian
-        fit = solve(
-            design,
-            reading[rests, axis],
-            {"noise": white, "drift": total[own]},
-            excess={"walk": brownian[own], "sway": np.ones(len(rests))} if walk is None else {},
-            prior=Prior(
-                mean=np.zeros(design.shape[1]),
-                precision=np.diag([0.0] + [(G_SENSITIVITY * scale[axis]) ** -2] * felt.shape[1]),
-            ),
-        )
-        total = total + fit.excess.get("walk", 0.0) * brownian
-        to_moves = total[number:, rests] @ np.linalg.inv(total[own] + np.diag(white + fit.excess.get("sway", 0.0)))
-        drift[axis] = to_moves @ fit.residuals
-        covariance[axis] = total[number:, number:] - to_moves @ total[rests, number:]
-        fits.append(fit)
-    known = {
-        "g": np.array([fit.theta[1:] for fit in fits]),
-        "g_covariance": np.array([f.covariance[1:, 1:] for f in fits]),
-    }
-    return RestOffsets(
-        mean=np.array([fit.theta[0] for fit in fits]),
-        variance=np.array([fit.covariance[0, 0] for fit in fits]),
-        drift=drift.T,
-        drift_covariance=covariance,
-        noise=noise,
-        force=middle,
-        **(known if felt.shape[1] else {}),
-    )
-
-
 # ---- fit of the gyroscopes
+#
+# Parameters theta, raw units: M row by row, o, and H row by row. Rows: three a rest, rad/s, then two a move, rad.
 
 WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
 FEWEST_MOVES = 5
 MOST_STEPS, CONVERGED = 30, 1e-6  # of Gauss-Newton; relative change of the matrix
-_LEAST_ANGLE = 1e-10  # rad: standard deviation that every angle has at least
-_LOOSE = 1e-4  # of the precision of turns by known angles while the excess of the moves is determined
-_CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
-_HOPELESS_DEG = 20.0  # rms: moves that end farther from gravity are not those of this gyroscope
+TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
+LEAST_ANGLE, LEAST_RATE = (
+    1e-10,
+    1e-3,
+)  # standard deviation that every angle has at least, rad, and every rest, of the flicker
+LOOSE = 1e-4  # of the precision of turns by known angles in the fit to the moves
+CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
+HOPELESS_DEG = 20.0  # rms: moves that end farther from gravity are not those of this gyroscope
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
-
-
-class ByTurns(NamedTuple):
-    """Matrix of the gyroscopes from turns by known angles, an observation beside the moves."""
-
-    matrix: FloatArray  # (3, 3)
-    covariance: FloatArray  # (9, 9), of the matrix row by row
-    prior: Callable[[Moves], RestOffsets]  # offset in each move from the rests
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Problem:
-    """Parameters theta (12,): M row by row, then o in raw units."""
+    """R rests and J moves, and what makes them err."""
 
     moves: Moves
-    directions: Directions
-    felt: FloatArray  # (J, 3), mean specific force of each move minus that of the stills, m/s2; the moves are freed of its effect
     accel: TriadModel
-    offset: RestOffsets
+    directions: Directions
+    reading: FloatArray  # (R, 3), means of the rests
+    variance: FloatArray  # (R, 3), of the means
+    noise: FloatArray  # (3,), variance of one sample
+    codes: FloatArray  # (3,), what rounding leaves in a mean at rest
+    force: FloatArray  # (N, 3), specific force in each sample, m/s2; (N, 0) if H is not fitted
+    felt: FloatArray  # (R + J, 3), its mean in each rest and move; or (R + J, 0)
+    slip: FloatArray  # (J, 3, 3), covariance of the integral of each move by jitter of time stamps, (raw unit s)^2
+    size: float  # rad/s per raw unit, roughly
+    flicker: FloatArray  # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2
+    walk: FloatArray  # (R + J, R + J), of a walk of 1 rad/s per root second
+    warmth: FloatArray  # (R + J,), temperature minus the reference, K
     creep: tuple[Creep, Creep] | None  # of accelerometers and gyroscopes in the stills
-
-    @property
-    def warmth(self) -> FloatArray:
-        """Temperature of each move minus the reference (J,), K; zero without a temperature."""
-        rests = np.zeros(len(self.directions[0])) if self.creep is None else self.creep[1].warmth
-        return np.asarray(0.5 * (rests[self.moves.before] + rests[self.moves.before + 1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Missed:
-    """Missed angles (2 J,), their Jacobian (2 J, 12), rotations C (J, 3, 3) and tangents at the later direction (J, 3, 2)."""
+class _Rows:
+    """Rows (E,) of the fit, linearised."""
 
-    angle: FloatArray
-    jacobian: FloatArray
-    turn: FloatArray
-    tangent: FloatArray
+    rests: int  # rows of the rests; those of the moves follow
+    misfit: FloatArray  # (E,), of the parameters as they are
+    design: FloatArray  # (E, P)
+    by_offset: FloatArray  # (E, R + J, 3), by the offset in each rest and move, rad/s
+    by_still: FloatArray  # (E, K, 3), by the direction of gravity in each still
+    clock: FloatArray  # (J, 2, 2), covariance of the angles of each move by jitter of time stamps
 
     @property
     def rms_deg(self) -> float:
         """Angle by which the moves miss gravity, rms, deg."""
-        return float(np.sqrt(np.mean(self.angle**2))) / RADIAN_PER_DEGREE
+        return float(np.sqrt(np.mean(self.misfit[self.rests :] ** 2))) / RADIAN_PER_DEGREE
 
 
 def fit_moves(
@@ -363,53 +293,29 @@ def fit_moves(
     accel: TriadModel,
     *,
     creep: tuple[Creep, Creep] | None = None,
-    by_turns: ByTurns | None = None,
+    turns: TriadParameters | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
 
-    ``by_turns`` is the result of turns by known angles: an observation beside the moves.
+    ``turns`` is the result of turns by known angles: an observation beside the moves, whose readings have no g-sensitivity left.
     """
     moves, saturated = _without_saturated(cut_moves(records, stills))
-    if len(moves.first) < (FEWEST_MOVES if by_turns is None else 1):
+    if len(moves.first) < (FEWEST_MOVES if turns is None else 1):
         raise NotObservable(
             f"multi-position gyro: wanted {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
             f"{len(moves.first)}{''.join(f' ({item.text})' for item in saturated)}; turn the device by 90 deg or more about "
             "another axis between still poses of one recording",
             moves=len(moves.first),
         )
-    directions = gravity_directions(moves, accel)
-    felt: FloatArray = np.zeros((len(moves.before), 3))
-    if by_turns is None:
-        matrix = rough_matrix(moves, accel, np.median(still_moments(moves.gyro, *moves.stills)[0], axis=0))
-        size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))
-        if not size > 0.0:
-            raise NotObservable(
-                f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
-                "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses",
-                moves=len(moves.first),
-            )
-        offset = offsets_in_moves(moves, np.full(3, 1.0 / size), force=STANDARD_GRAVITY * directions[0])
-        if offset.g is not None:  # the moves under the mean specific force of the stills
-            force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T - offset.force)
-            felt = np.array([force[a + 1 : b + 1].mean(axis=0) for a, b in zip(moves.first, moves.last, strict=True)])
-            moves = replace(moves, gyro=moves.gyro - force @ offset.g.T)
+    problem, matrix = _observed(moves, accel, records, creep, turns)
+    theta, covariance, rows = _descend(problem, matrix, turns)
+    if turns is None:
+        _check_determined(rows, theta)
     else:
-        matrix, offset = by_turns.matrix, by_turns.prior(moves)
-    codes = code_variance(code_steps(records, rate=True), offset.noise)  # rests lie at one place between two codes
-    offset = replace(
-        offset, variance=offset.variance + codes, noise=offset.noise + codes
-    )  # in motion it is noise again
-    problem = _Problem(moves=moves, directions=directions, felt=felt, accel=accel, offset=offset, creep=creep)
-    fit = _solve(problem, matrix, by_turns)
-    missed = _missed(problem, fit.theta)
-    if by_turns is None:
-        _check_determined(missed, fit.theta)
-    elif (
-        np.abs(fit.theta[:9] - by_turns.matrix.ravel()).max() > _CONTRADICTS * np.abs(by_turns.matrix).max()
-        or missed.rms_deg > MISS_DEG[1]
-    ):
-        raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
-    return _as_triad(problem, fit, missed, records[0].gyro_unit, codes, saturated)
+        change = np.abs(theta[:9] - turns.theta[:9]).max()
+        if change > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
+            raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
+    return _as_triad(problem, theta, covariance, rows, records[0].gyro_unit, saturated)
 
 
 def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
@@ -425,36 +331,82 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
     return replace(moves, first=moves.first[~stuck], last=moves.last[~stuck], before=moves.before[~stuck]), (left,)
 
 
-def _solve(problem: _Problem, matrix: FloatArray, by_turns: ByTurns | None) -> GlsFit:
-    """Return the fit of M and o, from a first matrix.
+def _observed(
+    moves: Moves,
+    accel: TriadModel,
+    records: Sequence[Record],
+    creep: tuple[Creep, Creep] | None,
+    turns: TriadParameters | None,
+) -> tuple[_Problem, FloatArray]:
+    """Return the rests and moves with their sources of error, and a first matrix."""
+    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+    away = np.abs(reading - np.median(reading, axis=0))
+    rests = np.flatnonzero(np.all(away <= TURNING * np.maximum(np.median(away, axis=0), 1e-12), axis=1))
+    matrix = rough_matrix(moves, accel, np.median(reading, axis=0)) if turns is None else turns.matrix
+    size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))
+    if not size > 0.0:
+        raise NotObservable(
+            f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
+            "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses",
+            moves=len(moves.first),
+        )
+    force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)[:, : 3 * (turns is None)]
+    first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
+    span = moves.spans[np.append(rests, len(reading) + np.arange(len(moves.first)))]
+    about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
+    warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
+    problem = _Problem(
+        moves=moves,
+        accel=accel,
+        directions=gravity_directions(moves, accel),
+        reading=reading[rests],
+        variance=np.maximum(noise / count[rests, None], (LEAST_RATE * GYRO_FLICKER / size) ** 2),
+        noise=noise,
+        codes=code_variance(code_steps(records, rate=True), noise),
+        force=force,
+        felt=still_moments(force, first, last)[0],
+        slip=moves.slip,
+        size=size,
+        flicker=GYRO_FLICKER**2 * carried(about_mean, flicker_of_means(span)),
+        walk=carried(about_mean, walk_about_mean(span.mean(axis=1))),
+        warmth=np.append(warmth[rests], 0.5 * (warmth[moves.before] + warmth[moves.before + 1])),
+        creep=creep,
+    )
+    return problem, matrix
 
-    Turns that contradict the moves shall not enlarge the excess of the moves: it is determined with a loose prior from the turns.
+
+def _descend(
+    problem: _Problem, matrix: FloatArray, turns: TriadParameters | None
+) -> tuple[FloatArray, FloatArray, _Rows]:
+    """Return parameters and covariance by Gauss-Newton, and the rows there; turns join the result at its end.
+
+    In the descent, turns have little weight: if they contradict the moves, they must not enlarge the excess of the moves.
     """
-    mean, turns = np.append(matrix, problem.offset.mean), np.zeros((12, 12))
-    known = np.diag(np.append(np.zeros(9), 1.0 / problem.offset.variance))
-    if by_turns is None:
-        return _descend(problem, mean, Prior(mean=mean, precision=known))
-    turns[:9, :9] = np.linalg.inv(by_turns.covariance)
-    alone = _descend(problem, mean, Prior(mean=mean, precision=known + _LOOSE * turns))
-    return _descend(problem, alone.theta, Prior(mean=mean, precision=known + turns), hand=alone.excess_bound("hand"))
-
-
-def _descend(problem: _Problem, theta: FloatArray, prior: Prior, hand: float | None = None) -> GlsFit:
-    """Return the fit by Gauss-Newton, with the covariance of the angles at each step; ``hand`` is the excess if it is known."""
-    size, ones = float(np.abs(theta[:9]).max()), np.ones(2 * len(problem.moves.first))
+    theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
+    known = np.zeros((len(theta), len(theta)))
+    known[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
+    if turns is not None:
+        known[:9, :9] = LOOSE * np.linalg.inv(turns.covariance[:9, :9])
+    prior = Prior(mean=theta, precision=known)
+    drift = np.zeros((len(problem.felt), 3))  # of the offset, rad/s
     for _ in range(MOST_STEPS):
-        missed = _missed(problem, theta)
-        sources = _sources(problem, missed, theta) | ({} if hand is None else {"hand": hand * ones})
-        value = missed.jacobian @ theta - missed.angle
+        rows = _rows(problem, theta, drift)
+        value = rows.design @ theta + np.einsum("epa,pa->e", rows.by_offset, drift) - rows.misfit
+        in_rest = np.arange(len(value)) < rows.rests
+        walk = _of_drift(rows, problem.walk)
+        excess = {"walk": walk, "sway": np.where(in_rest, 1.0, 0.0), "hand": np.where(in_rest, 0.0, 1.0)}
         try:
-            fit = solve(missed.jacobian, value, sources, excess={"hand": ones} if hand is None else {}, prior=prior)
+            fit = solve(rows.design, value, _sources(problem, rows, theta), excess=excess, prior=prior)
         except np.linalg.LinAlgError:
-            _check_determined(missed, theta)
+            _check_determined(rows, theta)
             break
+        weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), fit.residuals)
+        drift = (problem.flicker + fit.excess["walk"] * problem.walk) @ np.einsum("epa,e->pa", rows.by_offset, weighted)
         change, theta = np.abs(fit.theta - theta)[:9].max(), fit.theta
-        if change < CONVERGED * size:
-            return fit
-        if not change < 10.0 * size:
+        if change < CONVERGED * problem.size:
+            theta, covariance = _with_turns(fit, turns)
+            return theta, covariance, _rows(problem, theta, drift)
+        if not change < 10.0 * problem.size:
             break
     raise PoorFit(
         f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no "
@@ -463,58 +415,82 @@ def _descend(problem: _Problem, theta: FloatArray, prior: Prior, hand: float | N
     )
 
 
-def _missed(problem: _Problem, theta: FloatArray) -> _Missed:
-    moves, n = problem.moves, problem.directions[0]
-    matrix = theta[:9].reshape(3, 3)
-    turn, part = turned_in(moves, matrix, theta[9:], problem.offset.drift)
-    arrived = (turn @ n[moves.before][:, :, None])[:, :, 0]
-    tangent = _tangent(n[moves.before + 1])
+def _with_turns(fit: GlsFit, turns: TriadParameters | None) -> tuple[FloatArray, FloatArray]:
+    """Return parameters and covariance of the moves, joined with the rest of the precision of the turns."""
+    if turns is None:
+        return fit.theta, fit.covariance
+    of_matrix = fit.covariance[:, :9]
+    gain = np.linalg.solve(of_matrix[:9] + turns.covariance[:9, :9] / (1.0 - LOOSE), of_matrix.T).T
+    return fit.theta + gain @ (turns.theta[:9] - fit.theta[:9]), fit.covariance - gain @ of_matrix.T
+
+
+def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _Rows:
+    """Return the rows of rests and moves; drift (R + J, 3) of the offset in each, rad/s."""
+    moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
+    matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
+    moves = replace(moves, gyro=moves.gyro - problem.force @ slope.T)
+    turn, part = turned_in(moves, matrix, offset, drift[rests:] / size)
+    arrived, tangent = (turn @ n[moves.before][:, :, None])[:, :, 0], _tangent(n[moves.before + 1]).transpose(0, 2, 1)
     by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
-    by_offset = -part[:, 0] @ matrix
-    small_turn = turn @ np.concatenate((by_matrix, by_offset), axis=2)  # in the end frame; d(C n) = C n x small turn
-    jacobian = tangent.transpose(0, 2, 1) @ cross_matrix(arrived) @ small_turn
-    angle = (tangent.transpose(0, 2, 1) @ (arrived - n[moves.before + 1])[:, :, None]).reshape(-1)
-    return _Missed(angle=angle, jacobian=jacobian.reshape(-1, 12), turn=turn, tangent=tangent)
+    by_turn = tangent @ cross_matrix(arrived) @ turn  # of the angles by a small turn; d(C n) = C n x small turn
+    each = np.arange(len(moves.first))
+    by_still = np.zeros((len(each), 2, len(n), 3))
+    by_still[each, :, moves.before] += tangent @ turn
+    by_still[each, :, moves.before + 1] -= tangent
+    by_offset = np.zeros((3 * rests + 2 * len(each), len(drift), 3))
+    by_offset[: 3 * rests].reshape(rests, 3, len(drift), 3)[np.arange(rests), :, np.arange(rests)] = np.eye(3)
+    in_moves = by_offset[3 * rests :].reshape(len(each), 2, len(drift), 3)
+    in_moves[each, :, rests + each] = -by_turn @ part[:, 0] @ matrix / size
+    at_rest = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
+    angle = (tangent @ (arrived - n[moves.before + 1])[:, :, None]).ravel()
+    by_sum = tangent @ cross_matrix(arrived) @ matrix  # of the angles by the integral of the readings, in the end frame
+    to_case = np.zeros((3 * rests, 9)), (by_turn @ by_matrix).reshape(-1, 9)
+    by_slope = np.einsum("epa,pb->eab", by_offset, problem.felt).reshape(len(by_offset), -1)
+    return _Rows(
+        rests=3 * rests,
+        misfit=np.concatenate((at_rest.ravel(), angle)),
+        design=np.hstack((np.vstack(to_case), size * by_offset.sum(axis=1), size * by_slope)),
+        by_offset=by_offset,
+        by_still=np.concatenate((np.zeros((3 * rests, len(n), 3)), by_still.reshape(-1, len(n), 3))),
+        clock=by_sum @ problem.slip @ by_sum.transpose(0, 2, 1),
+    )
 
 
-def _sources(problem: _Problem, missed: _Missed, theta: FloatArray) -> dict[str, FloatArray]:
-    """Return the covariance of the missed angles (2 J, 2 J) by source."""
-    moves, offset, (unit, by_model, of_still) = problem.moves, problem.offset, problem.directions
-    count, each = len(moves.first), np.arange(len(moves.first))
-    by_still = np.zeros((count, 2, len(unit), 3))  # of both angles by each direction of gravity
-    by_still[each, :, moves.before] += missed.tangent.transpose(0, 2, 1) @ missed.turn
-    by_still[each, :, moves.before + 1] -= missed.tangent.transpose(0, 2, 1)
-    flat = by_still.reshape(2 * count, -1)
-    stills = np.einsum("ejka,kab->ejkb", by_still, of_still).reshape(2 * count, -1) @ flat.T
-    noise = float((theta[:9].reshape(3, 3) ** 2 @ offset.noise).mean())  # (rad/s)^2 of one sample, mean of the axes
-    readings = np.repeat(noise * moves.duration_s**2 / (moves.last - moves.first), 2)
-    by_accel = flat @ by_model.reshape(-1, 12)
-    drift = np.zeros((2 * count, 2 * count))
-    for column, of_drift, of_g in zip(
-        missed.jacobian[:, 9:].T, offset.drift_covariance, offset.g_covariance, strict=True
-    ):
-        by_g = column[:, None] * np.repeat(problem.felt, 2, axis=0)
-        drift += np.outer(column, column) * np.kron(of_drift, np.ones((2, 2))) + by_g @ of_g @ by_g.T
-    turned = missed.tangent.transpose(0, 2, 1) @ cross_matrix(unit[moves.before + 1]) @ theta[:9].reshape(3, 3)
-    clock = np.zeros((count, 2, count, 2))
-    clock[each, :, each] = turned @ moves.slip @ turned.transpose(0, 2, 1)
+def _of_drift(rows: _Rows, covariance: FloatArray) -> FloatArray:
+    """Return the covariance (E, E) of the rows, from that of the offset in rests and moves (R + J, R + J)."""
+    return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
+
+
+def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, FloatArray]:
+    """Return the stated covariance (E, E) of the rows by source."""
+    from scipy.linalg import block_diag
+
+    moves, (unit, by_model, of_still), rests = problem.moves, problem.directions, rows.rests
+    sample = float(
+        (theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean()
+    )  # (rad/s)^2, mean of the axes
+    readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
+    alike = np.zeros((len(rows.misfit), 3))  # rests lie at one place between two codes; in motion, rounding is noise
+    alike[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
+    of_accel = np.einsum("eka,kap->ep", rows.by_still, by_model)
     sources = {
-        "noise": stills + np.diag(readings + _LEAST_ANGLE**2),
-        "clock": clock.reshape(2 * count, 2 * count),
-        "accelerometer": by_accel @ problem.accel.covariance[:12, :12] @ by_accel.T,
-        "offset": drift,
+        "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, of_still, rows.by_still, optimize=True)
+        + np.diag(np.append(problem.size**2 * problem.variance, readings)),
+        "clock": block_diag(np.zeros((rests, rests)), *rows.clock),
+        "accelerometer": carried(of_accel, problem.accel.covariance[:12, :12]),
+        "adc": alike @ alike.T,
+        "instability": _of_drift(rows, problem.flicker),
     }
     if problem.creep is not None:
-        of_accel, of_gyro = problem.creep
+        accel, gyro = problem.creep
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
-        columns = np.stack([of_accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
-        moved = (
-            -by_model[:, :, 9:, None] * columns[:, None]
-        )  # direction of each still by offset and scale of each sensor
-        by_poses = flat @ moved.reshape(-1, 6)
-        by_scale = (missed.jacobian[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
-        by_moves = of_gyro.scale_per_k * np.repeat(problem.warmth, 2)[:, None] * by_scale
-        sources["temperature"] = by_poses @ by_poses.T + by_moves @ by_moves.T
+        columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
+        by_pose = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -by_model[:, :, 9:], columns, optimize=True)
+        warmth = np.append(np.zeros(rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
+        by_scale = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1) * gyro.scale_per_k * warmth[:, None]
+        by_offset = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
+        slopes = np.hstack((by_pose.reshape(-1, 6), by_scale, by_offset))
+        sources["temperature"] = slopes @ slopes.T
     return sources
 
 
@@ -525,11 +501,10 @@ def _tangent(n: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(n, first)), axis=2)
 
 
-def _check_determined(missed: _Missed, theta: FloatArray) -> None:
-    by_matrix = missed.jacobian[:, :9].reshape(-1, 3, 3)
-    gain = (by_matrix @ theta[:9].reshape(3, 3).T).reshape(
-        -1, 9
-    )  # by E of M = (1 + E) M: rad per unit of relative gain
+def _check_determined(rows: _Rows, theta: FloatArray) -> None:
+    """Raise if a relative gain E of M = (1 + E) M turns gravity in no move."""
+    by_matrix = rows.design[rows.rests :, :9].reshape(-1, 3, 3)
+    gain = (by_matrix @ theta[:9].reshape(3, 3).T).reshape(-1, 9)
     _, singular, right = np.linalg.svd(gain, full_matrices=False)
     singular = singular / np.sqrt(len(gain))
     if singular[-1] < WEAKEST_TURN:
@@ -545,78 +520,56 @@ def _check_determined(missed: _Missed, theta: FloatArray) -> None:
 
 
 def _as_triad(
-    problem: _Problem, fit: GlsFit, missed: _Missed, unit_in: str, codes: FloatArray, saturated: tuple[Finding, ...]
+    problem: _Problem,
+    theta: FloatArray,
+    covariance: FloatArray,
+    rows: _Rows,
+    unit_in: str,
+    saturated: tuple[Finding, ...],
 ) -> TriadFit:
-    if missed.rms_deg > _HOPELESS_DEG:
+    """Return parameters as a fit with its verdict; raise if they cannot be those of this gyroscope."""
+    if rows.rms_deg > HOPELESS_DEG:
         raise PoorFit(
-            f"multi-position gyro: moves end {missed.rms_deg:.0f} deg rms off gravity, wanted {_HOPELESS_DEG:g} deg or less; "
+            f"multi-position gyro: moves end {rows.rms_deg:.0f} deg rms off gravity, wanted {HOPELESS_DEG:g} deg or less; "
             "check that gyro and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
-            rms_angle_deg=missed.rms_deg,
+            rms_angle_deg=rows.rms_deg,
         )
-    moves, rests, matrix, offset = problem.moves, problem.offset, fit.theta[:9].reshape(3, 3), fit.theta[9:]
+    moves, matrix, offset, slope = problem.moves, theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
-    covariance = fit.covariance.copy()
-    covariance[9:, 9:] += np.diag(_change_of_offset(problem))
-    inside = [moves.gyro[a + 1 : b + 1] for a, b in zip(moves.first, moves.last, strict=True)]
+    percent = 100.0 * float(np.sqrt(np.diag(covariance)[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
+    jacobian = np.eye(len(theta))
+    if slope.size:  # G = M H: dG = dM H + M dH
+        jacobian[12:] = np.hstack((np.kron(np.eye(3), slope.T), np.zeros((9, 3)), np.kron(matrix, np.eye(3))))
+    covariance = carried(jacobian, covariance)
+    names = (*MATRIX_NAMES, *OFFSET_NAMES, *(G_NAMES if slope.size else ()))
+    inside = [moves.gyro[first + 1 : last + 1] for first, last in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
-    offset, g, names, covariance = _with_g(rests, matrix, offset, covariance)
-    triad = triad_fit(
-        missed.angle.reshape(-1, 2) / moves.duration_s[:, None],
-        Verdict.of(
-            *_judged(fit, missed),
-            *limited_by_codes("gyroscope", codes, np.diag(covariance)[9:12], unit_in),
-            *saturated,
+    findings = (
+        *above("multi_position.residual", rows.rms_deg, MISS_DEG, rms=rows.rms_deg, unit="deg", what="Moves"),
+        *above(
+            "multi_position.uncertainty", percent, UNCERTAIN_PERCENT, size=percent, unit="%", what="Gyroscope matrix"
         ),
+        *limited_by_codes("gyroscope", problem.codes, np.diag(covariance)[9:12], unit_in),
+        *saturated,
+    )
+    triad = triad_fit(
+        rows.misfit[rows.rests :].reshape(-1, 2) / moves.duration_s[:, None],
+        Verdict.of(*findings),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",
         matrix=matrix,
         offset=offset,
-        g_sensitivity=g,
+        g_sensitivity=matrix @ slope if slope.size else None,
         parameters=names,
         covariance=covariance,
         rank=len(names),
-        condition=scaled_condition(missed.jacobian[:, :9])[1],
+        condition=scaled_condition(rows.design[rows.rests :, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
     check_own_scale(triad.model.scale_factor, unit_in, "rate", TOLERANCE, "gyro", sample_rate_hz=rate_hz)
     return triad
-
-
-def _change_of_offset(problem: _Problem) -> FloatArray:
-    """Return the variance (3,) by which the offset changes over the moves: one offset stands for all of the session."""
-    change, known, warmth = problem.offset.drift, np.zeros(3), problem.warmth[:, None]
-    if warmth.any():  # the offset is that at the reference temperature
-        change = change - warmth @ np.linalg.pinv(warmth) @ change
-        known = np.diagonal(problem.offset.drift_covariance, axis1=1, axis2=2).mean(axis=1)
-    return np.asarray(np.maximum((change**2).mean(axis=0) - known, 0.0))
-
-
-def _with_g(
-    rests: RestOffsets, matrix: FloatArray, offset: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray | None, tuple[str, ...], FloatArray]:
-    """Return the offset under no force, G, the names of all parameters and their covariance; of a fit under the mean force.
-
-    b = b_f - H f, G = M H: db = db_f - dH f, dG = dM H + M dH.
-    """
-    from scipy.linalg import block_diag
-
-    names = (*MATRIX_NAMES, *OFFSET_NAMES)
-    if rests.g is None:
-        return offset, None, names, covariance
-    jacobian = np.eye(21)
-    jacobian[9:12, 12:] = -np.kron(np.eye(3), rests.force)
-    jacobian[12:, :9], jacobian[12:, 12:] = np.kron(np.eye(3), rests.g.T), np.kron(matrix, np.eye(3))
-    total = jacobian @ block_diag(covariance, *rests.g_covariance) @ jacobian.T
-    return offset - rests.g @ rests.force, matrix @ rests.g, (*names, *G_NAMES), total
-
-
-def _judged(fit: GlsFit, missed: _Missed) -> Iterator[Finding]:
-    matrix = fit.theta[:9].reshape(3, 3)
-    percent = 100.0 * float(np.sqrt(np.diag(fit.covariance)[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
-    yield from above("multi_position.moves_miss", missed.rms_deg, MISS_DEG, rms_deg=missed.rms_deg)
-    yield from above("multi_position.gyro_uncertainty", percent, UNCERTAIN_PERCENT, uncertainty_percent=percent)
 
 
 # ---- from a session

@@ -4,8 +4,9 @@
 
 N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. Their squares are fitted to
 the overlapping variances at octaves of tau by non-negative least squares. A variance weighs by its degrees of freedom, and counts
-half: octaves share their readings, so that all together know no more than the shortest, 1/2 + 1/4 + 1/8 + ... = 1.
-A coefficient whose square is less than two standard errors above zero is not observable and has an upper limit only.
+half: octaves share their readings, so that all together know no more than the shortest, 1/2 + 1/4 + 1/8 + ... = 1. Long averages of
+slow noise share more, and count less. A coefficient whose square is less than two standard errors above zero is not observable and
+has an upper limit only.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from undrift.arrays import FloatArray, frozen
+from undrift.arrays import FloatArray, IntArray, frozen
 from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, finding
@@ -30,12 +31,9 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_
 #
 #     sigma^2 = mean D2(x)^2 / (2 tau^2)        over every k whose 2 m samples are all present
 #
-# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom, which depend on the kind of
-# noise [1]_. The slope of the curve at tau determines the kind. With gaps, the degrees of freedom are those of a record without
-# gaps that has as many second differences.
-#
-# .. [1] D. A. Howe, D. W. Allan, J. A. Barnes, "Properties of signal sources and measurement methods", 35th Annual Frequency
-#    Control Symposium, 1981; also W. J. Riley, "Handbook of frequency stability analysis", NIST SP 1065, 2008, section 5.4.1.
+# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom, by the kind of noise, which
+# shows in the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement methods", 1981; Riley,
+# NIST SP 1065, 2008, section 5.4.1). With gaps, they are those of a record without gaps that has as many second differences.
 
 LEAST_AVERAGES = 30  # averages from which the slope determines the kind of noise
 
@@ -87,7 +85,12 @@ def allan_deviation(
         )
     m, terms, square = np.array(rows).T
     variance = 0.5 * square / m**2
-    edf = _degrees_of_freedom(terms + 2.0 * m, m, _slope(m, variance, terms))
+    slope = np.full(len(m), -1.0)  # d log sigma^2 / d log tau; few averages take over the slope before them
+    if len(m) > 1:
+        slope = np.gradient(np.log(np.maximum(variance, 1e-300)), np.log(m))
+        last = max(1, int((terms >= LEAST_AVERAGES * m).sum()))
+        slope[last:] = slope[last - 1]
+    edf = _degrees_of_freedom(terms + 2.0 * m, m, slope)
     low, high = _interval_factors(edf, confidence)
     deviation = np.sqrt(variance)
     return AllanDeviation(
@@ -95,17 +98,8 @@ def allan_deviation(
     )
 
 
-def _slope(m: FloatArray, variance: FloatArray, terms: FloatArray) -> FloatArray:
-    """Return d log sigma^2 / d log tau; few averages do not determine it and take over the slope before them."""
-    if len(m) < 2:
-        return -np.ones(1)
-    slope = np.gradient(np.log(np.maximum(variance, 1e-300)), np.log(m))
-    last = max(1, int((terms >= LEAST_AVERAGES * m).sum()))
-    return np.concatenate((slope[:last], np.full(len(m) - last, slope[last - 1])))
-
-
 def _degrees_of_freedom(n: FloatArray, m: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return the equivalent degrees of freedom of n phases at averages of m samples, by the kind of noise [1]."""
+    """Return the equivalent degrees of freedom of n phases at averages of m samples, by the kind of noise."""
     white_phase = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
     white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
     flicker = np.where(m > 1.0, 1.25 * n**2 / (m * (n + 3.0 * m)), 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9))
@@ -132,15 +126,15 @@ TERMS = {  # an accelerometer has other terms for the same slopes
 }
 _ROWS = ("quantization", *_NAMES)  # order of the coefficients in the fit
 _UNITS = (" s", "/sqrt(Hz)", "", "/sqrt(s)")
-OBSERVABLE, UPPER = (
-    2.0,
-    3.0,
-)  # standard errors of a square: least value that is observable; upper limit of one that is not
+OBSERVABLE, UPPER = 2.0, 5.0  # standard errors of a square: least that is observable; upper limit of one that is not
+SHARED, SHARED_LONG, FEW = 2.0, 3.5, 100.0  # variances count 1 / SHARED; 1 / SHARED_LONG below FEW degrees of freedom
 SHORTEST = 64  # samples
 LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
 MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
 ROUNDS = 6  # of the fit: its weights follow from the model
 DEPARTURE = 0.1  # of the variance: a curve farther off the model than this is a finding
+USUAL_WALK = (3e-4, 0.2)  # deg/s/sqrt(Hz), of boards, from the best to the oldest
+LEAST_HZ = 0.5  # noise of a board is recorded faster
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,37 +161,21 @@ class AxisNoise:
 
     def terms(self, taus_s: FloatArray) -> dict[str, FloatArray]:
         """Return the observable terms of the Allan variance, by name."""
-        return {
-            name: np.nan_to_num(getattr(self, name).value) ** 2 * shape
-            for name, shape in zip(_ROWS, _shapes(taus_s).T, strict=True)
-        }
+        shapes = zip(_ROWS, _shapes(taus_s).T, strict=True)
+        return {name: np.nan_to_num(getattr(self, name).value) ** 2 * shape for name, shape in shapes}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseFit(Shown):
-    """Noise of a device at rest.
+    """Noise of a device at rest."""
 
-    Parameters
-    ----------
-    gyro, accel : tuple of AxisNoise
-        Three axes; empty if the record has no such triad.
-    gyro_unit, accel_unit : str
-        rad/s and m/s2, or the unit of the readings if it is not a physical one.
-    duration_s : float
-        Length of the record, s.
-    confidence : float
-        Probability of the intervals.
-    verdict : Verdict
-        Which terms are not observable, and how long to record.
-    """
-
-    gyro: tuple[AxisNoise, ...]
+    gyro: tuple[AxisNoise, ...]  # three axes; empty if the record has no such triad
     accel: tuple[AxisNoise, ...]
-    gyro_unit: str
+    gyro_unit: str  # rad/s and m/s2, or the unit of the readings if it is not a physical one
     accel_unit: str
     duration_s: float
-    confidence: float
-    verdict: Verdict
+    confidence: float  # probability of the intervals
+    verdict: Verdict  # terms that are not observable, and how long to record
 
     def _rows(self) -> dict[str, str]:
         rows = {"record": f"{self.duration_s:.4g} s"}
@@ -226,25 +204,10 @@ class NoiseFit(Shown):
 
 
 def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
-    """Fit noise coefficients to a device at rest; model and weights are in the docstring of the module.
+    """Fit noise coefficients to a device at rest throughout; model and weights are in the docstring of the module.
 
-    Parameters
-    ----------
-    record : Record
-        At rest throughout. Drop-outs and gaps (NaN) are allowed: an average that spans a gap does not count, so that the longest
-        averaging time is that of the stretches between gaps.
-    confidence : float
-        Probability of the intervals, between 0 and 1.
-
-    Returns
-    -------
-    NoiseFit
-        In SI if the unit of the record is physical, otherwise in its own unit.
-
-    Raises
-    ------
-    InputError
-        Fewer than 64 samples, uneven time, a channel that never changes, or motion.
+    Drop-outs and gaps (NaN) are allowed: an average that spans one does not count. ``confidence`` is the probability of the
+    intervals. Raises ``InputError`` for fewer than 64 samples, uneven time, a channel that never changes, or motion.
 
     Examples
     --------
@@ -277,22 +240,23 @@ def _fit_triad(record: Record, quantity: Quantity, confidence: float) -> tuple[A
     values, unit = getattr(record, name), getattr(record, f"{name}_unit")
     if values is None:
         return ()
-    places, whole, physical = _places(record), np.isfinite(values).all(axis=1), is_physical(unit)
+    places, whole = _places(record), np.isfinite(values).all(axis=1)
     if whole.sum() < SHORTEST:
         raise InputError(
             f"noise: wanted {SHORTEST} {name} readings or more, got {int(whole.sum())} beside {int((~whole).sum())} gaps (NaN); "
             "record longer"
         )
+    at_rest = values[whole] * (si_factor(unit, quantity) if is_physical(unit) else 1.0)
+    _check_rest(at_rest, record.time[whole], record.sample_rate_hz, quantity, physical=is_physical(unit))
     readings = np.full((int(places[-1]) + 1, 3), np.nan)  # on an even clock
-    readings[places[whole]] = values[whole] * (si_factor(unit, quantity) if physical else 1.0)
-    _check_rest(readings[places[whole]], record.time[whole], record.sample_rate_hz, quantity, physical=physical)
+    readings[places[whole]] = at_rest
     curves = [allan_deviation(column, record.sample_rate_hz, confidence=confidence) for column in readings.T]
     return tuple(
         _fit_axis(curve, axis, _unit(unit, quantity), confidence) for curve, axis in zip(curves, AXES, strict=True)
     )
 
 
-def _places(record: Record) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _places(record: Record) -> IntArray:
     """Return the place of each sample (N,) on an even clock with drop-outs."""
     steps = np.diff(record.time) * record.sample_rate_hz
     over = steps > 1.5
@@ -336,35 +300,29 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
     from scipy.optimize import nnls
 
     measured, shapes, own = curve.deviation**2, _shapes(curve.taus_s), 2.0 / curve.edf  # own variance over the square
+    shared = np.where(curve.edf < FEW, SHARED_LONG, SHARED) * own
     model, departure = measured, 0.0
     for _ in range(ROUNDS):
-        rows = shapes / (model * np.sqrt(2.0 * own + departure))[:, None]
+        spread = model * np.sqrt(shared + departure)
+        rows = shapes / spread[:, None]
         size = np.linalg.norm(rows, axis=0)
-        squares = nnls(rows / size, measured / (model * np.sqrt(2.0 * own + departure)))[0] / size
+        squares = nnls(rows / size, measured / spread)[0] / size
         model = np.maximum(shapes @ squares, 1e-3 * measured)
-        departure = excess_variance(measured / model - 1.0, own, float(len(measured) - np.count_nonzero(squares)))
+        departure = excess_variance(np.log(measured / model), own, float(len(measured) - np.count_nonzero(squares)))
     errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # with all terms free
-    observable = squares > OBSERVABLE * errors
-    value = np.where(observable, np.sqrt(squares), np.nan)
+    observable, value = squares > OBSERVABLE * errors, np.sqrt(squares)
     low, high = _interval_factors(2.0 * np.where(observable, squares / errors, 1.0) ** 2, confidence)
-    low, high = (
-        np.where(observable, value * low, 0.0),
-        np.where(observable, value * high, np.sqrt(squares + UPPER * errors)),
-    )
+    high = np.where(observable, value * high, np.sqrt(squares + UPPER * errors))
     coefficients = {
         name: NoiseCoefficient(
-            value=float(value[k]),
-            interval=(float(low[k]), float(high[k])),
+            value=float(value[k]) if observable[k] else np.nan,
+            interval=(float(value[k] * low[k]) if observable[k] else 0.0, float(high[k])),
             unit=unit + _UNITS[k],
             reason="" if observable[k] else f"not observable in averages up to {curve.taus_s[-1]:.3g} s; record longer",
         )
         for k, name in enumerate(_ROWS)
     }
     return AxisNoise(axis=axis, curve=curve, model_error=float(np.sqrt(departure)), **coefficients)
-
-
-USUAL_WALK = (3e-4, 0.2)  # deg/s/sqrt(Hz), of boards, from the best to the oldest
-LEAST_HZ = 0.5  # noise of a board is recorded faster
 
 
 def _unit_findings(record: Record, gyro: tuple[AxisNoise, ...]) -> Iterator[Finding]:

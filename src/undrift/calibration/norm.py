@@ -14,17 +14,17 @@ Gauss-Newton, each step by generalised least squares (fit/gls.py): with n the di
 The sources of error are the noise of the mean readings, the temperature creep, and an excess variance for poses in which the device
 moved. Poses on the faces do not determine cross-axis terms: each has a prior, 0 +- sd.
 
-A real sensor also has a quadratic term: it reads q y^2 more, y along its axis, q ~ N(0, s_q^2). The term is a source of
-uncertainty. It is not estimated, since a prior for it costs accuracy on a linear sensor. With N the lengths that q changes, G the
-gains of the fit, V the covariance of the lengths, and L = N - X G N what the parameters cannot absorb of them, its share is the
-mean square of G N q for the residuals r at hand:
+A real sensor also reads q y^2 more, y along its axis, q ~ N(0, s_q^2). The term is a source of uncertainty. It is not estimated,
+since a prior for it costs accuracy on a linear sensor. With N the lengths that q changes, G the gains of the fit, V the covariance
+of the lengths, and L = N - X G N what the parameters cannot absorb of them, its share is the mean square of G N q for the
+residuals r:
 
     G N (C + m m') N' G'   C = (L' V^-1 L + I / s_q^2)^-1,   m = C L' V^-1 r
 
 If C + m m' is larger than s_q^2, it replaces s_q^2 (expectation maximisation).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,22 +34,27 @@ from undrift.calibration.plausibility import check_gravity, check_own_scale
 from undrift.calibration.sources import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
-from undrift.fit.gls import GlsFit, Prior, solve
+from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.triad import TriadFit, parameter_names, scaled_condition, triad_fit
-from undrift.model import AXES, Verdict
+from undrift.model import AXES, Budget, Verdict
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
-WEAKEST = 0.02  # rms change of length, in g, per unit of a determined parameter; random poses reach 0.25
 CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
+SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # place of each p among m_xx .. m_zz, offset_x ..
+WEAKEST = 0.02  # rms change of length, in g, per unit of a determined parameter; random poses reach 0.25
 PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
 KEPT = 0.3  # of the prior deviation of a cross-axis term: above it the poses did not determine the term
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
 MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0  # of the descent; relative step; parameters beyond which it runs away
 SIZE_ROUNDS = 20  # of the size of quadratic terms
 ROUNDING = 1e-9  # of gravity: deviation that every length has at least
+TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
+MG = STANDARD_GRAVITY * 1e-3
+RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
+UNCERTAIN_MG = (2.0, 20.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,12 +64,16 @@ class NormFit:
     center: FloatArray  # (3,), c, raw unit
     scale: float  # k, m/s2 per raw unit
     p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
-    covariance: FloatArray  # (9, 9), of p; zeros for terms that were not fitted
-    quadratic: FloatArray  # (9, 9), share of the covariance that quadratic terms contribute
+    budget: Mapping[str, FloatArray]  # covariance (9, 9) of p by source; zeros for terms that were not fitted
     residuals: FloatArray  # (K,), length minus gravity, m/s2
     condition: float  # condition number of the design, columns scaled to one
     gravity: float  # m/s2
     prior_sd: float | None  # standard deviation of each cross-axis term before the fit, 1
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of p, shape (9, 9)."""
+        return np.asarray(np.sum([*self.budget.values()], axis=0))
 
     @property
     def matrix(self) -> FloatArray:
@@ -79,24 +88,14 @@ class NormFit:
     @property
     def kept(self) -> tuple[str, ...]:
         """Cross-axis terms that keep their prior."""
-        if self.prior_sd is None:
-            return ()
-        return tuple(NAMES[i] for i in CROSS if self.covariance[i, i] > (KEPT * self.prior_sd) ** 2)
+        least = np.inf if self.prior_sd is None else (KEPT * self.prior_sd) ** 2
+        return tuple(NAMES[i] for i in CROSS if self.covariance[i, i] > least)
 
     @property
     def uncertainty(self) -> float:
         """Standard uncertainty of a corrected reading of gravity, root mean square over all directions, m/s2."""
-        return _of_reading(self.covariance, self.gravity)
-
-    @property
-    def quadratic_uncertainty(self) -> float:
-        """Part of ``uncertainty`` that quadratic terms contribute, m/s2."""
-        return _of_reading(self.quadratic, self.gravity)
-
-
-def _of_reading(covariance: FloatArray, gravity: float) -> float:
-    variance = np.diag(covariance)
-    return float(np.sqrt(gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum()))
+        variance = np.diag(self.covariance)
+        return float(np.sqrt(self.gravity**2 / 3.0 * variance[:6].sum() + variance[6:].sum()))
 
 
 def fit_norm(
@@ -126,33 +125,27 @@ def fit_norm(
     known[CROSS] = 0.0 if prior_sd is None else prior_sd**-2
     prior = Prior(mean=np.zeros(len(free)), precision=np.diag(known[free]))
     p = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    _check_determined(v, p, free, gravity, with_prior=prior_sd is not None)
+    condition = _check_determined(v, p, free, gravity, with_prior=prior_sd is not None)
+    hand = {"repeatability": np.ones(len(v))}
     for _ in range(MOST_STEPS):
         design, residuals = _linearised(v, p, gravity)
         sources = _sources(v, p, design, noise, creep, gravity)
         try:
-            fit = solve(
-                design[:, free],
-                design[:, free] @ p[free] - residuals,
-                sources,
-                excess={"hand": np.ones(len(v))},
-                prior=prior,
-            )
+            fit = solve(design[:, free], design[:, free] @ p[free] - residuals, sources, excess=hand, prior=prior)
         except (np.linalg.LinAlgError, ValueError):  # the descent ran away
             break
         step = np.abs((fit.theta - p[free]) / size).max()
         p[free] = fit.theta
         if step < CONVERGED:
-            condition = _check_determined(v, p, free, gravity, with_prior=prior_sd is not None)
-            covariance, quadratic = np.zeros((2, 9, 9))
-            quadratic[np.ix_(free, free)] = _quadratic_share(v, p, free, fit, sources, quadratic_sd)
-            covariance[np.ix_(free, free)] = fit.covariance
+            parts = {**fit.budget, "nonlinearity": _quadratic_share(v, p, design, free, fit, quadratic_sd)}
+            budget = {name: np.zeros((9, 9)) for name in parts}
+            for name, part in parts.items():
+                budget[name][np.ix_(free, free)] = part
             return NormFit(
                 center=center,
                 scale=scale,
                 p=p,
-                covariance=covariance + quadratic,
-                quadratic=quadratic,
+                budget=budget,
                 residuals=_linearised(v, p, gravity)[1],
                 condition=condition,
                 gravity=gravity,
@@ -180,28 +173,24 @@ def _sources(
 
 
 def _quadratic_share(
-    v: FloatArray, p: FloatArray, free: IntArray, fit: GlsFit, sources: dict[str, FloatArray], sd: float
+    v: FloatArray, p: FloatArray, design: FloatArray, free: IntArray, fit: GlsFit, sd: float
 ) -> FloatArray:
     """Return what quadratic terms contribute to the covariance (F, F) of the free parameters."""
-    design, _ = _linearised(v, p, 0.0)
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # of each sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
-    carried = fit.gains @ lengths
-    left = lengths - design[:, free] @ carried
-    total = np.diag(np.full(len(v), fit.excess_bound("hand")))
-    for part in sources.values():
-        total = total + (np.diag(part) if part.ndim == 1 else part)
-    weighted = np.linalg.solve(total, left)
+    absorbed = fit.gains @ lengths
+    left = lengths - design[:, free] @ absorbed
+    weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), left)
     size = 1.0
     for _ in range(SIZE_ROUNDS):  # the residuals may show larger terms than stated
         uncertain = np.linalg.inv(left.T @ weighted + np.eye(3) / size**2)
         mean = uncertain @ (weighted.T @ fit.residuals)
         size = max(1.0, float(np.sqrt(np.mean(mean**2 + np.diag(uncertain)))))
-    return np.asarray(carried @ (uncertain + np.outer(mean, mean)) @ carried.T)
+    return carried(absorbed, uncertain + np.outer(mean, mean))
 
 
 def _check_determined(v: FloatArray, p: FloatArray, free: IntArray, gravity: float, *, with_prior: bool) -> float:
-    """Return the condition number of the design, or raise if a combination of parameters changes no length."""
+    """Return the condition number of the design; raise if a combination of parameters changes no length."""
     size, count = np.array([gravity] * 6 + [1.0] * 3), len(v)
     known = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
     design = np.vstack((_linearised(v, p, gravity)[0], known))[:, free]
@@ -237,15 +226,6 @@ def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArra
 
 # ---- a solution as a fit with its verdict
 
-SEEN = np.array(
-    [0, 1, 2, 4, 5, 8, 9, 10, 11]
-)  # of m_xx .. m_zz, offset_x ..: those that the length of gravity determines
-TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
-MG = STANDARD_GRAVITY * 1e-3
-RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
-UNCERTAIN_MG = (2.0, 20.0)
-QUADRATIC_MG = 0.5  # uncertainty from quadratic terms, above which more poses help
-
 
 def check_count(reading: FloatArray, wanted: int) -> None:
     """Raise unless there are enough different poses."""
@@ -267,6 +247,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     corrected = (reading - fit.offset) @ fit.matrix.T
     carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
     carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
+    covariance = carried(carry, fit.covariance)
     triad = triad_fit(
         fit.residuals,
         Verdict.of(*_judged(fit, corrected)),
@@ -275,7 +256,8 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         unit_out="m/s2",
         matrix=fit.matrix,
         offset=fit.offset,
-        covariance=carry @ fit.covariance @ carry.T,
+        covariance=covariance,
+        budget=Budget.of(covariance, {n: np.diag(carried(carry, part)) for n, part in fit.budget.items()}, "noise"),
         rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.kept),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
@@ -286,18 +268,15 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
     rms_mg, sigma = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
-    yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms_mg=rms_mg)
-    yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, uncertainty_mg=sigma)
-    if (bent := fit.quadratic_uncertainty / MG) > QUADRATIC_MG:
-        yield finding("quadratic.unseen", "info", size_mg=bent)
+    yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms=rms_mg, unit="mg", what="Poses")
+    yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Corrected gravity")
     if fit.prior_sd is not None and fit.kept:
-        after = np.sqrt([fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept])
         yield finding(
             "multi_position.cross_axis_prior",
             "warn",
             terms=parameter_names(fit.kept),
             prior_percent=100.0 * fit.prior_sd,
-            uncertainty_percent=100.0 * after,
+            uncertainty_percent=100.0 * np.sqrt([fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept]),
             advice=_advice(corrected, fit.kept),
         )
 
