@@ -271,7 +271,7 @@ class _Problem:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class _MoveRows:
     """Rows (E,) of the fit, linearised."""
 
     rests: int  # rows of the rests; those of the moves follow
@@ -377,7 +377,7 @@ def _observed(
 
 def _descend(
     problem: _Problem, matrix: FloatArray, turns: TriadParameters | None
-) -> tuple[FloatArray, FloatArray, _Rows]:
+) -> tuple[FloatArray, FloatArray, _MoveRows]:
     """Return parameters and covariance by Gauss-Newton, and the rows there; turns join the result at its end.
 
     In the descent, turns have little weight: if they contradict the moves, they must not enlarge the excess of the moves.
@@ -424,7 +424,7 @@ def _with_turns(fit: GlsFit, turns: TriadParameters | None) -> tuple[FloatArray,
     return fit.theta + gain @ (turns.theta[:9] - fit.theta[:9]), fit.covariance - gain @ of_matrix.T
 
 
-def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _Rows:
+def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     """Return the rows of rests and moves; drift (R + J, 3) of the offset in each, rad/s."""
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
@@ -446,7 +446,7 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _Rows:
     by_sum = tangent @ cross_matrix(arrived) @ matrix  # of the angles by the integral of the readings, in the end frame
     to_case = np.zeros((3 * rests, 9)), (by_turn @ by_matrix).reshape(-1, 9)
     by_slope = np.einsum("epa,pb->eab", by_offset, problem.felt).reshape(len(by_offset), -1)
-    return _Rows(
+    return _MoveRows(
         rests=3 * rests,
         misfit=np.concatenate((at_rest.ravel(), angle)),
         design=np.hstack((np.vstack(to_case), size * by_offset.sum(axis=1), size * by_slope)),
@@ -456,12 +456,12 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _Rows:
     )
 
 
-def _of_drift(rows: _Rows, covariance: FloatArray) -> FloatArray:
+def _of_drift(rows: _MoveRows, covariance: FloatArray) -> FloatArray:
     """Return the covariance (E, E) of the rows, from that of the offset in rests and moves (R + J, R + J)."""
     return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
 
 
-def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, FloatArray]:
+def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str, FloatArray]:
     """Return the stated covariance (E, E) of the rows by source."""
     from scipy.linalg import block_diag
 
@@ -501,7 +501,7 @@ def _tangent(n: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(n, first)), axis=2)
 
 
-def _check_determined(rows: _Rows, theta: FloatArray) -> None:
+def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
     """Raise if a relative gain E of M = (1 + E) M turns gravity in no move."""
     by_matrix = rows.design[rows.rests :, :9].reshape(-1, 3, 3)
     gain = (by_matrix @ theta[:9].reshape(3, 3).T).reshape(-1, 9)
@@ -523,7 +523,7 @@ def _as_triad(
     problem: _Problem,
     theta: FloatArray,
     covariance: FloatArray,
-    rows: _Rows,
+    rows: _MoveRows,
     unit_in: str,
     saturated: tuple[Finding, ...],
 ) -> TriadFit:

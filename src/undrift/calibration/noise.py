@@ -204,10 +204,16 @@ class NoiseFit(Shown):
 
 
 def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
-    """Fit noise coefficients to a device at rest throughout; model and weights are in the docstring of the module.
+    """Fit noise coefficients to a device at rest; model and weights are in the docstring of the module.
 
-    Drop-outs and gaps (NaN) are allowed: an average that spans one does not count. ``confidence`` is the probability of the
-    intervals. Raises ``InputError`` for fewer than 64 samples, uneven time, a channel that never changes, or motion.
+    Raises ``InputError`` for fewer than 64 samples, uneven time, a channel that never changes, or motion.
+
+    Parameters
+    ----------
+    record : Record
+        At rest throughout. Drop-outs and gaps (NaN) are allowed: an average that spans one does not count.
+    confidence : float
+        Probability of the intervals, between 0 and 1.
 
     Examples
     --------
