@@ -179,7 +179,7 @@ def test_the_header_says_the_unit_of_a_triad_without_a_model():
     exported = export_c(device(accel=None), ExportOptions(accel_unit="g"))
     assert "accelerometers have no model, so accel_raw is read in g, with nominal values" in exported.notes
     assert "accel_raw: g, temperatures without a table" in exported.header
-    assert "accel_raw is taken as m/s2" in export_c(device(accel=None)).header
+    assert "accel_raw is read in m/s2" in export_c(device(accel=None)).header
     exported = export_c(device(gyro=None))
     assert "gyroscopes have no model, so gyro_raw is read in rad/s, with nominal values" in exported.notes
     with pytest.raises(InputError, match=r"accel .*unit count, got g"):

@@ -125,7 +125,7 @@ def test_a_warm_up_without_offsets_over_temperature_is_carried_too(tmp_path):
 def test_a_warm_up_with_gaps_is_refused():
     drift = tables()
     for change, said in (
-        ({"power_on_s": [0.0, 600.0], "gyro_offset": [[np.nan] * 3, EXTRA[-1]]}, "model of the gyro, got 3 NaN"),
+        ({"power_on_s": [0.0, 600.0], "gyro_offset": [[np.nan] * 3, EXTRA[-1]]}, "gyro contains 3 NaN"),
     ):
         static = replace(drift.static, warm_up=WarmUp(**change))
         with pytest.raises(InputError, match=said):

@@ -1,8 +1,8 @@
-"""Errors of a bench: its table, its faces and the hands of the operator; and their draws.
+"""Errors of a bench (table, faces and hands of the operator) and their random draws.
 
-One list serves motions sample by sample (``sim.motion.bench``), means dwell by dwell (``sim.table_sessions``) and the study's
-plan. All is drawn from standard normal numbers and from uniform ones, so that benches of one state err alike, whatever the size
-of the errors: a dwell has the same draws in every session that has it.
+They are used for motions sample by sample (``sim.motion.bench``), for means dwell by dwell (``sim.table_sessions``) and for the
+study's plan. All draws are standard normal or uniform numbers, which are then scaled. So a dwell has the same draws in every
+session, for any size of the errors.
 """
 
 from collections.abc import Sequence
@@ -23,58 +23,58 @@ OF_TABLE = (
 )  # fmt: skip
 
 
-@stored(keys=OF_TABLE)  # of [study.bench]
+@stored(keys=OF_TABLE)  # keys of [study.bench]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchErrors:
-    """Standard deviations of what a bench does wrong; all zero is an ideal one."""
+    """Standard deviations of the errors of a bench. With zeros, the bench is ideal."""
 
-    # Of each face against level, about each axis, rad
+    # tilt of each face, about each axis, rad
     face_tilt: Annotated[float, Ge(0.0), Key("face_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    hand_axis: float = 0.0  # Of the axis of a turn by hand, about each axis across it, rad
-    # Of the device against the rig, about each axis, rad; each mounting anew
+    hand_axis: float = 0.0  # tilt of the axis of a turn by hand, about each perpendicular axis, rad
+    # misalignment of the device on the rig, about each axis, rad, drawn for each mounting
     mount_tilt: Annotated[float, Ge(0.0), Key("mount_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    # Of the rig's axis against the vertical, about each horizontal axis, rad; one rig, one draw
+    # tilt of the rig's axis from the vertical, about each horizontal axis, rad, drawn once per rig
     level: Annotated[float, Ge(0.0), Key("level_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    # Of a table's axis from dwell to dwell, or a plane's from angle to angle, about each axis, rad
+    # wobble of the table's axis between dwells, or of a plane between angles, about each axis, rad
     wobble: Annotated[float, Ge(0.0), Key("wobble_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    # Of the true rate or frequency against the stated one, relative; one rig, one draw
+    # relative error of rate or frequency, drawn once per rig
     table_rate: Annotated[float, Ge(0.0), Key("table_rate_percent", unit=0.01)] = 0.0
-    ripple: float = 0.0  # Of the rate once a turn, amplitude, relative
-    excess: float = 0.0  # Of the rate at the start of a dwell, relative; a transient
-    settle_s: float = 0.5  # Time constant of that transient, s
-    # Of the angle turned in a dwell against the commanded one, rad
+    ripple: float = 0.0  # relative amplitude of a rate error with the period of a turn
+    excess: float = 0.0  # relative transient error of the rate at the start of a dwell
+    settle_s: float = 0.5  # time constant of that transient, s
+    # error of the angle turned in a dwell, rad
     servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    encoder_lines: Annotated[int, Ge(0)] = 0  # Of the table's encoder, four counts a line; 0 reads rates without steps
+    encoder_lines: Annotated[int, Ge(0)] = 0  # lines of the table's encoder, four counts each (0: rates without steps)
 
 
 IDEAL = BenchErrors()
 
 
-# ---- sample by sample: named streams
+# ---- Draws sample by sample, from named streams.
 
 
 def level_of(errors: BenchErrors, streams: Streams) -> FloatArray:
-    """Return by how much a rig is off level, as a turn in n, (4,)."""
+    """Return the tilt of a rig from level, as a quaternion in n, (4,)."""
     level_n = np.array([*streams.of("bearing").normal(0.0, errors.level, 2), 0.0])
     size = float(np.linalg.norm(level_n))
     return turn_quaternion(np.cross(level_n, [0.0, 0.0, 1.0]) / (size or 1.0), np.array(size))
 
 
 def gain_of(errors: BenchErrors, streams: Streams) -> float:
-    """Return true over stated rate or frequency of a rig."""
+    """Return the ratio of true to nominal rate or frequency of a rig."""
     return 1.0 + float(streams.of("motor").normal(0.0, errors.table_rate))
 
 
-# ---- dwell by dwell: the same numbers for every session
+# ---- Draws dwell by dwell, the same for every session.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchDraws:
-    """Numbers by which a bench errs, the same for every session on it: U kinds of dwells."""
+    """Random numbers of a bench, the same for all its sessions, with U kinds of dwells."""
 
-    mount: FloatArray  # (3, 3), normal, by the axis that is up
+    mount: FloatArray  # (3, 3), normal, with a row per axis that is up
     level: FloatArray  # (2,), normal
-    clock: float  # Normal
+    clock: float  # normal
     face: FloatArray  # (6, 3), normal
     wobble: FloatArray  # (U, 3), normal
     servo: FloatArray  # (U,), normal
@@ -82,9 +82,9 @@ class BenchDraws:
 
 
 def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> BenchDraws:
-    """Draw a bench; each size of rate has a generator of its own, so that it meets the same draws beside any others."""
-    drawn = [(each.standard_normal((6, 4)), each.uniform(size=(6, 2))) for each in turns]
-    normals, start = (np.concatenate(part) for part in zip(*drawn, strict=True))
+    """Draw a bench. Each rate has its own generator, so that its draws do not depend on the other rates."""
+    draws = [(generator.standard_normal((6, 4)), generator.uniform(size=(6, 2))) for generator in turns]
+    normals, start = (np.concatenate(arrays) for arrays in zip(*draws, strict=True))
     return BenchDraws(  # in the order of the draws
         mount=rng.standard_normal((3, 3)),
         level=rng.standard_normal(2),

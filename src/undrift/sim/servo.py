@@ -1,4 +1,4 @@
-"""Servo: the note's motor, amplifier, encoder and sampled position loop, and the moves that it follows.
+"""Servo of the note: motor, amplifier, encoder, sampled position loop and moves.
 
 ::
 
@@ -31,7 +31,7 @@ class ServoSettings:
     inertia: float = 2.0e-4  # J of motor and table, kg m2
     resistance: float = 2.0  # R of the winding, ohm
     amplifier_gain: float = 4.0  # Ka, A/V
-    supply_voltage: float = 12.0  # Of the amplifier, either way, V
+    supply_voltage: float = 12.0  # supply voltage of the amplifier, positive and negative, V
     encoder_lines: int = 10_000  # N
     period_s: float = 1.0e-4  # Between samples, s
     gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, as a controller takes them
@@ -48,7 +48,7 @@ class ServoSettings:
 
 
 class Servo:
-    """One shaft with its loop, brought up to a moment when someone looks; at rest at the start, with its motor off."""
+    """A shaft with its control loop, which advances when it is read. It starts at rest with the motor off."""
 
     def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
         self.settings, self.powered = settings, False
@@ -67,12 +67,12 @@ class Servo:
 
     @property
     def time(self) -> float:
-        """How far it is, s."""
+        """Current simulation time, s."""
         return float(self._state[SAMPLES]) * self.settings.period_s
 
     @property
     def count(self) -> int:
-        """What the encoder counts, from the start."""
+        """Counts of the encoder since the start."""
         return math.floor(float(self._state[ANGLE]) * self.settings.counts_per_rad)
 
     @property
@@ -86,7 +86,7 @@ class Servo:
         return float(self._state[ERROR])
 
     def advance(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Go on to a moment or little beyond; return the moments and angles on the way, (n,) s and rad."""
+        """Advance to a time or slightly beyond. Return the times (n,), s, and angles (n,), rad, of the steps."""
         count = max(math.ceil((time - self.time) / self.step_s - 1e-6), 0)
         times, angles = self.time + self.step_s * np.arange(1, count + 1), np.empty(count)
         servo(self._state, self._loop, self.powered, self._profile, self._stride, angles)
@@ -99,7 +99,7 @@ class Servo:
         return float(position + u * (speed + 0.5 * u * acceleration)), float(speed + u * acceleration)
 
     def switch(self, on: bool) -> None:
-        """Switch the motor on, where the axis stands, or off."""
+        """Switch the motor on, at the current position of the axis, or off."""
         self._follow((0.0, self.count, 0.0, 0.0))
         self.powered, self._state[ERROR] = on, 0.0
 
@@ -117,7 +117,7 @@ class Servo:
         )
 
     def slow_down(self, acceleration: float) -> float:
-        """Come to rest; return how long it takes, s."""
+        """Slow down to rest and return the duration, s."""
         position, speed = self.reference()
         ramp_s = abs(speed) / acceleration
         rest = (ramp_s, position + 0.5 * speed * ramp_s, 0.0, 0.0)

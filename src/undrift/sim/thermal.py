@@ -1,24 +1,25 @@
 """Thermal sessions of a simulated device in a simulated climatic chamber: soaks, ramps, warm-ups.
 
-A programme of hours is simulated leg by leg. What a device remembers from leg to leg is kept: its age, the play of its
-hysteresis (by the turns of temperature before, for a play has no clock), where a random walk had gone, and what the thermometer
-felt all the way. Bias instability, which is stationary, is drawn anew for each leg.
+A programme of hours is simulated leg by leg. The device keeps its state between legs: its age, its hysteresis, its random walk and
+the temperature of its thermometer. The state of the hysteresis depends only on the turning points of the temperature. Bias
+instability, which is stationary, is drawn again for each leg.
 
-Chamber: the temperature of its set-point, its air and the board in it, over time.
+Chamber: temperatures of set-point, air and board over time.
 
 ::
 
     |r'| <= ramp limit                                   r set-point, straight from one to the next
-    a'' + 2 z a' / s + a / s^2 = r / s^2                 a air: s its lag, z its damping; it overshoots where z < 1
+    a'' + 2 z a' / s + a / s^2 = r / s^2                 a air, with lag s and damping z (it overshoots if z < 1)
     b' = (a - b) / tau                                   b board
-    soaked: |b'| < limit throughout the hold             for the rest of the way the chamber waits
+    soaked: |b'| < limit throughout the hold             otherwise the chamber waits longer
 
-With x = (a, a', b, r, r') all of it is x' = A x, so a step h is ``x <- expm(h A) x`` exactly: ramps end on whole steps, never
-faster than the limit. Without a chamber a board warms itself, in two terms: die and package first, board and case later::
+With x = (a, a', b, r, r'), the system is x' = A x, so a step h is exactly ``x <- expm(h A) x``. Ramps end on whole steps and are
+never faster than the limit. Without a chamber, a board warms itself with two time constants, a fast one for die and package and a
+slow one for board and case::
 
     b = end - (end - start) (p exp(-t / t_1) + (1 - p) exp(-t / t_2))
 
-A leg is recorded without a break: a visit to a set-point, a whole ramp, a whole warm-up.
+A leg is recorded without interruption. It is a visit to a set-point, a whole ramp or a whole warm-up.
 """
 
 import math
@@ -45,13 +46,13 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChamberSettings:
-    """What a climatic chamber and the board in it can do."""
+    """Dynamics of a climatic chamber and of the board in it."""
 
-    # The most that a set-point moves between soaks, degC/min; faster ramps shorten a programme, and lag costs more
+    # largest slope of the set-point between soaks, degC/min (faster ramps shorten a programme but increase the lag)
     ramp_rate_c_per_min: float = 2.0
     air_lag_s: float = 60.0  # s in the air's equation, s
     damping: float = 0.7  # z in the air's equation: 1 and above never overshoots, 0.7 by 5 % of a sudden step
-    board_lag_s: float = 240.0  # tau, s; a bare board in moving air has some minutes
+    board_lag_s: float = 240.0  # time constant tau of the board, s (some minutes for a bare board in moving air)
     soak_rate_c_per_min: float = 0.1  # The board is soaked while its temperature changes by less, degC/min
     # For how long it must do so, s, so that the turn of an overshoot does not pass for a soak
     soak_hold_s: float = 60.0
@@ -68,15 +69,15 @@ class RampSettings:
 
     low_c: float = 18.0  # Set-points at its ends, degC
     high_c: float = 75.0
-    up_c_per_min: float = 1.0  # How fast the set-point moves, degC/min; 0 down ends the ramp at the top
+    up_c_per_min: float = 1.0  # slope of the set-point, degC/min (with 0 down, the ramp ends at the top)
     down_c_per_min: float = 1.0
     hold_s: float = 600.0  # Wait at the top, and at the bottom in the end, s
 
     def __post_init__(self) -> None:
         if not (self.high_c > self.low_c and self.up_c_per_min > 0.0 and self.down_c_per_min >= 0.0):
             raise InputError(
-                f"ramp: wanted high_c above low_c, a rate up above 0 and one down of 0 or more, got {self.low_c:g} to "
-                f"{self.high_c:g} degC at {self.up_c_per_min:g} and {self.down_c_per_min:g} degC/min; correct the settings"
+                f"ramp: high_c must be above low_c, the rate up positive and the rate down 0 or more, got {self.low_c:g} to "
+                f"{self.high_c:g} degC at {self.up_c_per_min:g} and {self.down_c_per_min:g} degC/min. Correct the settings."
             )
 
 
@@ -94,8 +95,8 @@ class WarmUpSettings:
     def __post_init__(self) -> None:
         if not (0.0 <= self.fast_share <= 1.0 and min(self.fast_s, self.slow_s, self.duration_s) > 0.0):
             raise InputError(
-                f"warm-up: wanted a share of 0 to 1 and times above 0 s, got {self.fast_share:g}, {self.fast_s:g}, "
-                f"{self.slow_s:g} and {self.duration_s:g} s; correct the settings"
+                f"warm-up: share must be 0 to 1 and times positive, got {self.fast_share:g}, {self.fast_s:g}, "
+                f"{self.slow_s:g} and {self.duration_s:g} s. Correct the settings."
             )
 
 
@@ -114,10 +115,10 @@ class Profile:
     """Temperatures of a programme, n steps."""
 
     time: Annotated[FloatArray, Shape("n")]  # (n,), s, evenly spaced from 0
-    set_point_c: Annotated[FloatArray, Shape("n")]  # (n,), degC; NaN where there is no chamber
+    set_point_c: Annotated[FloatArray, Shape("n")]  # (n,), degC, or NaN without a chamber
     air_c: Annotated[FloatArray, Shape("n")]
     board_c: Annotated[FloatArray, Shape("n")]  # (n,), degC
-    soaks: tuple[SetPointVisit, ...] = ()  # In order of time; none in a ramp or a warm-up
+    soaks: tuple[SetPointVisit, ...] = ()  # visits in order of time (empty for a ramp or a warm-up)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -137,7 +138,7 @@ def soak_profile(
 ) -> Profile:
     """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
     if not set_points_c:
-        raise InputError("soaks: wanted one set-point or more, got none; give temperatures in degC")
+        raise InputError("soaks: at least one set-point is required. Set temperatures in degC.")
     chamber = _Chamber(settings or ChamberSettings(), set_points_c[0])
     soaks = []
     for set_point_c in set_points_c:
@@ -192,7 +193,7 @@ class _Chamber:
 
     @property
     def board_rate(self) -> float:
-        """Of the board, degC/s."""
+        """Slope of the board's temperature, degC/s."""
         return float(self.states[-1][0] - self.states[-1][2]) / self.settings.board_lag_s
 
     def wait(self, duration_s: float) -> None:
@@ -215,9 +216,9 @@ class _Chamber:
         while calm * self.settings.step_s < self.settings.soak_hold_s:
             if self.now_s - since > self.settings.longest_wait_s:
                 raise InputError(
-                    f"soak: wanted less than {self.settings.soak_rate_c_per_min:g} degC/min within "
+                    f"soak: the slope must be below {self.settings.soak_rate_c_per_min:g} degC/min within "
                     f"{self.settings.longest_wait_s:g} s at {self.states[-1][3]:g} degC, got "
-                    f"{abs(self.board_rate) * SECONDS_PER_MINUTE:.3g} degC/min; wait longer, or ask for less"
+                    f"{abs(self.board_rate) * SECONDS_PER_MINUTE:.3g} degC/min. Wait longer, or allow a larger slope."
                 )
             self.wait(self.settings.step_s)
             calm = calm + 1 if abs(self.board_rate) < limit else 0
@@ -233,16 +234,18 @@ class _Chamber:
 ThermalKind = Literal["soak", "ramp", "warm_up"]
 
 SET_POINTS_C = (18.0, *(float(temp) for temp in range(25, 76, 5)))  # the note's range, every 5 K from 25 degC on
-INCLUSIVE_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5))  # sit-to-stand, both ends: 36 both ways
+INCLUSIVE_RATES = tuple(
+    rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5)
+)  # rates for sit-to-stand with both limits, 36 with both signs
 BENCH = BenchSettings(sample_rate_hz=50.0, turn_rates=INCLUSIVE_RATES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThermalSettings:
-    """How a thermal session is performed."""
+    """Settings of a thermal session."""
 
     # motion at a set-point: sample rate (50 Hz), gravity, still_s (6 s a face), rates of the table (5 to 90 deg/s by
-    # 5, each both ways; none leaves the table out), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0)
+    # 5, each in both directions, or none to omit the table), ramp_s and dwell_s (0.5 and 3 s), tilt of the faces (0)
     bench: BenchSettings = BENCH
     chamber: ChamberSettings = ChamberSettings()
     set_points_c: tuple[float, ...] = SET_POINTS_C  # in the order of the visits, degC
@@ -251,24 +254,22 @@ class ThermalSettings:
     one_record: bool = True  # one record, or one for each set-point on the same clock
     ramp: RampSettings = RampSettings()
     warm_up: WarmUpSettings = WarmUpSettings()
-    power_on_s: float = 3600.0  # age of the device when the programme begins, s; a warm-up begins at power-on
+    power_on_s: float = 3600.0  # age of the device at the start of the programme, s (a warm-up starts at power-on)
     drop_temperature: bool = False  # no temperature column: stills and turns state their set-points
 
     def __post_init__(self) -> None:
         if self.power_on_s < 0.0:
-            raise InputError(
-                f"thermal: wanted power_on_s of 0 or more, got {self.power_on_s:g} s; correct the settings"
-            )
+            raise InputError(f"thermal: power_on_s must be 0 or more, got {self.power_on_s:g} s. Correct the settings.")
 
 
 # ---- Programme: what is done with the device at which temperature, as motions on the clock of the chamber.
 
 Work = Callable[[Script], None]  # writes the work at a set-point
-Leg = tuple[Motion, SetPointVisit | None]  # recorded without a break, on the chamber's clock; the visit it belongs to
+Leg = tuple[Motion, SetPointVisit | None]  # recording without interruption on the chamber's clock, and its visit
 
 
 def programme_of(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Leg]]:
-    """Return temperatures and what is done at each, in order of time."""
+    """Return the temperatures and the motions at each of them, in order of time."""
     bench = settings.bench
     if kind in ("ramp", "warm_up"):
         profile = (
@@ -361,7 +362,7 @@ def simulate_thermal_session(
     'thermal'
     """
     if kind not in get_args(ThermalKind):
-        raise InputError(f"thermal: wanted one of {', '.join(get_args(ThermalKind))}, got '{kind}'; name one of them")
+        raise InputError(f"thermal: unknown kind '{kind}'. Use one of {', '.join(get_args(ThermalKind))}.")
     chosen = settings or ThermalSettings()
     chosen = replace(chosen, power_on_s=0.0) if kind == "warm_up" else chosen
     profile, legs = programme_of(kind, chosen, draw_streams(rng))
@@ -379,7 +380,7 @@ def simulate_thermal_session(
 def _read(
     profile: Profile, legs: list[Leg], device: DeviceModel, settings: ThermalSettings, rng: np.random.Generator
 ) -> tuple[tuple[Record, ...], tuple[Still, ...], tuple[Turn, ...]]:
-    """Return what is recorded of the legs, with labels: a record for each leg, or one in all."""
+    """Return the recordings of the legs with labels, as a record per leg or as a single record."""
     records: list[Record] = []
     stills: list[Any] = []
     turns: list[Any] = []
@@ -418,7 +419,7 @@ def _read(
 def _simulated(
     motion: Motion, profile: Profile, device: DeviceModel, power_on_s: float, rng: np.random.Generator
 ) -> tuple[Simulated, int]:
-    """Return the readings of a leg behind those of a run-in, and the number of its first sample."""
+    """Return the readings of a run-in and a leg, and the number of the leg's first sample."""
     start_s, step_s = float(motion.time[0]), 1.0 / motion.sample_rate_hz
     turns = profile.turns_before(start_s)
     temp_c = np.interp(motion.time, profile.time, profile.board_c)

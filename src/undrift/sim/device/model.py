@@ -1,9 +1,9 @@
-"""DeviceModel: a device as what it physically is: two sensor chains, a board thermometer, a clock; and its file.
+"""DeviceModel: physical model of a device (two sensor chains, a board thermometer and a clock), and its file.
 
-No matrix is inverted here; the correction that undrift fits is another set of equations. device.json holds one object, kind
-"undrift.device", format 1. Every key is the field's name with its unit behind it, where the name does not carry it:
-offset.constant_rad_s of a gyroscope, offset.constant_m_s2 of an accelerometer. null stands for an effect that is switched off;
-infinity, which JSON does not know, is "inf" or "-inf". Numbers read back to the last bit; a key that is missing or unknown is
+No matrix is inverted here, because the correction that undrift fits uses other equations. device.json contains an object of kind
+"undrift.device", format 1. Every key is the name of a field, followed by its unit unless the name contains it. Examples are
+offset.constant_rad_s for a gyroscope and offset.constant_m_s2 for an accelerometer. null is an effect that is switched off.
+Infinite numbers are "inf" or "-inf", as JSON has no infinity. Numbers are exact to the last bit. A missing or unknown key raises
 an error.
 """
 
@@ -39,11 +39,11 @@ class DeviceModel(Effect):
     sampling : Sampling
         The clock.
     reference_temp_c : float
-        Temperature at which the offsets are stated, degC.
+        Temperature of the offsets, degC.
     name : str
         Kind of device.
     source_tag : str
-        How far its figures are to be trusted: note, found, calc, known, known-low, assumed; "drawn" or "fitted" for a unit.
+        Reliability of its numbers: note, found, calc, known, known-low, assumed, or "drawn" or "fitted" for a unit.
     """
 
     serial: str = quantity("")
@@ -56,7 +56,7 @@ class DeviceModel(Effect):
     source_tag: str = quantity("", None, "assumed")
 
     def without_noise(self) -> "DeviceModel":
-        """Return the same device with no noise, no jitter, no rounding and no end to its range."""
+        """Return the same device without noise, jitter, rounding and range limits."""
         return replace(
             self,
             gyro=self.gyro.without_noise(),
@@ -73,7 +73,7 @@ FORMAT = 1
 
 
 def write_device(device: DeviceModel, path: Path | str) -> None:
-    """Write a device to a file, whole or not at all."""
+    """Write a device to a file, in one atomic step."""
     write_whole(Path(path), json.dumps(device_json(device), indent=1, allow_nan=False) + "\n")
 
 
@@ -99,7 +99,7 @@ def _device_of(content: dict[str, Any]) -> DeviceModel:
 
 
 def _units(owner: str, unit_out: str) -> dict[str, str]:
-    """Return what {x} and {out} stand for in a chain."""
+    """Return the values of {x} and {out} for a chain."""
     return {"x": "rad_s" if owner == "gyro" else "m_s2", "out": unit_out}
 
 
@@ -109,63 +109,65 @@ def _key(field: Any, units: Mapping[str, str]) -> str:
 
 
 def _out_unit(chain: Mapping[str, Any]) -> str:
-    """Return the unit ahead of the converter: volts where an amplifier stands, else that of the reading."""
+    """Return the unit before the converter: volts after an amplifier, otherwise the unit of the reading."""
     return "v" if chain["amplifier"] else str(chain["unit"]).replace("/", "_")
 
 
 def _plain(value: Any, units: Mapping[str, str]) -> dict[str, Any]:
     if isinstance(value, SensorChain):
         units = {**units, "out": _out_unit({"amplifier": value.amplifier, "unit": value.unit})}
-    made = {}
+    tree = {}
     for f in fields(value):
-        held = getattr(value, f.name)
+        value_of_field = getattr(value, f.name)
         inner = _units(f.name, "") if f.name in ("gyro", "accel") else units
-        made[_key(f, units)] = _plain(held, inner) if is_dataclass(held) else _written(held)
-    return made
+        tree[_key(f, units)] = (
+            _plain(value_of_field, inner) if is_dataclass(value_of_field) else _written(value_of_field)
+        )
+    return tree
 
 
-def _written(held: Any) -> Any:
-    if isinstance(held, np.ndarray):
-        return held.tolist()
-    if isinstance(held, float) and math.isinf(held):
-        return "inf" if held > 0.0 else "-inf"
-    return held.item() if isinstance(held, np.generic) else held
+def _written(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, float) and math.isinf(value):
+        return "inf" if value > 0.0 else "-inf"
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _value(content: object, kind: type, units: Mapping[str, str], where: str) -> Any:
     if not isinstance(content, dict):
-        raise InputError(f"{where}: wanted an object, got {type(content).__name__}; repair the file")
+        raise InputError(f"{where}: expected an object, got {type(content).__name__}. Correct the file.")
     if kind is SensorChain and {"amplifier", "unit"} <= content.keys():
         units = {**units, "out": _out_unit(content)}
     keys = {_key(f, units): f for f in fields(kind)}
     for key in (*keys, *content):
         if (key in keys) != (key in content):
             had = "it missing" if key in keys else "an unknown key"
-            raise InputError(f"{where}.{key}: wanted the keys of format {FORMAT}, got {had}; repair the file")
+            raise InputError(f"{where}.{key}: expected the keys of format {FORMAT}, got {had}. Correct the file.")
     hints = typing.get_type_hints(kind)
     return kind(**{f.name: _read(content[key], f, hints[f.name], units, f"{where}.{key}") for key, f in keys.items()})
 
 
-def _read(held: object, field: Any, hint: Any, units: Mapping[str, str], where: str) -> Any:
+def _read(content: object, field: Any, hint: Any, units: Mapping[str, str], where: str) -> Any:
     allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    if held is None and type(None) in allowed:
+    if content is None and type(None) in allowed:
         return None
     inner = next((a for a in allowed if isinstance(a, type) and is_dataclass(a)), None)
     if inner is not None:
-        return _value(held, inner, _units(field.name, "") if field.name in ("gyro", "accel") else units, where)
+        return _value(content, inner, _units(field.name, "") if field.name in ("gyro", "accel") else units, where)
     if field.metadata["shape"] is not None:
-        return held if isinstance(held, list) else _refuse(held, "an array", where)
+        return content if isinstance(content, list) else _refuse(content, "an array", where)
     if float in allowed:
-        if held in ("inf", "-inf"):
-            return float(str(held))
-        number = isinstance(held, int | float) and not isinstance(held, bool) and math.isfinite(held)
-        return float(typing.cast(float, held)) if number else _refuse(held, "a number", where)
+        if content in ("inf", "-inf"):
+            return float(str(content))
+        number = isinstance(content, int | float) and not isinstance(content, bool) and math.isfinite(content)
+        return float(typing.cast(float, content)) if number else _refuse(content, "a number", where)
     wanted = next((a for a in (bool, int) if a in allowed), str)
-    return held if type(held) is wanted else _refuse(held, wanted.__name__, where)
+    return content if type(content) is wanted else _refuse(content, wanted.__name__, where)
 
 
-def _refuse(held: object, wanted: str, where: str) -> Any:
-    raise InputError(f"{where}: wanted {wanted}, got {held!r}; repair the file")
+def _refuse(content: object, expected: str, where: str) -> Any:
+    raise InputError(f"{where}: expected {expected}, got {content!r}. Correct the file.")
 
 
 # its keys depend on the unit of the sensor: they are read and written here, the file is the codec's

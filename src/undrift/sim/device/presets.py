@@ -1,9 +1,9 @@
-"""Presets and random devices: kinds of devices by name, and units of a production run drawn from them.
+"""Presets and random devices: kinds of devices by name, and random units of a production run.
 
-The figures stand in ``presets.toml``, in the units of data sheets. ``enc03j_3031`` is the note's device: three Murata ENC-03J
-gyroscopes and three ICSensors 3031 accelerometers, a gain stage and a second-order low-pass for each channel, 12 bits at 5 V, an
-LM335 on the board; the other presets are digital parts. Every property of a unit is drawn from a normal distribution about what
-the data sheet says, cut off at ``limit_sd`` standard deviations. Noise is typical, the same in every unit.
+The numbers are in ``presets.toml``, in the units of data sheets. ``enc03j_3031`` is the device of the note, with three Murata
+ENC-03J gyroscopes and three ICSensors 3031 accelerometers. Each channel has a gain stage, a second-order low-pass and 12 bits at 5
+V. The board has an LM335. The other presets are digital parts. Every property of a unit is drawn from a normal distribution about
+the value in the data sheet, truncated at ``limit_sd`` standard deviations. Noise is typical and equal for all units.
 """
 
 import math
@@ -43,67 +43,67 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- Grades: how the devices of a production run spread, as standard deviations about what the data sheet says.
+# ---- Grades: spread of a production run, as standard deviations about the values in the data sheet.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriadGrade:
-    """How the sensors of one kind spread over units."""
+    """Spread of a triad's properties over units. Names in ``_sd`` are standard deviations."""
 
-    unit: str  # Unit of the reading
-    sensitivity: float  # Nominal, of the sensor, its output unit per rad/s or m/s2
-    sensitivity_sd: float  # Relative standard deviation of it
-    misalignment_sd: float  # Of each axis about each axis across it, rad
-    cross_axis_sd: float = 0.0  # Of each crosstalk term, relative
-    nonlinearity_sd: float = 0.0  # Of the quadratic departure at full scale, relative to full scale
-    asymmetry_sd: float = 0.0  # Of the asymmetry of the scale factor, relative
+    unit: str  # unit of the reading
+    sensitivity: float  # nominal sensitivity of the sensor, output unit per rad/s or m/s2
+    sensitivity_sd: float  # sensitivity, relative
+    misalignment_sd: float  # angle of each axis about each perpendicular axis, rad
+    cross_axis_sd: float = 0.0  # each crosstalk term, relative
+    nonlinearity_sd: float = 0.0  # quadratic deviation at full scale, relative to full scale
+    asymmetry_sd: float = 0.0  # asymmetry of the scale factor, relative
     offset_sd: float  # rad/s or m/s2
     offset_per_k_sd: float  # rad/s/K or m/s2/K
     offset_per_k2_sd: float = 0.0  # rad/s/K2 or m/s2/K2
-    scale_per_k_sd: float = 0.0  # Relative, per K
-    # Of the rate-dependent drift at full scale, relative to full scale, per K: ``e = c x^3 D``
+    scale_per_k_sd: float = 0.0  # relative, per K
+    # rate-dependent drift at full scale, relative to full scale, per K: ``e = c x^3 D``
     rate_drift_sd: float = 0.0
     g_sensitivity_sd: float = 0.0  # rad/s per m/s2
-    warm_up_sd: float = 0.0  # Of the amplitude, rad/s or m/s2
-    warm_up_s: float = 600.0  # Time constant, s
-    hysteresis_sd: float = 0.0  # Of the amplitude, rad/s or m/s2
-    lever_arm_sd: float = 0.0  # Of each coordinate of each sensor, m
-    random_walk: float  # White noise, rad/s/sqrt(Hz) or m/s2/sqrt(Hz)
+    warm_up_sd: float = 0.0  # amplitude of the warm-up, rad/s or m/s2
+    warm_up_s: float = 600.0  # time constant of the warm-up, s
+    hysteresis_sd: float = 0.0  # amplitude of the hysteresis, rad/s or m/s2
+    lever_arm_sd: float = 0.0  # each coordinate of each sensor, m
+    random_walk: float  # white noise, rad/s/sqrt(Hz) or m/s2/sqrt(Hz)
     instability: float = 0.0  # B, rad/s or m/s2
     bias_walk: float = 0.0  # rad/s/sqrt(s) or m/s2/sqrt(s)
-    full_scale: float = math.inf  # Range, rad/s or m/s2; non-linearity and rate drift refer to it
-    amplifier: Amplifier | None = None  # The same in every unit
-    cutoff_hz: float | None = None  # Of the Sallen-Key low-pass; None for none
-    part_sd: float = 0.0  # Relative standard deviation of its resistors and capacitors
-    adc: Adc | None = None  # The same in every unit
+    full_scale: float = math.inf  # range, rad/s or m/s2, to which non-linearity and rate drift are relative
+    amplifier: Amplifier | None = None  # equal for all units
+    cutoff_hz: float | None = None  # cut-off of the Sallen-Key low-pass, or None without low-pass
+    part_sd: float = 0.0  # resistors and capacitors of the low-pass, relative
+    adc: Adc | None = None  # equal for all units
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grade:
-    """How devices spread over units."""
+    """Spread of a device's properties over units."""
 
-    gyro: TriadGrade  # The sensors
-    accel: TriadGrade  # The sensors
-    # The same in every unit, but for its trim error
+    gyro: TriadGrade  # gyroscopes
+    accel: TriadGrade  # accelerometers
+    # thermometer, equal for all units except for its trim error
     thermometer: Thermometer = field(default_factory=lambda: Thermometer(noise_c=0.05, step_c=0.125))
-    trim_error_sd: float = 0.0  # Of the thermometer, K
-    sampling: Sampling = field(default_factory=Sampling)  # The same in every unit
-    limit_sd: float = math.inf  # Where the spread ends, standard deviations
-    name: str = ""  # Kind of device
-    source_tag: str = "assumed"  # How far its figures are to be trusted
+    trim_error_sd: float = 0.0  # standard deviation of the thermometer's trim error, K
+    sampling: Sampling = field(default_factory=Sampling)  # equal for all units
+    limit_sd: float = math.inf  # limit of the spread, standard deviations
+    name: str = ""  # kind of device
+    source_tag: str = "assumed"  # reliability of the numbers
 
 
-# ---- The figures, from the units of data sheets
+# ---- Conversion of the numbers from the units of data sheets.
 
 DPS, G, MG = RADIAN_PER_DEGREE, STANDARD_GRAVITY, 1e-3 * STANDARD_GRAVITY
-FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)  # of the Allan deviation over B: data sheets state the floor
-ONE_SIDED = math.sqrt(2.0)  # a data sheet's density over the random walk: see WhiteNoise.random_walk
+FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)  # ratio of the Allan deviation's floor (in data sheets) to B
+ONE_SIDED = math.sqrt(2.0)  # ratio of a data sheet's density to the random walk (see WhiteNoise.random_walk)
 
 UNITS = {"dps": DPS, "g": G, "mg": MG, "ug": 1e-6 * G, "floor": FLOOR, "one_sided": ONE_SIDED}
 GradeName = Literal["consumer", "industrial", "wearable"]
 GRADES = ("consumer", "industrial", "wearable")
 _BOOK: dict[str, Any] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))
-# Figures of the digital parts, each with its tag last: part, side
+# numbers of the digital parts, each ending with its tag, by part and side
 SHEETS: dict[str, dict[str, tuple[Any, ...]]] = {
     name: {side: tuple(_BOOK["sheets"][side][name]) for side in ("gyro", "accel")}
     for name in _BOOK["sheets"]["gyro"]
@@ -115,23 +115,19 @@ PRESETS: tuple[str, ...] = ("enc03j_3031", *SHEETS)
 def grade_named(name: GradeName) -> Grade:
     """Return a named grade."""
     if name not in GRADES:
-        raise InputError(
-            f"grade: wanted consumer, industrial or wearable, got '{name}'; name one of them or give a Grade"
-        )
+        raise InputError(f"grade: unknown grade '{name}'. Use consumer, industrial, wearable, or a Grade.")
     return _grade(name)
 
 
 def preset_grade(name: str) -> Grade:
-    """Return how the units of a kind spread."""
+    """Return the spread of a kind of device."""
     if name not in PRESETS:
-        raise InputError(
-            f"preset: wanted one of {', '.join(PRESETS)}, got '{name}'; name one of them or give a device.json"
-        )
+        raise InputError(f"preset: unknown preset '{name}'. Use one of {', '.join(PRESETS)}, or a device.json.")
     return _grade(name)
 
 
 def sensitivity_of(name: str) -> TemperatureSensitivity:
-    """Return how far units of a kind follow temperature; within a limit a they have var = 1 - 2 a phi(a) / erf(a / sqrt 2)."""
+    """Return the temperature sensitivity of a kind of device. With a limit a, var = 1 - 2 a phi(a) / erf(a / sqrt 2)."""
     grade = preset_grade(name)
     a = min(grade.limit_sd, 10.0)
     within = math.sqrt(1.0 - a * math.exp(-0.5 * a**2) * math.sqrt(2.0 / math.pi) / math.erf(a * math.sqrt(0.5)))
@@ -168,32 +164,32 @@ def _grade(name: str) -> Grade:
 
 
 def _triad(figures: Mapping[str, Any], si_unit: str, divisor: float) -> TriadGrade:
-    known: dict[str, Any] = {"unit": "count", "adc": {"bits": 16, "reference": 2.0**15}}
+    fields: dict[str, Any] = {"unit": "count", "adc": {"bits": 16, "reference": 2.0**15}}
     for key, figure in figures.items():
         field_name, *scale = _BOOK["figures"].get(key, (key,))
         for k, number in enumerate(UNITS.get(unit, unit) for unit in scale):
             figure = figure / number if k else figure * number
-        known[field_name] = figure / divisor if field_name.endswith("_sd") else figure
-    if not known["sensitivity"]:
-        known |= {"unit": si_unit, "sensitivity": 1.0, "adc": None}
+        fields[field_name] = figure / divisor if field_name.endswith("_sd") else figure
+    if not fields["sensitivity"]:
+        fields |= {"unit": si_unit, "sensitivity": 1.0, "adc": None}
     for name, kind in (("adc", Adc), ("amplifier", Amplifier)):
-        if known.get(name):
-            known[name] = kind(**known[name])
-    return TriadGrade(**known)
+        if fields.get(name):
+            fields[name] = kind(**fields[name])
+    return TriadGrade(**fields)
 
 
-# ---- Random devices: units of a production run, drawn from a grade.
+# ---- Random devices: units of a production run with a grade.
 
 Draw = Callable[[str, float, tuple[int, ...]], FloatArray]  # effect, standard deviation, shape
 
 
 def preset(name: str) -> DeviceModel:
-    """Return the typical device of a kind: every error at half its tolerance, with signs that alternate by axis."""
+    """Return the typical device of a kind, with every error at half its tolerance and signs that alternate with the axis."""
     return typical_device(preset_grade(name), serial=f"{name}-typical")
 
 
 def random_device_of(name: str, rng: np.random.Generator, *, serial: str = "") -> DeviceModel:
-    """Draw a unit of a kind within its tolerances."""
+    """Draw a random unit of a kind within its tolerances."""
     return random_device(rng, grade=preset_grade(name), serial=serial)
 
 
@@ -203,21 +199,21 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     Parameters
     ----------
     rng : Generator
-        Draws each property from a stream of its own.
+        Random generator. Each property has its own stream.
     grade : str or Grade
-        How units spread.
+        Spread of the units.
     serial : str
-        Serial number; where not given it follows from the grade and all that is drawn.
+        Serial number, by default a hash of all properties.
 
     Returns
     -------
     DeviceModel
-        Its true values are its fields.
+        Device with the true values as its fields.
 
     Raises
     ------
     InputError
-        A grade that is not one.
+        If the grade is unknown.
 
     Examples
     --------
@@ -235,15 +231,15 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
         stream = streams.of(effect)
         if math.isinf(chosen.limit_sd):
             return stream.normal(0.0, sd, shape)
-        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, by the inverse of the distribution
+        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, with the inverse of the distribution
         return sd * np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))
 
-    made = replace(device_of(chosen, draw, serial), source_tag="drawn")
-    return made if serial else replace(made, serial=_serial_of(made))
+    device = replace(device_of(chosen, draw, serial), source_tag="drawn")
+    return device if serial else replace(device, serial=_serial_of(device))
 
 
 def _serial_of(device: DeviceModel) -> str:
-    """Return a serial number that tells every value of the device: two that differ in anything never share one."""
+    """Return a serial number from a hash of all values, so that different devices have different numbers."""
     import hashlib
     import json
 
@@ -253,7 +249,7 @@ def _serial_of(device: DeviceModel) -> str:
 
 
 def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:
-    """Return a device each of whose errors has the size of its standard deviation, with signs that alternate by axis."""
+    """Return a device with errors of one standard deviation and signs that alternate with the axis."""
 
     def draw(effect: str, sd: float, shape: tuple[int, ...]) -> FloatArray:
         signs: FloatArray = (-1.0) ** np.indices(shape).sum(axis=0)
@@ -263,7 +259,7 @@ def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:
 
 
 def device_of(grade: Grade, draw: Draw, serial: str) -> DeviceModel:
-    """Return a device whose errors come from a function."""
+    """Return a device with errors from a function."""
     trim = float(draw("thermometer_trim", grade.trim_error_sd, (1,))[0]) if grade.trim_error_sd > 0.0 else 0.0
     thermometer = grade.thermometer
     return DeviceModel(
@@ -311,5 +307,5 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
         amplifier=grade.amplifier,
         low_pass=sallen_key(grade.cutoff_hz, draw("low_pass", (3, 4), sd=grade.part_sd)) if grade.cutoff_hz else None,
         adc=grade.adc,
-        **{effect: made for effect, (size, made) in effects.items() if size},  # type: ignore[arg-type]
+        **{effect: value for effect, (size, value) in effects.items() if size},  # type: ignore[arg-type]
     )

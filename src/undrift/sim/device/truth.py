@@ -1,4 +1,4 @@
-"""Truth: what would correct a simulated device without error, and what its data sheet alone says, to hold estimates against."""
+"""True and nominal calibrations of a simulated device, for comparison with estimates."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ from undrift.units import STANDARD_GRAVITY
 def true_calibration(
     device: DeviceModel, *, temp_c: float | None = None, gravity_m_s2: float = STANDARD_GRAVITY
 ) -> Calibration:
-    """Return the calibration that is exact for the linear part of a settled device at one temperature.
+    """Return the exact calibration of the linear part of a settled device at a temperature.
 
     With k(T) the thermal scale, C the scale's matrix and S the gain: ``matrix = (S diag(1 + k) C)^-1``,
-    ``offset = null + S (1 + k) o(T)``, g-sensitivity seen through the same matrix.
+    ``offset = null + S (1 + k) o(T)``. The g-sensitivity is multiplied by the same matrix.
     """
     temp = device.reference_temp_c if temp_c is None else temp_c
     warmth = temp - device.reference_temp_c
@@ -44,8 +44,7 @@ def true_calibration(
 
 
 def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) -> DriftTables:
-    """Return the tuning tables that are exact for a settled device, at their nodes.
-    temp_c (n,) degC, turn_rate (k,) rad/s."""
+    """Return the exact tables of a settled device, at nodes temp_c (n,), degC, and turn_rate (k,), rad/s."""
     models = [
         (_model(device.gyro, t, "rad/s"), _model(device.accel, t, "m/s2")) for t in temp_c - device.reference_temp_c
     ]
@@ -72,7 +71,7 @@ def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) 
 
 
 def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY) -> Calibration:
-    """Return what a data sheet alone would make of the readings: nominal sensitivity, square axes, no offset."""
+    """Return the calibration from a data sheet: nominal sensitivity, orthogonal axes and no offset."""
     device = typical_device(grade)
 
     gyro, accel = (
@@ -112,7 +111,7 @@ def _measured(chain: SensorChain, true: FloatArray, axis: int, warmth: float) ->
 
 
 def _adc(device: DeviceModel) -> AdcModel | None:
-    """Return how codes were made; unsigned codes cut toward zero are cut down."""
+    """Return the converter model of a device. For unsigned codes, rounding toward zero is rounding down."""
 
     def side(chain: SensorChain) -> tuple[FloatArray | None, Rounding]:
         if chain.adc is None:

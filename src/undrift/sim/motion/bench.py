@@ -1,10 +1,10 @@
-"""Bench: the motions of a calibration session, as a person or a rate table makes them.
+"""Motions of calibration sessions, by hand or on a rate table.
 
-``six_face``      six stills, one face up each, off level by a small random tilt
-``rate_table``    three mountings, each axis up in turn, steady rates both ways
-``bench``         the two after each other: what the note asks for
-``ferraris``      six stills and three turns by hand through a known angle
-``multi_position`` a long still, then free poses with turns between: no equipment
+``six_face``       six stills, each with another face up, with a small random tilt
+``rate_table``     three mountings, each with another axis up, and steady rates in both directions
+``bench``          six_face and then rate_table, as in the note
+``ferraris``       six stills and three turns by hand through a known angle
+``multi_position`` a long still, then free poses with turns between them, without equipment
 """
 
 import math
@@ -22,7 +22,7 @@ from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, Script, facing, turn_quaternion, unit_vector
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- bench
+# ---- Bench.
 
 BenchKind = Literal["six_face", "rate_table", "bench", "ferraris", "multi_position"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
@@ -32,28 +32,28 @@ SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchSettings:
-    """How a session is performed."""
+    """Settings of a session."""
 
-    sample_rate_hz: float = 100.0  # Samples per second
-    gravity_m_s2: float = STANDARD_GRAVITY  # Local gravity, m/s2
-    errors: BenchErrors = IDEAL  # What table, faces and hands do wrong
-    still_s: float = 6.0  # Length of each still, s
-    first_still_s: float = 20.0  # Length of the first still of a multi-position session, s
-    move_s: float = 2.0  # Length of each move between stills and of each half hand turn, s
-    poses: int = 24  # Free poses of a multi-position session
-    # Steady rates of the table, rad/s, positive; each is imposed both ways
+    sample_rate_hz: float = 100.0  # sample rate, Hz
+    gravity_m_s2: float = STANDARD_GRAVITY  # local gravity, m/s2
+    errors: BenchErrors = IDEAL  # errors of table, faces and hands
+    still_s: float = 6.0  # duration of each still, s
+    first_still_s: float = 20.0  # duration of the first still of a multi-position session, s
+    move_s: float = 2.0  # duration of each move between stills and of each half hand turn, s
+    poses: int = 24  # number of free poses of a multi-position session
+    # positive steady rates of the table, rad/s, each used in both directions
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
-    ramp_s: float = 0.5  # Run-up and steady part of each table rate, s
-    dwell_s: float = 3.0
-    hand_angle: float = 2.0 * math.pi  # Angle of a hand turn, rad
-    lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Accelerometers from the turning axis, m
-    latitude_deg: float | None = None  # Where the bench stands, for the Earth rate; None leaves it out
+    ramp_s: float = 0.5  # run-up of each table rate, s
+    dwell_s: float = 3.0  # steady part of each table rate, s
+    hand_angle: float = 2.0 * math.pi  # angle of a hand turn, rad
+    lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of the accelerometers from the turning axis, m
+    latitude_deg: float | None = None  # latitude of the bench, for the Earth rate (None: no Earth rate)
 
 
 def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSettings | None = None) -> Motion:
     """Return the true motion of a calibration session."""
     if kind not in get_args(BenchKind):
-        raise InputError(f"bench: wanted one of {', '.join(get_args(BenchKind))}, got '{kind}'; name one of them")
+        raise InputError(f"bench: unknown kind '{kind}'. Use one of {', '.join(get_args(BenchKind))}.")
     chosen = settings or BenchSettings()
     streams = draw_streams(rng)
     script = Script(chosen.sample_rate_hz, np.array([0.0, 0.0, 1.0]))
@@ -69,7 +69,7 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
 
 
 def script_motion(script: Script, settings: BenchSettings) -> Motion:
-    """Return what was written, as a bench stands."""
+    """Return the motion of a script on a bench."""
     return script.motion(
         settings.gravity_m_s2,
         lever_arm_b=np.array(settings.lever_arm_b),
@@ -95,18 +95,18 @@ def rest_on_faces(
         script.still(settings.still_s, face)
 
 
-_RESEAT_S = 0.5  # after two dwells about axes of their own the bearing is back in its seat
+_RESEAT_S = 0.5  # duration of the return to the nominal axis after two dwells, s
 
 
 def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> None:
-    """Put each axis up in turn: a rest, then the steady rates both ways, so that drift cannot pass for scale."""
+    """Add a rest for each axis up, then steady rates in both directions, so that drift does not bias the scale."""
     table = settings.errors
     mount, bearing, motor, servo = (streams.of(name) for name in ("mount", "bearing", "motor", "servo"))
     off_level, gain = level_of(table, streams), gain_of(table, streams)
     bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
-        turned = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
-        level = facing(script.q, turned)  # the table's axis upright in n, then off level
+        table_axis = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
+        level = facing(script.q, table_axis)  # orientation with the table's axis vertical, then tilted
         if table.level > 0.0:
             level = quaternion_product(off_level, level)
         script.lay(level, settings.move_s)
@@ -116,12 +116,18 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
         for commanded in settings.turn_rates:
             for signed in (commanded, -commanded):
                 true = signed * gain + float(servo.normal(0.0, table.servo)) / settings.dwell_s
-                stated = _read_rate(table, true / gain, settings.dwell_s, servo) if table.encoder_lines else signed
+                label_rate = _read_rate(table, true / gain, settings.dwell_s, servo) if table.encoder_lines else signed
                 azimuth += 0.5 * true * settings.ramp_s
                 uneven = (ripple, azimuth, excess, table.settle_s)
-                wobbling = _off(turned, bearing.normal(0.0, table.wobble, 3))
+                wobbling = _off(table_axis, bearing.normal(0.0, table.wobble, 3))
                 script.spin(
-                    axis, true, settings.ramp_s, settings.dwell_s, axis_b=wobbling, stated_rate=stated, uneven=uneven
+                    axis,
+                    true,
+                    settings.ramp_s,
+                    settings.dwell_s,
+                    axis_b=wobbling,
+                    stated_rate=label_rate,
+                    uneven=uneven,
                 )
                 azimuth += true * (settings.dwell_s + 0.5 * settings.ramp_s)
             if table.wobble > 0.0:
@@ -129,7 +135,7 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
 
 
 def _read_rate(table: BenchErrors, turn_rate: float, dwell_s: float, draw: np.random.Generator) -> float:
-    """Return the rate that whole counts of an encoder show over a dwell, rad/s."""
+    """Return the rate from whole counts of an encoder over a dwell, rad/s."""
     count, phase = 0.5 * math.pi / table.encoder_lines, float(draw.uniform())
     return (math.floor(phase + turn_rate * dwell_s / count) - math.floor(phase)) * count / dwell_s
 
@@ -150,7 +156,7 @@ def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> No
 
 
 def free_poses(script: Script, settings: BenchSettings, draw: np.random.Generator) -> None:
-    """Rest in free poses, a long one first."""
+    """Add rests in free poses, the first of which is long."""
     for number in range(settings.poses):
         up = draw.normal(size=3)
         # about the vertical

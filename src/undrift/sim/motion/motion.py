@@ -1,31 +1,30 @@
-"""Motion: what an ideal sensor would feel, sample by sample, and the orientation that goes with it.
+"""Motion: input of an ideal sensor, sample by sample, with the orientation.
 
 ::
 
-    rate_b   angular rate of b against inertial space, seen in b (Earth rate in it only where a motion puts it there)
-    force_b  specific force R_nb^T (p'' + g z), seen in b: at rest the axis that points up reads +g
+    rate_b   angular rate of b relative to inertial space, in b (some motions include the Earth rate)
+    force_b  specific force R_nb^T (p'' + g z), in b (at rest, the axis that points up reads +g)
 
-Both are closed-form values at the instant of the sample: nothing is differentiated numerically. Where a motion was recorded
-and the cameras lost the body, it is unknown: NaN, and ``valid`` 0.
+Both are closed-form values at the time of the sample, without numerical differentiation. If a recorded motion is unknown because
+the cameras lost the body, the values are NaN and ``valid`` is 0.
 
-Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
+Course: a coordinate over time, as a sum of terms with closed-form derivatives.
 
-``Step``      least-jerk change between two rests: 10 s^3 - 15 s^4 + 6 s^5; peak rate 1.875 A/T, acceleration 5.77 A/T^2
-``ViaPoint``  least-jerk there and back: through a turning point at a given instant, its acceleration left free
-``Sway``      a sum of sinusoids that swells and ebbs
-``Burst``     a decaying oscillation: the knock of a heel
+``Step``      Minimum-jerk change between two rests, 10 s^3 - 15 s^4 + 6 s^5, with peak rate 1.875 A/T, acceleration 5.77 A/T^2.
+``ViaPoint``  Minimum-jerk motion to a turning point at a given time and back, with free acceleration at the turning point.
+``Sway``      Sum of sinusoids with a varying envelope.
+``Burst``     Decaying oscillation, such as the impact of a heel.
 
-Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
+Script: a bench motion as a list of rotations about fixed axes, each with a polynomial angle.
 
-In piece p the case turns about one axis u_b by theta(s), s = local time over duration, from the orientation q_p in which
-the piece began. Everything follows in closed form::
+In piece p, the case turns about an axis u_b by theta(s), where s is the local time over the duration, from its initial orientation
+q_p. All quantities follow in closed form::
 
     q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T (c'' + g z) + w' x r + w x (w x r)
 
-with r the lever arm of the accelerometers from the turning axis and c the path of a slide, along which nothing turns.
-A still has theta = 0; a hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5); the ramp of a rate table has a rate that
-rises by that quintic. A label leaves out its first sample, whose mean rate still belongs to the step before; the label of
-a hand turn takes in the sample that ends it.
+where r is the lever arm of the accelerometers from the turning axis and c the path of a slide without rotation. A still has theta
+= 0. A hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5), and the rate of a rate table's ramp increases with that quintic. A
+label omits its first sample, whose mean rate belongs to the previous piece. The label of a hand turn includes its last sample.
 """
 
 import math
@@ -56,8 +55,8 @@ Course = tuple[CourseTerm, ...]
 def course_at(course: Course, time: FloatArray) -> FloatArray:
     """Return a course and its first two derivatives: time (N,) s -> (3, N)."""
     total = np.zeros((3, len(time)))
-    for part in course:
-        total += part.at(time)
+    for term in course:
+        total += term.at(time)
     return total
 
 
@@ -72,23 +71,26 @@ class Step:
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
         s = np.clip((time - self.start_s) / self.duration_s, 0.0, 1.0)
-        left = s * (1.0 - s)
+        product = s * (1.0 - s)
         value = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
-        first, second = 30.0 * left * left / self.duration_s, 60.0 * left * (1.0 - 2.0 * s) / self.duration_s**2
+        first, second = (
+            30.0 * product * product / self.duration_s,
+            60.0 * product * (1.0 - 2.0 * s) / self.duration_s**2,
+        )
         return self.change * np.stack((value, first, second))
 
 
 @dataclass(frozen=True, slots=True)
 class ViaPoint:
-    """There and back with least jerk: rest, a turning point, rest.
+    """Minimum-jerk motion from rest to a turning point and back to rest.
 
-    The integral of the squared jerk is least among all courses that start and end at rest and stand still for an
-    instant at the via-point. Each side is a quintic; acceleration and jerk pass the via-point unbroken, which gives its
-    acceleration (T and U the two durations, A and B the two changes)::
+    The integral of the squared jerk is the smallest of all courses that start and end at rest and have zero rate at the via-point.
+    Each side is a quintic. Acceleration and jerk are continuous at the via-point, which determines its acceleration. With the
+    durations T and U and the changes A and B::
 
         a = (20/3) (B / U^3 - A / T^3) / (1 / T + 1 / U)
 
-    There and back evenly (B = -A, U = T): peak rate 1.728 A/T, acceleration at the turn -6.67 A/T^2.
+    For equal sides (B = -A, U = T), the peak rate is 1.728 A/T and the acceleration at the turn -6.67 A/T^2.
     """
 
     start_s: float  # s
@@ -115,10 +117,10 @@ class ViaPoint:
 
 def _bend(s: FloatArray, duration_s: float) -> FloatArray:
     """Return T^2 s^2 (1 - s)^3 / 2 and its derivatives: unit acceleration at s = 0, no value or rate at either end."""
-    left = 1.0 - s
-    value = 0.5 * duration_s**2 * s * s * left**3
-    first = 0.5 * duration_s * s * left * left * (2.0 - 5.0 * s)
-    return np.stack((value, first, left * (1.0 - 8.0 * s + 10.0 * s * s)))
+    remaining = 1.0 - s
+    value = 0.5 * duration_s**2 * s * s * remaining**3
+    first = 0.5 * duration_s * s * remaining * remaining * (2.0 - 5.0 * s)
+    return np.stack((value, first, remaining * (1.0 - 8.0 * s + 10.0 * s * s)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ class Sway:
     amplitudes: tuple[float, ...]  # rad or m
     frequencies_hz: tuple[float, ...]  # Hz
     phases: tuple[float, ...]  # rad
-    start_s: float  # Where it is not zero, s
+    start_s: float  # start of the term, s
     stop_s: float
     swell_s: float  # Time to full amplitude, and back to none, s
 
@@ -181,17 +183,17 @@ class Motion:
     time: Annotated[FloatArray, Shape("n")]  # (N,), s
     q_nb: Annotated[FloatArray, Shape("n", 4)]  # (N, 4), orientation, w-x-y-z
     rate_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), angular rate at the sample, rad/s
-    # (N, 3), rotation vector of the step from the sample before, over its duration, rad/s: what a gyroscope reads
-    # that averages between samples
+    # (N, 3), rotation vector of the step from the previous sample, divided by its duration, rad/s, which is the input of
+    # a gyroscope that averages between samples
     mean_rate_b: Annotated[FloatArray, Shape("n", 3)]
     force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), specific force at the sample, m/s2
     gravity_m_s2: float  # Gravity in it, m/s2
-    stills: tuple[Still, ...] = ()  # Where the device stood still, to the sample
-    turns: tuple[Turn, ...] = ()  # Where it turned in a way the bench knows
+    stills: tuple[Still, ...] = ()  # stills, exact to the sample
+    turns: tuple[Turn, ...] = ()  # turns with a known rate or angle
     moving: Annotated[FloatArray, Shape("n")]  # (N,), 1 where the device moved, else 0
-    # (N, 3), change of the angular rate, rad/s2; None where a motion does not tell
+    # (N, 3), angular acceleration, rad/s2, or None if it is unknown
     angular_acceleration_b: Annotated[FloatArray | None, Shape("n", 3)] = None
-    # (N,), 1 where the motion is known, else 0; all 1 unless stated
+    # (N,), 1 for samples with known motion, otherwise 0 (all 1 by default)
     valid: Annotated[FloatArray, Shape("n")] = field(default_factory=lambda: np.ones(0))
 
     def __post_init__(self) -> None:
@@ -221,10 +223,10 @@ def after_rest(motion: Motion, before_s: FloatArray) -> Motion:
 
 
 def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArray:
-    """Return the rotation vector of each step over its duration.
+    """Return the rotation vector of each step, divided by its duration.
 
-    ``w[k] = log(conj(q[k-1]) q[k]) / (t[k] - t[k-1])``, exact for any motion: turning by w[k] for one step leads from
-    one orientation to the next.
+    ``w[k] = log(conj(q[k-1]) q[k]) / (t[k] - t[k-1])`` is exact for any motion: a rotation with w[k] for a step leads to the next
+    orientation.
 
     Arrays: time (N,) s, q_nb (N, 4), first (3,) rad/s -> (N, 3) rad/s.
     """
@@ -240,8 +242,8 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
 
 REST = Polynomial([0.0])
 SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
-RAMP = SMOOTH.integ()  # its derivative rises smoothly from 0 to 1; reaches 1/2
-UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # a hand that hesitates half way; 0 at both ends
+RAMP = SMOOTH.integ()  # angle of a ramp, with a derivative from 0 to 1 and the final value 1/2
+UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # unevenness of a hand turn, with 0 at both ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,12 +254,12 @@ class UnevenAngle:
     """
 
     turn_rate: float  # w, rad/s
-    duration_s: float  # Of the dwell, s
+    duration_s: float  # duration of the dwell, s
     ripple: float  # a, relative
     azimuth: float  # p, azimuth of the table at the start of the dwell against the ripple's zero, rad
     excess: float  # c, relative, at the start of the dwell
     settle_s: float  # T, s
-    order: int = 0  # Of the derivative with respect to s
+    order: int = 0  # order of the derivative with respect to s
 
     def __call__(self, s: FloatArray) -> FloatArray:
         """Return the angle, or the derivative, at s."""
@@ -342,21 +344,21 @@ class Script:
         stated_rate: float | None = None,
         uneven: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Ramp up, hold a rate, ramp down; the dwell is labelled with axis and rate as they are stated.
+        """Add a ramp up, a dwell at a steady rate and a ramp down. The label of the dwell has the nominal axis and rate.
 
-        The case turns about axis_b (3,) where that is not the stated axis; uneven is ripple, azimuth, excess, settle_s.
+        If axis_b (3,) is given, the case turns about this axis instead. `uneven` is (ripple, azimuth, excess, settle_s).
         """
         unit = unit_vector(axis) if axis_b is None else axis_b
         ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
         steady = Polynomial([0.0, turn_rate * dwell]) if uneven is None else UnevenAngle(turn_rate, dwell, *uneven)
         self._turn(ramp_s, unit, RAMP * (turn_rate * ramp))
         start, stop = self._turn(dwell_s, unit, steady)
-        stated = turn_rate if stated_rate is None else stated_rate
-        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated))
+        label_rate = turn_rate if stated_rate is None else stated_rate
+        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=label_rate))
         self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
 
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
-        """Return what was written: lever_arm_b (3,) m, earth_rate_n (3,) rad/s."""
+        """Return the motion of the script, with lever_arm_b (3,), m, and earth_rate_n (3,), rad/s."""
         n = self.samples
         time = np.arange(n) / self.sample_rate_hz
         q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
@@ -401,7 +403,7 @@ class Script:
 
 
 def unit_vector(name: str, off: float = 0.0) -> FloatArray:
-    """Return the unit vector of an axis, a face or a pose, (3,): "+z 45 +x" is +z inclined by 45 deg, and off rad, toward +x."""
+    """Return the unit vector (3,) of an axis, a face or a pose, such as "+z 45 +x": +z inclined by 45 deg, and off rad, toward +x."""
     face, *inclined = name.split()
     vector = np.zeros(3)
     vector[["xyz".index(axis) for axis in face.lstrip("+-")]] = -1.0 if face[0] == "-" else 1.0

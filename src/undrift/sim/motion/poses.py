@@ -1,17 +1,18 @@
-"""Poses: from the poses that cameras saw to what an ideal sensor at the body's origin would feel.
+"""Convert camera poses to the motion of an ideal sensor at the body's origin.
 
-Stretch by stretch between long gaps: short gaps bridged by a cubic, low-pass without delay in n (quaternions without jumps of
-sign; position; rotation into b comes last), then one quintic spline through each. Position p(t) and the four numbers s(t) of a
-quaternion are splines; the orientation is s over its length, and everything follows in closed form::
+Each stretch between long gaps is processed separately. Short gaps are bridged with a cubic. A low-pass without delay is applied in
+n to the position and to the quaternion without sign jumps. The rotation into b is last. Then a quintic spline is fitted to each
+coordinate. Position p(t) and the four components s(t) of a quaternion are splines, and the orientation is s over its length. All
+quantities follow in closed form::
 
     q = s / |s|
     w = 2 Im(conj(s) s') / |s|^2                                       angular rate of b against n, seen in b
     w' = 2 Im(conj(s) s'') / |s|^2  -  2 w (s . s') / |s|^2            conj(s') s' is a number, so it adds nothing
     f_b = R_nb^T (p'' + g z)
 
-so that integrating the rate gives the pose back. A pose sequence on straight lines between the frames that the cameras took must
-be brought back to those frames first. The low-pass is a Butterworth of order n, forward and back; two passes would be 6 dB down
-at the cut-off f_c, so each is designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_.
+so that integration of the rate returns the pose. A pose sequence with linear interpolation between the camera frames must first be
+reduced to those frames. The low-pass is a Butterworth of order n, forward and backward. Two passes attenuate by 6 dB at the cut-off
+f_c, so each pass is designed for f_c / (sqrt(2) - 1)^(1 / 2n) [1]_.
 
 References
 ----------
@@ -60,7 +61,7 @@ def turning(spline: "BSpline", time: FloatArray) -> tuple[FloatArray, FloatArray
 
 # ---- Stretches between long gaps
 
-FEWEST = 12  # poses in a stretch: twice what a quintic needs to be one
+FEWEST = 12  # smallest number of poses in a stretch, twice the minimum for a quintic
 
 
 def find_stretches(
@@ -80,8 +81,8 @@ def find_stretches(
             found.append((piece, start, stop))
     if not found:
         raise InputError(
-            f"poses: wanted a stretch of {FEWEST} poses or more without a gap over {gap_s:g} s, longer than what is trimmed, "
-            f"got none among {len(rows)} poses seen of {len(time)}; trim less or record without gaps"
+            f"poses: no stretch of at least {FEWEST} poses without a gap over {gap_s:g} s is longer than the trimmed part, "
+            f"got {len(rows)} valid poses of {len(time)}. Trim less, or record without gaps."
         )
     return found
 
@@ -100,8 +101,8 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
     if not 0.0 < each < 0.5 * sample_rate_hz:
         highest = 0.5 * sample_rate_hz * cutoff_hz / each if cutoff_hz > 0.0 else 0.5 * sample_rate_hz
         raise InputError(
-            f"low-pass: wanted a cut-off between 0 and {highest:.3g} Hz at {sample_rate_hz:.6g} samples/s, got {cutoff_hz:g} "
-            "Hz; lower it, or filter nothing with None"
+            f"low-pass: cut-off must be between 0 and {highest:.3g} Hz at {sample_rate_hz:.6g} samples/s, got {cutoff_hz:g} "
+            "Hz. Reduce it, or set None for no filter."
         )
     sections = butter(order, each, fs=sample_rate_hz, output="sos")
     pad = min(len(x) - 1, math.ceil(_PAD * sample_rate_hz / cutoff_hz))
@@ -115,19 +116,21 @@ _EVEN = 0.02  # of a step: poses further off their even grid are drawn to it bef
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseSettings:
-    """How poses become a motion."""
+    """Settings of the conversion from poses to a motion."""
 
-    # Low-pass of the orientation, Hz; lower takes camera noise and fast motion away. None leaves it unfiltered
+    # cut-off of the orientation's low-pass, Hz (a lower one reduces camera noise and fast motion, None: no filter)
     cutoff_hz: float | None = 20.0
-    # Low-pass of the position, Hz; acceleration multiplies noise by the square of frequency, so it is the lower one
+    # cut-off of the position's low-pass, Hz, which is lower, as noise of the acceleration increases with frequency squared
     position_cutoff_hz: float | None = 10.0
-    order: int = ORDER  # Of the Butterworth low-pass in each direction; higher is sharper and rings longer
+    order: int = (
+        ORDER  # order of the Butterworth low-pass in each direction (a higher order is sharper and rings longer)
+    )
     gap_s: float = 0.1  # Longest gap that is bridged, s
-    trim_s: float = 0.2  # Trimmed beside a longer gap, s
+    trim_s: float = 0.2  # time trimmed at each end of a longer gap, s
     end_trim_s: float = 0.1  # Trimmed at the ends of the recording, s
 
 
-# One stretch: from where to where it is valid, s; quaternion over time; position over time, m, frame n
+# a stretch: start and end of validity, s, splines of quaternion and of position, m, frame n
 PosePiece = tuple[float, float, "BSpline", "BSpline | None"]
 
 
@@ -137,7 +140,7 @@ class PoseSpline:
 
     pieces: tuple[PosePiece, ...]  # In order of time
     moving_time: FloatArray  # (K,), times of the marks of motion, s
-    moving: FloatArray  # (K,), 1 in motion; all 1 where there were no marks
+    moving: FloatArray  # (K,), 1 in motion (all 1 without marks)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -222,7 +225,7 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpticsSettings:
-    """What the cameras do to a pose."""
+    """Errors of cameras."""
 
     sample_rate_hz: float = 100.0  # Poses per second
     delay_s: float = 0.0  # A pose stamped t was taken at t - delay_s
@@ -236,7 +239,7 @@ class OpticsSettings:
 
 
 def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None = None) -> Reference:
-    """Return what the cameras saw of a task."""
+    """Return camera poses of a task."""
     chosen = settings or OpticsSettings()
     streams = draw_streams(rng)
     time = np.arange(round(task.duration_s * chosen.sample_rate_hz)) / chosen.sample_rate_hz
@@ -252,7 +255,7 @@ def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None
 def disturbed(
     q_nb: FloatArray, position: FloatArray, *, streams: Streams, settings: OpticsSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses with what the cameras do to them: q_nb (N, 4), position (N, 3) m."""
+    """Return poses with camera errors, q_nb (N, 4) and position (N, 3), m."""
     mount = _small_turn(streams.of("mount").normal(0.0, settings.mount_sd, 3))
     off = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
     noise = _small_turn(off + _slow(streams.of("slow"), len(q_nb), settings) if settings.slow_sd else off)
