@@ -605,7 +605,7 @@ class Thermometer(Effect):
             return reading
         return rounded((reading - self.zero_c) / self.step_c, self.rounding) * self.step_c + self.zero_c
 
-    def state_c(self, scene: Scene, past: Past) -> FloatArray:
+    def felt(self, scene: Scene, past: Past) -> FloatArray:
         """Return the temperature of the thermometer, degC, with lag and self-heating."""
         temp = scene.temp_c
         if self.lag_s == 0.0:

@@ -403,7 +403,10 @@ class Script:
 
 
 def unit_vector(name: str, off: float = 0.0) -> FloatArray:
-    """Return the unit vector (3,) of an axis, a face or a pose, such as "+z 45 +x": +z inclined by 45 deg, and off rad, toward +x."""
+    """Return the unit vector (3,) of an axis, a face or a pose.
+
+    The pose "+z 45 +x" is +z inclined toward +x by 45 deg plus `off`, rad.
+    """
     face, *inclined = name.split()
     vector = np.zeros(3)
     vector[["xyz".index(axis) for axis in face.lstrip("+-")]] = -1.0 if face[0] == "-" else 1.0
