@@ -15,7 +15,7 @@ its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -34,7 +34,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 TILT_LIMIT_DEG = 0.5  # a device that settles on a bench or a cushion stays below it
 REFUSED_RATIO = 3.0  # of a figure to its limit: the device does not rest
 COUNTS_RATIO = 10.0  # a still in counts may spread this many times the median of all stills
-SHARED_LIMIT = 0.1  # of the shorter of two stretches: they count twice
 WARMED_K = 10.0  # between stills: offsets may then differ
 SAME_TEMPERATURE_K = 3.0
 SMOOTH_S = 0.1
@@ -151,7 +150,7 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
 
 
 def check_counted_once(session: Session) -> None:
-    """Raise if readings would count twice: the same recording, still or turn is stated again."""
+    """Raise if a recording is stated twice: its readings would count twice."""
     triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
     for first, second in combinations(range(len(triads)), 2):
         pairs = list(zip(triads[first], triads[second], strict=False))
@@ -159,19 +158,6 @@ def check_counted_once(session: Session) -> None:
             raise InputError(
                 f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )
-    pieces: tuple[tuple[str, tuple[Still | Turn, ...]], ...] = (("still", session.stills), ("turn", session.turns))
-    for what, stated in pieces:
-        order = sorted(range(len(stated)), key=lambda k: (stated[k].recording, stated[k].start))
-        for pair in pairwise(order):
-            a, b = (stated[k] for k in pair)
-            shared = min(a.stop, b.stop) - b.start if a.recording == b.recording else 0
-            if shared > SHARED_LIMIT * min(a.stop - a.start, b.stop - b.start):
-                early, late = sorted(pair)
-                share = 100.0 * shared / (stated[late].stop - stated[late].start)
-                raise InputError(
-                    f"{piece_name(session, stated[late], late, what=what)}: it shares {share:.0f} % of its samples with "
-                    f"[[{what}]] {early + 1}. Remove one of the two or correct its times."
-                )
 
 
 # ---- turns

@@ -363,7 +363,7 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     if len(turned) < 3:
         findings = (*findings, axes_missing(turned, dwells.unit, settings.cross_axis_prior))
     offset = None
-    if paper and settings.remove_offset:
+    if paper:
         offset, variance = seen.rest_rate()
         if np.isnan(offset).any():
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel

@@ -53,8 +53,6 @@ class CalibrateSettings:
         Cut-off of the note's cubic spline, Hz, which low-passes each dwell at a known rate; None leaves the filter out.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not determine, relative to the scale; 0.01 is 1 %.
-    remove_offset : bool
-        Mode paper has no offset column: subtract the offset first, as the note's order of steps does.
     identify_adc : bool
         Look for the step and rounding of the codes.
 
@@ -75,7 +73,6 @@ class CalibrateSettings:
     polynomial_degree: int = 1
     spline_cutoff_hz: float | None = None
     cross_axis_prior: float = 0.01
-    remove_offset: bool = True
     identify_adc: bool = True
 
     def __post_init__(self) -> None:

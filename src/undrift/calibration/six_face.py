@@ -217,7 +217,7 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     findings = poses.creep.findings() if poses.creep else ()
     if poses.noise is None:
         findings = (*findings, finding("six_face.short_faces", "warn"))
-    if paper and settings.remove_offset:
+    if paper:
         # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
         faces, rows = np.array(poses.faces), _solve(poses, gravity)
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))

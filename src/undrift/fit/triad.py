@@ -13,11 +13,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import NotObservable
-from undrift.findings import Level, finding
 from undrift.fit.gls import GlsFit, carried
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
-
-OFFSET_SIGMAS = 4.0  # standard uncertainties from which an offset was left in the readings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,25 +156,8 @@ def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: An
     parts = {name: carried(gains, part[: inputs.size, : inputs.size]) for name, part in fit.sources.items()}
     theta = np.concatenate((matrix.ravel(), np.zeros(3)))
     parameters = TriadParameters(theta, np.sum([*parts.values()], axis=0), parts)
-    made = fit_of(
-        parameters, inputs, readings @ matrix.T - inputs, _offset_verdict(fit, inputs, names["unit_out"]), **names
-    )
+    made = fit_of(parameters, inputs, readings @ matrix.T - inputs, **names)
     return replace(made, model=replace(made.model, rank=9, condition=condition))
-
-
-def _offset_verdict(fit: GlsFit, inputs: FloatArray, unit: str) -> Verdict:
-    """Return what an offset left in the readings costs a matrix that was fitted without an offset column.
-
-    With an offset c in units of the measurand, C = (I + k c c')^-1 K^-1, k = N / sigma and sigma the sum of squared inputs on one
-    axis: the gain along c shrinks by k c^2 / (1 + k c^2).
-    """
-    offset, sigma = fit.theta[9:12], np.sqrt(np.diag(fit.covariance)[9:12])
-    if not (np.abs(offset) > OFFSET_SIGMAS * sigma).any():
-        return Verdict()
-    share = len(inputs) / float((inputs**2).sum(axis=0).mean()) * float(offset @ offset)
-    loss = share / (1.0 + share)
-    level: Level = "fail" if loss > 0.01 else "warn" if loss > 1e-4 else "info"
-    return Verdict.of(finding("paper_mode.offset_left", level, offset=offset, unit=unit, loss_percent=100.0 * loss))
 
 
 # ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y
