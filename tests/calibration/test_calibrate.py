@@ -95,6 +95,13 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     assert [f.values["why"] for f in steady] == ["102 steady turns have no rate"]
 
 
+def test_turns_between_found_faces_calibrate_gyroscopes_in_counts():
+    """Steady turns by hand are not those of a table if the moves between the rests agree with gravity."""
+    found = calibrate(made("ferraris", labelled=False))
+    assert (found.accel.method, found.gyro.method) == ("six-face/affine", "multi-position")
+    assert relative(found.gyro, DEVICE.gyro) < 0.01
+
+
 @pytest.mark.slow
 def test_turns_about_one_axis_calibrate_it_and_say_what_the_others_lack():
     session = made("bench")

@@ -291,17 +291,23 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
             raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
         return Outcome()
     sound, saturated = observed.without_saturated_turns()
+    chosen, steady = (method, 0) if method is not None else _choose_gyro_fit(sound, accel, saturated)
     try:
-        chosen, findings = (method, ()) if method is not None else _choose_gyro_fit(sound, accel, saturated)
-        outcome = GYRO_FITS[chosen](sound, mode, accel).after(*findings)
-        if outcome.fit is None and (method is not None or chosen != "rest"):
+        outcome = GYRO_FITS[chosen](sound, mode, accel)
+        lacking = outcome.fit is None and (method is not None or chosen != "rest")
+        if lacking or (steady and (chosen == "rest" or outcome.fit is None or outcome.fit.verdict.status == "bad")):
             raise NotObservable("; ".join(item.text for item in outcome.findings))
-    except NotObservable as error:
-        if method is not None:
+    except CalibrationError as error:
+        if method is not None and isinstance(error, NotObservable):
             reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
             raise NotObservable("; ".join(reasons), **error.numbers) from error
+        if not steady and not isinstance(error, NotObservable):
+            raise
+        why, record = str(error), RECORD_TURNS
+        if steady:  # of a table: as moves between rests they fail, for any reason
+            why, record = f"{steady} steady turns have no rate", "state the turn_rate_dps and axis of each"
         rest = calibrate_rest(observed, mode, accel)
-        failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
+        failed = _not_observable("Gyroscope scale", "warn", why=why, record=record)
         outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
     outcome = outcome.after(*saturated)
     if outcome.fit is None:
@@ -313,25 +319,20 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
     return outcome
 
 
-def _choose_gyro_fit(
-    observed: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]
-) -> tuple[str, tuple[Finding, ...]]:
-    """Return the first fit of the table above that the session allows, and what it lacks for a better one."""
+def _choose_gyro_fit(observed: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]) -> tuple[GyroFit, int]:
+    """Return the first fit of the table above that the session allows, and the number of steady turns without a rate."""
     turns = observed.session.turns
     if any(turn.turn_rate is not None for turn in turns):
-        return "rate-table", ()
+        return "rate-table", 0
     if saturated and not turns:
-        return "rest", ()
+        return "rest", 0
     if any(turn.angle is not None for turn in turns) or observed.full_turns():
-        return "known-rotation", ()
-    # Slow moves between free poses are steady too; beside six faces, steady turns are those of a table.
+        return "known-rotation", 0
+    # Slow moves between free poses are steady too; beside six faces, steady turns may be those of a table.
     by_poses = accel is not None and accel.model.method == "multi-position"
-    steady = () if by_poses else observed.plateaus()
-    if steady:
-        why, record = f"{len(steady)} steady turns have no rate", "state the turn_rate_dps and axis of each"
-        return "rest", (_not_observable("Gyroscope scale", "warn", why=why, record=record),)
+    steady = 0 if by_poses else len(observed.plateaus())
     with_force = any(record.accel is not None for record in observed.session.records)
-    return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest", ()
+    return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest", steady
 
 
 def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) -> None:
