@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from undrift.drift.rates import SurfacePoints, fit_surface
-from undrift.errors import NotObservable
 from undrift.fit.curve import Cubics
 
 TEMPS = np.arange(20.0, 71.0, 10.0)
@@ -100,8 +99,3 @@ def test_scatter_beyond_the_stated_noise_counts():
         variance=np.full(len(given), 1e-8),
     )
     assert 0.7e-3 < fitted(told).excess < 1.3e-3
-
-
-def test_one_temperature_is_refused_with_the_number():
-    with pytest.raises(NotObservable, match="16 rates and 1 temperatures"):
-        fitted(points(temps=TEMPS[:1]))

@@ -17,9 +17,8 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.norm import NormFit, fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import bins_of, near_data
-from undrift.drift.rates import MATRIX_GAP_C
+from undrift.drift.rates import MATRIX_GAP_C, two_temperatures
 from undrift.errors import CalibrationError, InputError, NotObservable
-from undrift.findings import finding
 from undrift.fit.curve import fit_curve
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.units import si_factor
@@ -73,9 +72,7 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
         matrix=symmetric @ model.matrix,
         matrix_uncertainty=np.sqrt(spread**2 @ model.matrix**2 + cross_axis**2),
         extrapolated=~near_data(temp_c, poses_c, gap_c=MATRIX_GAP_C),
-        verdict=Verdict.of(
-            *([finding("drift.two_temperatures", "warn", what="accelerometers")] if len(temps) == 2 else [])
-        ),
+        verdict=Verdict.of(*([two_temperatures("accelerometers")] if len(temps) == 2 else [])),
     )
 
 

@@ -309,7 +309,8 @@ def _fit_triad(
     cells = cells_of(offsets, regressors, direction * has_loop, chunk_s=np.inf if tau is None else CHUNK_S)
     turn_on = between_sessions(cells, settings.lag_uncertainty_s)
     if turn_on is None:
-        findings.append(finding("drift.turn_on_unknown", "info", sessions=len(np.unique(cells.session))))
+        problem = "it is not in the uncertainty. Record two sessions on two days, over the same temperatures."
+        findings.append(finding("drift.not_observable", "info", what="Turn-on bias repeatability", problem=problem))
     curve = _curve_through(cells, turn_on, settings.lag_uncertainty_s)
 
     # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference

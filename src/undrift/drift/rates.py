@@ -135,6 +135,7 @@ def prepared(
             f"rate steps: none of {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
         )
     lost = len(steps) - int(finite.sum())
+    left_out, why = f"{lost} of {len(steps)} rate steps", "gaps in rate, reading or temperature"
     soak, axis = _numbered(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
     made = Steps(
         soak=soak,
@@ -144,7 +145,7 @@ def prepared(
         rate_b=usable.rate_b,
         reading=usable.gyro - _offset_at(usable.temp_c, calibration, static),
         variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
-        findings=(finding("drift.steps_left_out", "warn", count=lost, steps=len(steps)),) if lost else (),
+        findings=(finding("drift.left_out", "warn", what=left_out, why=why),) if lost else (),
     )
     if rests is None:
         return made
@@ -242,7 +243,7 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     open_axes, two = (", ".join(AXES[j] for j in np.flatnonzero(which)) for which in (count < 2, count == 2))
     findings = [_not_turned(f"Scale factor {open_axes} over temperature")] if open_axes else []
     if two:
-        findings.append(finding("drift.two_temperatures", "warn", what=f"scale factor {two}"))
+        findings.append(two_temperatures(f"scale factor {two}"))
     return ScaleFit(
         drift=ScaleDrift(
             temp_c=temp_c,
@@ -255,6 +256,12 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
         percent_per_k_uncertainty=percent_uncertainty,
         verdict=Verdict.of(*steps.findings, *findings),
     )
+
+
+def two_temperatures(what: str) -> Finding:
+    """Return the finding that two temperatures determine a line only."""
+    problem = "two temperatures determine a line. Add a soak between them."
+    return finding("drift.not_observable", "warn", what=f"Curvature over temperature of {what}", problem=problem)
 
 
 def _not_turned(what: str) -> Finding:
@@ -389,7 +396,7 @@ def fit_dynamic(
         extrapolated |= _unseen(data, turn_rate, temp_c)
     two = ", ".join(AXES[k] for k, data in enumerate(points) if data is not None and data.soak.max() == 1)
     if two:
-        findings.append(finding("drift.two_temperatures", "warn", what=f"dynamic drift {two}"))
+        findings.append(two_temperatures(f"dynamic drift {two}"))
     drift = DynamicDrift(
         temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=extrapolated
     )
@@ -446,14 +453,8 @@ def fit_surface(
     temp_span: tuple[float, float],
     softness: tuple[float, float] | None = None,
 ) -> Surface:
-    """Fit a surface to the residual rates of one axis, as soft as predicts best, or as stated."""
+    """Fit a surface to the residual rates of one axis at two soaks or more, as soft as predicts best, or as stated."""
     soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
-    if soaks < 2 or levels < 2:
-        raise NotObservable(
-            f"rate drift: {levels} rates and {soaks} temperatures do not determine it. Repeat the steps at another soak.",
-            soaks=soaks,
-            rates=levels,
-        )
     low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
     cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
     rate = Cubics(low=low, high=high, intervals=min(MAX_INTERVALS, max(2, levels // 2)))

@@ -29,7 +29,7 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen, runs
+from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import cooling
 from undrift.errors import InputError, NotObservable
@@ -74,9 +74,6 @@ class Temperature:
     noise_c: float = 0.0  # standard deviation of the mean of a second by noise and steps, K
     source: Source
     findings: tuple[Finding, ...] = ()  # doubts about the column
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "temp_c", frozen(self.temp_c, (None,), "temp_c"))
 
 
 def trusted_temperature(session: Session, index: int) -> Temperature:
@@ -152,13 +149,13 @@ def _from_column(
         findings.append(finding("drift.temperature_left_out", "info", recording=index, **values))
     low, high = float(readings[used].min()), float(readings[used].max())
     if low > HOT_C:
-        findings.append(finding("drift.temperature_hot", "warn", recording=index, low_c=low, high_c=high))
+        problem = f"{low:.1f} to {high:.1f} degC throughout: a chamber, self-heating of a chip, degF read as degC, or a wrong scale"
+        findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
     apart = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
     off, set_point = max(apart, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(off) > OFF_SET_POINT_C:
-        edge_c = set_point + math.copysign(OFF_SET_POINT_C, off)
-        readings_c = {"read_c": set_point + off, "set_point_c": set_point, "limit_c": OFF_SET_POINT_C, "edge_c": edge_c}
-        findings.append(finding("drift.temperature_off_set_point", "warn", recording=index, **readings_c))
+        problem = f"{off:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
+        findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
     return Temperature(temp_c=temp_c, noise_c=noise_c, source="column", findings=tuple(findings))
 
 

@@ -284,7 +284,10 @@ def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSte
     """Return which recordings gave nothing to the fit, because they never rest."""
     used = {*rests.session.tolist(), *steps.session.tolist()}
     names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
-    return Verdict.of(finding("drift.no_rests", "warn", count=len(names), names=names[:5])) if names else Verdict()
+    why = f"no rest in {', '.join(names[:5])}. Let the device rest for ten seconds in each"
+    return (
+        Verdict.of(finding("drift.left_out", "warn", what=f"{len(names)} recordings", why=why)) if names else Verdict()
+    )
 
 
 def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]) -> Verdict:
@@ -296,10 +299,8 @@ def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequenc
     if triad is None:
         return Verdict.of(*findings)
     (low_c, high_c), share = triad.span_c, float(triad.extrapolated.mean())
-    if share > MOST_EXTRAPOLATED:
-        findings.append(finding("drift.nodes_extrapolated", "warn", percent=100.0 * share, low_c=low_c, high_c=high_c))
-    if high_c - low_c < NARROW_C:
-        findings.append(finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c))
+    if share > MOST_EXTRAPOLATED or high_c - low_c < NARROW_C:
+        findings.append(finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c, percent=100.0 * share))
     return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))
 
 
