@@ -392,7 +392,7 @@ def _read(
         warmth=profile.board_c,
         age_s=profile.time + settings.power_on_s,
     )
-    felt = thermometer.state_c(scene, Past(rng))
+    felt = thermometer.felt(scene, Past(rng))
     walked: Walks = (np.zeros(3), np.zeros(3))
     ended_s = 0.0
     for leg in legs:

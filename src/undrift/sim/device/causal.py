@@ -37,7 +37,7 @@ class CausalDevice:
         for (chain, pasts), x in zip(self._chains, moved, strict=True):
             *_, (_, felt) = chain.stages(x, scene, pasts)
             read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
-        return read[0], read[1], thermometer.shown(thermometer.state_c(scene, self._thermometer), self._thermometer.rng)
+        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
 
 
 # At moments (n,) s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and the

@@ -170,7 +170,7 @@ def simulate_device(
         accel_raw = np.full((len(taken), 3), np.nan)
         accel = SimulatedTriad(true=accel_raw, contributions=(), saturated=np.zeros(accel_raw.shape, dtype=bool))
     thermometer, past = model.thermometer, Past(streams.of("thermometer"))
-    temp_readings = thermometer.shown(thermometer.state_c(scene, past), past.rng)
+    temp_readings = thermometer.shown(thermometer.felt(scene, past), past.rng)
     is_valid = np.interp(taken, motion.time, is_known.astype(float)) > 1.0 - 1e-9
     latest = np.maximum(np.searchsorted(scene.time, taken + 1e-12, side="right") - 1, 0)
     record = Record(
