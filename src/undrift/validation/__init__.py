@@ -1,13 +1,13 @@
-"""Validation: what a calibration is worth in degrees, on real motion, against an orientation reference.
+"""Validation of a calibration on real motion: orientation errors in degrees against an orientation reference.
 
     trial              one recording against its reference: lag, mounting, strapdown from rest, errors
-    levels             each level of correction over trials, people and tasks
-    agreement          several recordings: means, leave-one-out; agreement of methods, differences against a margin
-    expected           the errors that a calibration's uncertainty lets one expect
-    reference_frames   do device and reference mean the same quaternions, verticals and signs
-    table_worth        the angle error to expect with and without tables over temperature
+    levels             levels of correction over trials, people and tasks
+    agreement          several recordings: means, leave-one-out, agreement of methods and differences against a margin
+    expected           errors expected from a calibration's uncertainty
+    reference_frames   check that device and reference use the same quaternions, verticals and signs
+    table_worth        expected angle error with and without tables over temperature
 
-In go a ``Record`` and a ``Reference``, each on its own clock, and a Calibration or none. Inside, rates are rad/s, angles rad,
-quaternions (N, 4) body to level, scalar first; out come ``Trial`` and ``Validation`` with figures in degrees and errors sample by
-sample in rad. Open trial first.
+Input: a ``Record`` and a ``Reference``, each on its own clock, and optionally a Calibration. Internally, rates are in rad/s, angles
+in rad, and quaternions (N, 4) turn body to level, scalar first. Output: ``Trial`` and ``Validation`` with results in degrees and
+errors per sample in rad. Open trial first.
 """

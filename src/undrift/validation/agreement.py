@@ -1,16 +1,17 @@
-"""Several recordings: errors of each, means and medians, leave-one-out; agreement of two methods; differences against a margin.
+"""Errors over several recordings, leave-one-out, agreement of two methods, and differences against a margin.
 
 Agreement of methods over n people and k methods, with mean squares MSR of rows, MSC of columns and MSE of the rest [1]_::
 
     ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn from many
     SEM      = sqrt(max(MSC - MSE, 0) / n + MSE)                        standard error of one measurement
-    MDC95    = 1.96 sqrt(2) SEM                                         least change between two that is real
+    MDC95    = 1.96 sqrt(2) SEM                                         smallest detectable change
 
 The interval follows from F distributions [2]_. An ICC depends on how much the people differ: report it with the limits [3]_.
 
 A difference d of two mean errors is judged against a margin M by the three-sided test [4]_: better if d <= M is rejected, worse if
 d >= -M is rejected, equivalent if d <= -M and d >= M are both rejected (two one-sided tests), otherwise not decidable. One of the
-three is true, so a wrong verdict has at most the level of the test; over m differences each is tested at level / m.
+three is true, so the probability of a wrong verdict is at most the level of the test. With m differences, each is tested at level
+/ m.
 
 References
 ----------
@@ -60,7 +61,7 @@ class BlandAltman:
 class IntraclassCorrelation:
     """ICC(2,1) of single measurements, with its 95 % interval."""
 
-    value: float  # Estimate; negative estimates are kept
+    value: float  # estimate, which can be negative
     interval: Interval  # 95 % confidence interval
     standard_error_of_measurement: float  # SEM, unit of the data
     minimal_detectable_change: float  # MDC95, unit of the data
@@ -95,8 +96,8 @@ def _table(ratings: FloatArray) -> FloatArray:
     table = np.asarray(ratings, dtype=np.float64)
     if table.ndim != 2 or table.shape[0] < 3 or table.shape[1] < 2 or not np.isfinite(table).all():
         raise InputError(
-            f"agreement: wanted three subjects or more and two methods or more without gaps, got shape {table.shape}; "
-            "give one value per subject and method"
+            f"agreement: at least three subjects and two methods without gaps are required, got shape {table.shape}. "
+            "Provide a value per subject and method."
         )
     return table
 
@@ -130,7 +131,7 @@ def _interval(value: float, n: int, k: int, *, rows: float, columns: float, rest
 
 
 def mean_interval(values: FloatArray) -> tuple[float, Interval]:
-    """Return a mean and Student's 95 % interval; NaN if there are too few values."""
+    """Return a mean and Student's 95 % interval, or NaN with too few values."""
     from scipy.special import stdtrit
 
     nan, n = float("nan"), len(values)
@@ -176,7 +177,7 @@ def three_sided(difference: float, uncertainty: float, dof: int, *, margin: floa
 def decide_between(
     errors: FloatArray, others: FloatArray, *, margin: float, level: float = 0.05, tests: int = 1
 ) -> PairedDifference:
-    """Judge errors (n,) against other errors (n,) of the same people; ``tests`` differences are judged together."""
+    """Test errors (n,) against other errors (n,) of the same people. ``tests`` is the number of differences tested together."""
     if len(errors) < MIN_PEOPLE or len(errors) != len(others):
         raise InputError(
             f"comparison: expected the errors of {MIN_PEOPLE} people or more, got {len(errors)} and {len(others)}. Add people."
@@ -209,12 +210,12 @@ Pair = tuple[Record, Reference]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """How many of the observed errors are no larger than 95 % of those to expect."""
+    """Coverage: number of observed errors within the expected 95 % limit."""
 
     trials: int  # With an expectation
     rmse_inside: int
     rmse_above: int
-    ends: int  # Of those, with an end error
+    ends: int  # number of recordings with an end error
     end_inside: int
     end_above: int
 
@@ -230,7 +231,7 @@ class Validation(Shown):
 
     @property
     def coverage(self) -> Coverage | None:
-        """Observed errors against the expected ones; None where nothing was expected."""
+        """Observed errors compared with the expected errors, or None without expected errors."""
         pairs = [(t.expected, t.figures) for t in self.trials if t.expected is not None]
         if not pairs:
             return None
@@ -292,8 +293,9 @@ def validate_trials(
     """
     if not pairs or len(calibrations) not in (1, len(pairs)) or len(names) not in (0, len(pairs)):
         raise InputError(
-            f"validate: wanted one or more recordings, one calibration for all or each, names for all or none, got {len(pairs)} "
-            f"recordings, {len(calibrations)} calibrations, {len(names)} names"
+            f"validate: the numbers of recordings, calibrations and names do not match, got {len(pairs)} recordings, "
+            f"{len(calibrations)} calibrations, {len(names)} names. Provide one calibration or one per recording, and all names "
+            "or none."
         )
     each = list(calibrations) * len(pairs) if len(calibrations) == 1 else list(calibrations)
     called = list(names) or [""] * len(pairs)
@@ -315,9 +317,9 @@ def validate_leave_one_out(
     names: Sequence[str] = (),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> Validation:
-    """Compare recordings of one device, each by a gyroscope fit to the others' references.
+    """Compare recordings of a device, each corrected with a gyroscope fit to the references of the others.
 
-    Of the held-out recording the fit knows its own rest before the motion, and nothing of its reference.
+    From the omitted recording, the fit uses only the rest before the motion, not the reference.
 
     Parameters
     ----------
@@ -369,7 +371,7 @@ def calibrations_by_others(
     fit_settings: ReferenceSettings = REFERENCE_SETTINGS,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[tuple[Calibration, ...], tuple[HeldOut, ...]]:
-    """Return the calibration of each recording by the others' references, its offset that of its own rest, and the fits."""
+    """Return a calibration per recording, from the other references and the offset of its own rest, and the fits."""
     records, references = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     _check_different(records)
     adc = device_adc(records) if settings.adc == "auto" else None
@@ -395,8 +397,8 @@ def _check_different(records: Sequence[Record]) -> None:
     for (earlier, one), (later, other) in combinations(enumerate(record.gyro for record in records), 2):
         if one is not None and other is not None and np.array_equal(one, other, equal_nan=True):
             raise InputError(
-                f"leave-one-out: wanted different recordings, got number {later + 1} with the readings of number "
-                f"{earlier + 1}; a recording cannot judge itself: name each once"
+                f"leave-one-out: recording {later + 1} has the same readings as recording {earlier + 1}. "
+                "List each recording once."
             )
 
 

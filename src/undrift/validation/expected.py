@@ -1,16 +1,16 @@
-"""What end error and root-mean-square error a calibration's uncertainty lets one expect of a recording.
+"""Expected end error and root-mean-square error of a recording, from the calibration's uncertainty.
 
-To first order a strapdown orientation errs, in earth axes, by the start's error and the integral of the rate's error::
+To first order, the error of a strapdown orientation in earth axes is the initial error plus the integral of the rate error::
 
     e(t) = e0 + int R_nb (dM (u - o) - M do - dG a - m dd + M dc sign(u)) dt + h(t)        R_nb from the integration itself
          = A(t) x + h(t)        x: errors of M, o, G, d, c; change of the offset; start; mounting; noise; pose.   h: lag left in
 
     end    |e|^2 at the end of the motion      rms    mean of |e|^2 over the motion
 
-Both are quadratic forms x' D x + 2 b' x + c of normal x: their first two moments are exact, and their distribution is taken for
-that of a scaled chi-square [1]_. The covariance of x has two parts: the fit's own, and a stated prior, ``ErrorPrior``, of what no
-covariance of one recording can know: how much the matrix, the offset in motion, start and mounting differ from one recording of a
-device to the next, and the poses of the reference themselves.
+Both are quadratic forms x' D x + 2 b' x + c of normal x. Their first two moments are exact, and their distribution is approximated
+by a scaled chi-square distribution [1]_. The covariance of x has two parts. One is the covariance of the fit, the other is the
+prior ``ErrorPrior``. The prior covers errors that a single recording cannot determine: changes of matrix, offset in motion, start
+and mounting between recordings of a device, and errors of the reference poses.
 
 .. [1] F. E. Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics 2, 110-114, 1946.
 """
@@ -34,16 +34,16 @@ _TAILS = (0.025, 0.975, 0.95)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorPrior:
-    """What a fit's covariance cannot know: standard deviations of what changes from one recording of a device to the next.
+    """Standard deviations of changes between recordings of a device, which the covariance of a fit does not include.
 
-    The values are those of the eight BROAD trials at hand (three devices of one model), 2026-11-22, rounded up;
-    ``python -m benchmarks.broad`` learns them anew from the other devices for each device that it judges.
+    The values are from eight BROAD trials (three devices of one model), 2026-11-22, rounded up. For each device that it judges,
+    ``python -m benchmarks.broad`` estimates them from the other devices.
     """
 
     matrix: float = 3e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
-    motion_offset: float = MOVED_AGAIN  # Offset in motion less that at rest, about its mean, rad/s
-    rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # The same of a device whose change to motion nobody fitted, rad/s
-    day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # Offset at rest, where the recording's own rest is not used, rad/s
+    motion_offset: float = MOVED_AGAIN  # offset in motion minus offset at rest, about its mean, rad/s
+    rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # the same difference, if the calibration has no fit of it, rad/s
+    day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # offset at rest, if the rest of the recording is not used, rad/s
     tilt: float = (
         0.15 * RADIAN_PER_DEGREE
     )  # Start from an uncalibrated accelerometer against the reference, each axis, rad
@@ -58,10 +58,10 @@ ERROR_PRIOR = ErrorPrior()
 class Expected:
     """Errors that a calibration's uncertainty lets one expect, deg, with 95 % intervals."""
 
-    end_total_deg: float  # Root mean square of what the end error may be
+    end_total_deg: float  # expected root mean square of the end error, deg
     end_interval_deg: tuple[float, float]
-    end_at_most_deg: float  # 95 % of the errors are no larger
-    rmse_total_deg: float  # Likewise of the root-mean-square error over the motion
+    end_at_most_deg: float  # 95 % quantile of the end error, deg
+    rmse_total_deg: float  # expected root-mean-square error over the motion, deg
     rmse_interval_deg: tuple[float, float]
     rmse_at_most_deg: float
 
@@ -71,7 +71,7 @@ OffsetKind = Literal["other", "own", "subtracted", "shown"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OffsetSource:
-    """Where the offset of a recording comes from."""
+    """Source of the offset of a recording."""
 
     # "other": the model's, of another recording. "own": that of the recording's own rest plus the model's change to motion.
     # "subtracted": the mean of its own rest is subtracted after the correction, and the model's offset with it. "shown": what
@@ -92,9 +92,9 @@ class Strapdown:
     turned: FloatArray  # (3, 3), from the model's frame to the one that was integrated
     offset_covariance: FloatArray  # (3, 3), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
     offset_prior: FloatArray  # (3,), of the offset that motion shows, standard deviation before it, rad/s
-    noise_density: float  # Of the rate, rad/sqrt(s)
+    noise_density: float  # noise density of the rate, rad/sqrt(s)
     tilt: float  # Standard uncertainty of the start, each level axis, rad
-    mounting: float  # Of the device against the reference's body, each axis, rad
+    mounting: float  # mounting error between device and body of the reference, about each axis, rad
 
 
 def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
@@ -122,7 +122,7 @@ def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, pri
 
 def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
-    from undrift.correction.motion import offset_answer  # scipy and kernels, for this alone
+    from undrift.correction.motion import offset_answer  # imported here, because it requires scipy and kernels
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.asarray(run.record.gyro), run.record.time, run.q_nb
@@ -130,9 +130,7 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     matrix = turned @ model.matrix
     force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
     u, shown = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
-    sign = (
-        np.sign(u + model.offset) - np.sign(model.offset) * shown
-    )  # where an offset is subtracted, c at rest goes with it
+    sign = np.sign(u + model.offset) - np.sign(model.offset) * shown  # subtracting an offset also removes c at rest
     moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown" or model.moving_offset is not None)
     columns_of = (u, np.ones((len(gyro), 1)), force @ run.turned, moving, sign)
     regressors = np.concatenate(columns_of, axis=1)

@@ -1,21 +1,21 @@
-"""Levels of correction: what each step of a correction is worth against a reference, over trials, people and tasks.
+"""Levels of correction: error of each level against a reference, over trials, people and tasks.
 
-    uncalibrated        readings as they come
+    uncalibrated        raw readings
     constants           offset and matrix at one temperature
     static table        constants, with the offset over temperature
     all tables          static table, with matrix and dynamic error over temperature
-    rest                constants, minus the offset of the rest before the motion; needs no chamber
+    rest                constants, minus the offset of the rest before the motion (without a chamber)
     all tables, rest    all tables, minus that offset
-    motion              all that the calibration has, minus the offset that gravity determines during the motion
+    motion              the whole calibration, minus the offset that gravity determines during the motion
 
 The error of a trial is the root mean square over its motion: of the pitch if every trial has one throughout, otherwise of the total
 angle. Errors are averaged by person, since repeated trials of a person are not independent. The mean over people has Student's 95 %
 interval. Each level is compared with the level above it over the same people (validation/agreement.py).
 
 Agreement is on one measure of a trial, its range of pitch, or its mean inclination if pitch is not defined throughout: one mean per
-person, from ten people on. ICC(2,1) is stated for one task at a time, because differences between tasks would inflate it.
+person, from ten people on. ICC(2,1) is reported separately for each task, because differences between tasks would inflate it.
 
-A simulated device may stand beside each trial. It was calibrated like the real one and moves as the reference saw.
+Each trial can include a simulated device, which is calibrated like the real device and follows the motion of the reference.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -65,7 +65,7 @@ class Level:
     """One step of a correction."""
 
     name: str
-    tables: Tables  # tables of the calibration that are used; "any" uses those that there are
+    tables: Tables  # tables of the calibration that are used ("any": all available tables)
     offset: OffsetChoice
 
 
@@ -82,12 +82,12 @@ LEVEL_NAMES = tuple(level.name for level in LEVELS)
 
 
 def calibration_at(level: Level, calibration: Calibration | None) -> Calibration | None:
-    """Return the calibration that a level uses; None judges readings as they come.
+    """Return the calibration that a level uses, or None for raw readings.
 
     Raises
     ------
     InputError
-        The calibration does not have what the level needs.
+        If the calibration lacks a part that the level requires.
     """
     if level.tables == "no calibration" or (calibration is None and level.offset != "none"):
         if level.tables == "all":
@@ -146,7 +146,7 @@ class LevelTrial:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelErrors:
-    """Errors of T trials at one level of correction; NaN for a trial that cannot be judged."""
+    """Errors of T trials at a level of correction, NaN for a trial that cannot be evaluated."""
 
     level: str
     method: Method
@@ -156,7 +156,7 @@ class LevelErrors:
     simulated_deg: FloatArray  # (T,), error of the simulated device
     difference_deg: FloatArray  # (T,), largest difference between the errors of both devices over the motion
     findings: tuple[tuple[str, Finding], ...]  # warnings, each with its recording
-    missing: str  # number of trials that cannot be judged, and the first reason; empty if there are none
+    missing: str  # number of trials that cannot be evaluated, and the first reason (empty if all can)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,10 +171,10 @@ class LevelSummary:
     mean_deg: float  # over people
     interval_deg: tuple[float, float]  # 95 %
     median_deg: float  # over trials
-    previous: str  # level with which ``decision`` compares; empty without one
+    previous: str  # level with which ``decision`` compares (empty: no comparison)
     decision: PairedDifference | None  # None with fewer than three people
-    agreement: BlandAltman | None  # device minus reference over people; None with fewer than ten
-    icc: IntraclassCorrelation | None  # ICC(2,1) over people; also None over several tasks
+    agreement: BlandAltman | None  # device minus reference over people, or None with fewer than ten
+    icc: IntraclassCorrelation | None  # ICC(2,1) over people, or None (also over several tasks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -401,11 +401,11 @@ MAX_CUTOFF_SHARE = 0.4  # of the rate of the poses
 def simulate_trial_of(
     record: Record, reference: Reference, calibration: Calibration, *, mounting: FloatArray, rng: np.random.Generator
 ) -> Pair:
-    """Return readings that the calibration's device would give in the motion that the reference saw, and their reference.
+    """Return simulated readings of the calibration's device in the motion of the reference, and their reference.
 
     The readings u solve ``correct(u) = true rate and force`` by u <- u + M^-1 (true - correct(u)). Noise as in the rest of the
     recording and the steps of the codes are then added. ``mounting`` (3, 3) turns the case to the body of the reference. Before and
-    after the motion, and in gaps of the poses, the device does what the corrected real readings say.
+    after the motion, and in gaps of the poses, the motion is taken from the corrected real readings.
     """
     done = align(correct_whole(record, calibration, policy="hold").record.in_si(), reference)
     poses, time, span = done.reference, done.record.time, done.span

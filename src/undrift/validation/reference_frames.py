@@ -1,11 +1,12 @@
-"""Do a device and its reference mean the same: body to level frame, w-x-y-z, the axis that points up, the sign of acceleration?
+"""Check that device and reference use the same conventions: direction and order of quaternions, vertical axis, acceleration sign.
 
-Rates of the reference must be those of the device after one rotation R_mb; the share that is left over tells a quaternion that
-is stated the other way round. The mean of the specific force in n, over the whole recording, must be gravity, up::
+After a constant rotation R_mb, the rates of the reference must equal the rates of the device. A large residual indicates an
+inverted quaternion. The mean of the specific force in n over the whole recording must be gravity, up::
 
-    u = mean_k R(q_k) R_mb f_k / g = (0, 0, 1)          motion that ends where it began has no mean acceleration
+    u = mean_k R(q_k) R_mb f_k / g = (0, 0, 1)          (a motion that returns to its start has no mean acceleration)
 
-u along another axis is a laboratory whose vertical was named wrongly, u = (0, 0, -1) that or acceleration with the opposite sign.
+If u is along another axis, the vertical axis of the laboratory is wrong. If u = (0, 0, -1), the vertical or the sign of the
+acceleration is reversed.
 """
 
 import math
@@ -25,8 +26,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # Shares of the square of the rates that are left over: sound recordings leave 0.001 to 0.04 (BROAD, before calibration)
 UNLIKE, LEFT_OVER, EXPLAINED = 0.15, 0.5, 0.1
 TILTED, CLEARLY = 30.0 * RADIAN_PER_DEGREE, 60.0 * RADIAN_PER_DEGREE
-LENGTH = (0.8, 1.2)  # of u, where the attitudes and the forces belong together
-LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # rad/s rms: below it noise is what is compared
+LENGTH = (0.8, 1.2)  # range of the length of u for matching attitudes and forces
+LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # smallest rms rate that exceeds the noise, rad/s
 
 
 def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatArray, FloatArray]:
@@ -45,12 +46,12 @@ def rate_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, F
     rotation = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
     total = float((w**2).sum() + (u**2).sum()) / 2.0
     if not len(w) or math.sqrt(total / len(w)) < LEAST_RATE:
-        raise AlignmentError("reference: wanted motion to compare rates in, got almost none")
+        raise AlignmentError("reference: too little motion to compare rates. Record more motion.")
     return float(((w - u @ rotation.T) ** 2).sum()) / total, rotation
 
 
 def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
-    """Return what speaks against the convention of a reference's poses; raise where it is clear. The record is in SI units."""
+    """Return findings on the convention of a reference's poses, or raise an error if it is clearly wrong. The record is in SI."""
     if record.gyro is None:
         return ()
     try:
@@ -99,5 +100,6 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
 def _other(poses: Reference, text: str, action: str) -> Implausible:
     name = poses.name or "reference"
     return Implausible(
-        f"{name}: wanted poses that level the device's readings, got others: {text}; {action}", mistake=text
+        f"{name}: the poses do not agree with the device's readings: {text}. {action[:1].upper()}{action[1:]}.",
+        mistake=text,
     )

@@ -1,4 +1,4 @@
-"""What a calibration's tables are worth over a stated motion: the angle error to expect with and without them.
+"""Expected angle error with and without a calibration's tables, for a standard motion.
 
 The motion leans by 45 deg and back in 4 s, about each axis in turn, with the device warmer than the calibration's reference::
 
@@ -41,7 +41,7 @@ class TableWorth:
     rest_deg: float  # constant calibration, offset of a rest at the same temperature subtracted
     tables_deg: float  # with tables, 95 % uncertainty
     both_deg: float  # with tables and the offset of a rest, 95 % uncertainty
-    turned: bool  # scale or dynamic drift was measured; otherwise the error of a rest is unknown beyond noise
+    turned: bool  # True if scale or dynamic drift was measured (otherwise only the noise of a rest is known)
 
     @property
     def motion(self) -> str:
@@ -58,14 +58,17 @@ class TableWorth:
         if self.constant_deg <= self.tables_deg:
             return "These tables do not improve on the constant calibration here: record more"
         if not self.turned:
-            return f"{BOTH}; scale and dynamic drift, which no rest removes, were not measured"
+            return f"{BOTH}. Scale and dynamic drift, which a rest cannot remove, were not measured"
         if self.both_deg > ADDS_LITTLE * self.rest_deg:
             return "A rest before the motion is as good as these tables here"
         return BOTH
 
 
 def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> TableWorth | None:
-    """Return the errors to expect; None without offset tables of the gyroscopes. rest_variance (3,): of a rest's mean, raw unit."""
+    """Return the expected errors, or None without offset tables of the gyroscopes.
+
+    ``rest_variance`` (3,) is the variance of the mean over a rest, raw unit squared.
+    """
     drift, gyro = calibration.drift, calibration.gyro
     static = None if drift is None else drift.static
     if drift is None or gyro is None or static is None or static.gyro_offset is None or static.gyro_uncertainty is None:
