@@ -100,6 +100,6 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
 def _other(poses: Reference, text: str, action: str) -> Implausible:
     name = poses.name or "reference"
     return Implausible(
-        f"{name}: the poses do not agree with the device's readings: {text}. {action[:1].upper()}{action[1:]}.",
+        f"{name}: the poses do not agree with the device's readings: {text}; {action}",
         mistake=text,
     )

@@ -1,16 +1,17 @@
-"""One recording against its reference: errors of orientation in degrees.
+"""Orientation errors of a recording against its reference, in degrees.
 
-Protocol: readings are corrected; the lag against the reference is found; on request the mean rate of the first still phase is
-subtracted (correction/rest.py); tilt comes from the specific force and heading from the reference over the rest before the
-motion; strapdown starts half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k - t_(k-1))). With both orientations
-body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and [1]_::
+The readings are corrected, and the lag relative to the reference is determined. If requested, the mean rate of the first still
+phase is subtracted (correction/rest.py). The initial tilt is from the specific force, and the initial heading from the reference,
+both over the rest before the motion. Strapdown integration starts half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k
+(t_k - t_(k-1))). With both orientations from body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y,
+z), and [1]_::
 
     total        2 acos |w|
-    heading      2 atan(z / w)             signed; positive where the sensor has turned too far about the vertical
-    inclination  2 acos sqrt(w^2 + z^2)    the angle between the two verticals
-    pitch        signed difference of the two sagittal pitches, brought into (-pi, pi]
+    heading      2 atan(z / w)             signed, positive if the sensor has turned too far about the vertical
+    inclination  2 acos sqrt(w^2 + z^2)    angle between the two verticals
+    pitch        signed difference of the two sagittal pitches, wrapped to (-pi, pi]
 
-Root-mean-square values are over the motion, where the reference sees the body. The mounting, the rotation R that minimises sum
+Root-mean-square values are over the valid poses of the motion. The mounting, the rotation R that minimises sum
 |w - R u|^2 over common rates, is Kabsch's problem (1976).
 
 References
@@ -90,21 +91,21 @@ def track_from_rest(
 ) -> tuple[FloatArray, FloatArray]:
     """Integrate the readings from the rest before the motion to the end of the record: time and orientation."""
     if record.gyro is None:
-        raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
+        raise InputError("validate: the record has no gyroscope. Map its columns.")
     stop = motion.start_s - LEAD_S
-    at_rest = (record.time >= motion.start_s - REST_S) & (record.time < stop)
+    rest_mask = (record.time >= motion.start_s - REST_S) & (record.time < stop)
     first = int(np.searchsorted(record.time, stop))
     check_gaps(record.gyro[first:], record.time[first:], "validate")
     start = _mean_pose(reference, motion.start_s - REST_S - shift_s, stop - shift_s)
     if record.accel is not None:
-        force = record.accel[at_rest]
+        force = record.accel[rest_mask]
         force = force[np.isfinite(force).all(axis=1)]
         if not len(force):
             raise InputError(
-                f"validate: wanted a specific force at rest before {stop:.6g} s, got nothing but gaps (NaN); correct without gaps "
-                "(policy hold, temperatures filled in)"
+                f"validate: the specific force at rest before {stop:.6g} s has only gaps (NaN). Correct without gaps "
+                "(policy hold, temperatures filled in)."
             )
-        tilt = shortest_rotation_up(force.mean(axis=0))  # then turned about the vertical until no heading error is left
+        tilt = shortest_rotation_up(force.mean(axis=0))  # the heading is corrected below
         e = quaternion_product(start, quaternion_conjugate(tilt))
         turn = np.array([e[0], 0.0, 0.0, e[3]])
         start = quaternion_product(turn / np.linalg.norm(turn), tilt)
@@ -112,57 +113,55 @@ def track_from_rest(
     return time, integrate_strapdown(record.gyro[first:], time, start)
 
 
-FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # of the rates that a filter starts with, rad/s: VQF's own
-START_S = 1.0  # over which the reference gives the start of a recording that begins in motion
+FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # initial uncertainty of the rate offset in the filter, rad/s (as in VQF)
+START_S = 1.0  # time over which the reference determines the initial orientation of a recording without rest, s
 
 
 def track_from_reference(
     record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Integrate the readings from the first pose on; the start is the mean of q_ref (x) q^-1 over a second, q from identity."""
+    """Integrate the readings from the first pose. The initial orientation is the mean of q_ref (x) q^-1 over a second."""
     if record.gyro is None:
-        raise InputError("validate: wanted a record with a gyroscope, got none; map its columns")
+        raise InputError("validate: the record has no gyroscope. Map its columns.")
     first = int(np.searchsorted(record.time, motion.start_s))
     time, gyro = record.time[first:], record.gyro[first:]
     check_gaps(gyro, time, "validate")
-    turned = orientation_at(
+    q = orientation_at(
         time, integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0])), reference.time + shift_s
     )
-    start = quaternion_product(reference.q_nb, quaternion_conjugate(turned))
-    seen: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
-    seen &= reference.time < reference.time[int(np.argmax(seen))] + START_S
-    return time, integrate_strapdown(gyro, time, _mean_of(start[seen]))
+    start = quaternion_product(reference.q_nb, quaternion_conjugate(q))
+    known: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
+    known &= reference.time < reference.time[int(np.argmax(known))] + START_S
+    return time, integrate_strapdown(gyro, time, _mean_of(start[known]))
 
 
 def track_filtered(
     record: Record, reference: Reference, motion: MotionSpan, *, shift_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Run the filter over the whole record; its heading is the reference's before the motion, or over its first second there."""
+    """Run the filter over the whole record, and set its heading from the reference before the motion or in its first second."""
     q, _ = filtered(record, np.asarray(record.gyro), FILTER_OFFSET, magnetometer=False)
-    apart = quaternion_product(
+    q_heading = quaternion_product(
         reference.q_nb, quaternion_conjugate(orientation_at(record.time, q, reference.time + shift_s))
     )
     start_s, stop_s = motion.start_s - shift_s, motion.start_s - shift_s + START_S
     if motion.rested:
         start_s, stop_s = start_s - REST_S, start_s - LEAD_S
-    seen = np.isfinite(apart).all(axis=1) & (reference.time >= start_s) & (reference.time < stop_s)
-    if not seen.any():
+    valid = np.isfinite(q_heading).all(axis=1) & (reference.time >= start_s) & (reference.time < stop_s)
+    if not valid.any():
         raise AlignmentError(
-            f"validate: wanted the reference to see the body from {start_s:.1f} s to {stop_s:.1f} s, got no pose there; heading "
-            "needs one"
+            f"validate: the reference has no pose from {start_s:.1f} s to {stop_s:.1f} s. The heading requires a pose."
         )
-    turn = np.array([1.0, 0.0, 0.0, 1.0]) * _mean_of(apart[seen])
+    turn = np.array([1.0, 0.0, 0.0, 1.0]) * _mean_of(q_heading[valid])
     return record.time, quaternion_product(turn / np.linalg.norm(turn), q)
 
 
 def _mean_pose(reference: Reference, start_s: float, stop_s: float) -> FloatArray:
-    seen: BoolArray = reference.valid & (reference.time >= start_s) & (reference.time < stop_s)
-    if not seen.any():
+    valid: BoolArray = reference.valid & (reference.time >= start_s) & (reference.time < stop_s)
+    if not valid.any():
         raise AlignmentError(
-            f"validate: wanted the reference to see the rest from {start_s:.1f} s to {stop_s:.1f} s, got no pose there; "
-            "heading needs one"
+            f"validate: the reference has no pose at rest from {start_s:.1f} s to {stop_s:.1f} s. The heading requires a pose."
         )
-    return _mean_of(reference.q_nb[seen])
+    return _mean_of(reference.q_nb[valid])
 
 
 def _mean_of(q: FloatArray) -> FloatArray:
@@ -173,35 +172,33 @@ def _mean_of(q: FloatArray) -> FloatArray:
 
 # ---- Mounting: rotation from device case to the body that the reference tracks
 
-_LEAST_SPREAD = 0.02  # of the largest singular value: the second axis of turning
+_LEAST_SPREAD = 0.02  # smallest second singular value relative to the largest, for rotation about two axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Alignment:
     """Rotation from the device's case b to the body m of the reference."""
 
-    rotation: FloatArray  # (3, 3), R_mb: a vector in b, seen in m
-    angle: float  # Of that rotation, rad
-    residual_rms: float  # Of the rates after the rotation, per axis, rad/s
+    rotation: FloatArray  # (3, 3), R_mb, which turns vectors from b to m
+    angle: float  # angle of that rotation, rad
+    residual_rms: float  # rms residual of the rates after the rotation, per axis, rad/s
 
 
 def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignment:
-    """Find how the device sits on the body that the reference tracks."""
+    """Determine the rotation from the device to the body of the reference from their rates."""
     u, w = common_rates(record, native_poses(reference), lag_s)
-    left, singular, right = np.linalg.svd(w.T @ u)
+    left_vectors, singular, right = np.linalg.svd(w.T @ u)
     if not singular[1] > _LEAST_SPREAD * singular[0]:
         raise AlignmentError(
-            "alignment: wanted turning about two axes or more, got one; turn the device about another axis, or give the "
-            "mounting",
+            "alignment: the rotation is about one axis only. Turn the device about a second axis, or provide the mounting.",
             spread=float(singular[1] / max(singular[0], 1e-300)),
         )
-    sign = float(np.sign(np.linalg.det(left @ right)))
+    sign = float(np.sign(np.linalg.det(left_vectors @ right)))
     if sign < 0.0 and singular[2] > 0.2 * singular[1]:
         raise AlignmentError(
-            "alignment: wanted a rotation between two right-handed frames, got a reflection; one axis of the device or of the "
-            "reference is reversed"
+            "alignment: the result is a reflection, not a rotation. Check if an axis of the device or of the reference is reversed."
         )
-    rotation = left @ np.diag((1.0, 1.0, sign)) @ right
+    rotation = left_vectors @ np.diag((1.0, 1.0, sign)) @ right
     cosine = float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
     residual = w - u @ rotation.T
     return Alignment(
@@ -210,33 +207,33 @@ def align_rates(record: Record, reference: Reference, *, lag_s: float) -> Alignm
 
 
 def align_level(record: Record, reference: Reference, motion: MotionSpan, *, lag_s: float) -> Alignment:
-    """Find how the device sits on a body by the vertical that both see at rest; turning about one level axis is enough.
+    """Determine the rotation from device to body from their verticals at rest. Rotation about one level axis is sufficient.
 
-    R = R(g, angle) R1, with R1 the shortest rotation from the mean force f to the vertical g of the body; of the rates u = R1 w and
-    those of the body v  angle = atan2(sum g . (u x v), sum u . v - (u . g)(v . g)).
+    R = R(g, angle) R1, where R1 is the shortest rotation from the mean force f to the vertical g of the body. With the rates u =
+    R1 w of the device and v of the body, angle = atan2(sum g . (u x v), sum u . v - (u . g)(v . g)).
     """
     start_s, stop_s = motion.start_s - REST_S, motion.start_s - LEAD_S
-    seen = reference.valid & (reference.time >= start_s - lag_s) & (reference.time < stop_s - lag_s)
-    at_rest = (record.time >= start_s) & (record.time < stop_s)
-    if not motion.rested or record.accel is None or not seen.any() or not np.isfinite(record.accel[at_rest]).any():
+    valid = reference.valid & (reference.time >= start_s - lag_s) & (reference.time < stop_s - lag_s)
+    rest_mask = (record.time >= start_s) & (record.time < stop_s)
+    if not motion.rested or record.accel is None or not valid.any() or not np.isfinite(record.accel[rest_mask]).any():
         raise AlignmentError(
-            "alignment: wanted the vertical of both at rest before the motion, got none; begin with a rest"
+            "alignment: no common vertical at rest before the motion. Start the recording with a rest."
         )
-    vertical = rotate(quaternion_conjugate(reference.q_nb[seen]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
-    force = np.nanmean(record.accel[at_rest], axis=0)
+    vertical = rotate(quaternion_conjugate(reference.q_nb[valid]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
+    force = np.nanmean(record.accel[rest_mask], axis=0)
     g, f = (x / np.linalg.norm(x) for x in (vertical, force))
-    to_body = quaternion_product(quaternion_conjugate(shortest_rotation_up(g)), shortest_rotation_up(f))
+    q_level = quaternion_product(quaternion_conjugate(shortest_rotation_up(g)), shortest_rotation_up(f))
     w, v = common_rates(record, native_poses(reference), lag_s)
-    u = rotate(to_body, w)
+    u = rotate(q_level, w)
     across, along = float((cross(u, v) @ g).sum()), float((u * v).sum() - ((u @ g) * (v @ g)).sum())
     if math.hypot(across, along) < _LEAST_SPREAD * float((v * v).sum()):
-        raise AlignmentError("alignment: wanted turning about a level axis, got none; bend or turn over once")
+        raise AlignmentError("alignment: no rotation about a level axis. Bend or turn over once.")
     angle = math.atan2(across, along)
-    turned = quaternion_product(quaternion_of(angle * g), to_body)
-    residual = v - rotate(turned, w)
+    q_body = quaternion_product(quaternion_of(angle * g), q_level)
+    residual = v - rotate(q_body, w)
     return Alignment(
-        rotation=rotation(turned).as_matrix(),
-        angle=2.0 * math.acos(min(abs(float(turned[0])), 1.0)),
+        rotation=rotation(q_body).as_matrix(),
+        angle=2.0 * math.acos(min(abs(float(q_body[0])), 1.0)),
         residual_rms=float(np.sqrt((residual**2).mean())),
     )
 
@@ -246,12 +243,12 @@ def align_level(record: Record, reference: Reference, motion: MotionSpan, *, lag
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrientationError:
-    """Error of one orientation against another, sample by sample; NaN where either is missing."""
+    """Error of an orientation against another, sample by sample, NaN if either is missing."""
 
     total: FloatArray  # (N,), rad
     heading: FloatArray  # (N,), rad, signed
     inclination: FloatArray  # (N,), rad
-    # (N,), signed difference of sagittal pitch, rad; NaN where the vertical leaves the sagittal plane
+    # (N,), signed difference of sagittal pitch, rad, or NaN if the vertical is too far from the sagittal plane
     pitch: FloatArray
 
 
@@ -297,20 +294,20 @@ def compare_orientations(
 
 
 def wrapped(angle: FloatArray) -> FloatArray:
-    """Return angles brought into (-pi, pi]."""
-    turned: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
-    return turned
+    """Return angles wrapped to (-pi, pi]."""
+    result: FloatArray = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return result
 
 
 def of_known(summary: Callable[[FloatArray], Any], values: FloatArray) -> float:
-    """Return a summary of what is not a gap."""
-    seen = values[np.isfinite(values)]
-    return float(summary(seen)) if len(seen) else float("nan")
+    """Return a summary of the finite values, or NaN if there are only gaps."""
+    known = values[np.isfinite(values)]
+    return float(summary(known)) if len(known) else float("nan")
 
 
 def rms(values: FloatArray) -> float:
-    """Return the root-mean-square of what is not a gap."""
-    return of_known(lambda seen: np.sqrt((seen**2).mean()), values)
+    """Return the root-mean-square of the finite values."""
+    return of_known(lambda known: np.sqrt((known**2).mean()), values)
 
 
 def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
@@ -322,30 +319,30 @@ def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
     return float((t * values[good]).sum() / (t * t).sum())
 
 
-# ---- Figures in degrees
+# ---- Results in degrees.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """What one recording comes to, or a mean or median over recordings."""
+    """Results of a recording, or their mean or median over recordings."""
 
-    lag_ms: float  # How late the record's samples were, ms
+    lag_ms: float  # lag of the record relative to the reference, ms
     rmse_total_deg: float  # Root-mean-square error over the motion, deg
     rmse_inclination_deg: float
     rmse_heading_deg: float
     rmse_pitch_deg: float
-    # Mean signed, standard deviation and largest pitch error over the motion, deg, where pitch is defined; near the
-    # edge of that, on tumbling motion, the largest grows beyond the error in space
+    # mean signed, standard deviation and largest pitch error over the motion, deg, for samples with defined pitch. In
+    # tumbling motion, the largest pitch error can exceed the total error.
     mean_pitch_deg: float
     sd_pitch_deg: float
     max_abs_pitch_deg: float
-    # Range of motion in pitch less that of the reference, deg; needs less than half a turn to mean anything
+    # range of motion in pitch minus range in the reference, deg, which is meaningful for less than half a turn
     range_pitch_error_deg: float
     max_total_deg: float  # Largest total error over the motion, deg
-    end_total_deg: float  # Median error after the motion, deg; NaN where the recording ends with it
+    end_total_deg: float  # median error after the motion, deg, or NaN if the recording ends with the motion
     end_inclination_deg: float
     drift_deg_per_min: float  # Slope of the total error over the motion, deg/min
-    # Root-mean-square total error with the lag left in and with it undone, deg; the main figures are one of the two
+    # root-mean-square total error with the lag and without it, deg (the main results are with one of the two)
     rmse_total_before_lag_deg: float
     rmse_total_after_lag_deg: float
     valid_optics: float  # Share of the motion in which the reference saw the body
@@ -380,7 +377,7 @@ OWN_LAG_S = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSettings:
-    """How a recording is judged.
+    """Settings of the comparison of a recording with its reference.
 
     Parameters
     ----------
@@ -440,10 +437,10 @@ def rows_of(figures: Figures) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounting:
-    """How the device sits on the reference's body, and whether that was undone."""
+    """Mounting of the device on the body of the reference."""
 
-    alignment: Alignment  # Rotation from device case to body
-    applied: bool  # Whether the readings were turned by it
+    alignment: Alignment  # rotation from device case to body
+    applied: bool  # True if the readings were rotated with it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -559,14 +556,14 @@ def validate_trial(
     """
     done, findings = _corrected(record, calibration, settings)
     gaps, poses = _gaps(done), native_poses(reference)
-    done, lag, of_clocks = _in_step(done, poses, gaps, settings)
-    poses, reference = (seen_poses(done, each, lag) for each in (poses, reference))
-    findings += (*of_clocks, *check_reference(_worn(done, settings), poses, lag.seconds))
+    done, lag, clock_findings = _in_step(done, poses, gaps, settings)
+    poses, reference = (seen_poses(done, ref, lag) for ref in (poses, reference))
+    findings += (*clock_findings, *check_reference(_worn(done, settings), poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    done, rest_offset, more = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
+    done, rest_offset, offset_findings = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
     done, mounting = _aligned(_worn(done, settings), poses, (lag, motion), settings)
-    shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown holds each reading over the step before its stamp
-    track, of_start = _track(done, (reference, poses), motion, shift_s, settings)
+    shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown uses each reading for the step before its time stamp
+    track, start_findings = _track(done, (reference, poses), motion, shift_s, settings)
     undone = max(abs(lag.seconds), abs(shift_s)) > OWN_LAG_S
     axes: dict[str, Face] = {"forward": settings.forward, "up": settings.up}
     tracks = [orientation_at(*track, reference.time + shift) for shift in (0.0, shift_s)]
@@ -594,7 +591,7 @@ def validate_trial(
         motion=motion,
         mounting=mounting,
         mean_inclination=_mean_inclinations(sensor[both], reference.q_nb[both]),
-        findings=(*findings, *of_start, *more),
+        findings=(*findings, *start_findings, *offset_findings),
         time=reference.time,
         error=error,
         sensor_pitch=pitches[0],
@@ -607,19 +604,19 @@ def validate_trial(
 
 
 def check_scale(trial: Trial) -> None:
-    """Refuse a device with over twice or under half the rate of its reference: degrees for radians, most likely."""
+    """Raise InputError if a device has over twice or under half the rate of its reference, for example in a wrong unit."""
     times = 1.0 / float(np.linalg.norm(trial.lag.matrix, ord=2))  # the matrix maps readings to the reference's rate
     if not 0.5 < times < 2.0:
         raise InputError(
-            f"{trial.recording}: wanted rates in the unit that is stated, got {times:.3g} times those of the reference; check the "
-            "unit and the scale of the gyroscope"
+            f"{trial.recording}: the rates are {times:.3g} times the rates of the reference. Check the unit and the scale of the "
+            "gyroscope."
         )
 
 
 def _track(
     record: Record, references: tuple[Reference, Reference], motion: MotionSpan, shift_s: float, settings: TrialSettings
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[Finding, ...]]:
-    """Return time and orientation from the rest on, or, without one, from the poses (second of both), and that it is so."""
+    """Return time and orientation from the rest or, without a rest, from the poses, and a finding in the latter case."""
     reference, poses = references
     if settings.method == "vqf":
         track = track_filtered(record, reference, motion, shift_s=shift_s)
@@ -629,7 +626,7 @@ def _track(
         track = track_from_reference(record, poses, motion, shift_s=shift_s)
     if motion.rested:
         return track, ()
-    what = f"orientation starts at {float(track[0][0]):.1f} s from the reference, over {START_S:g} s; end errors are those of the "
+    what = f"orientation starts at {float(track[0][0]):.1f} s from the reference, over {START_S:g} s, and end errors are from the "
     return track, (finding("validate.no_rest", "info", what=what + "last seconds of the motion"),)
 
 
@@ -638,10 +635,10 @@ def _mean_inclinations(sensor: FloatArray, reference: FloatArray) -> tuple[float
 
 
 def _pitch_axes(sensor: FloatArray, before: BoolArray, settings: TrialSettings) -> tuple[Finding, ...]:
-    """Return a finding where the axes of the pitch are not those that the rest shows; a motion that wraps is none."""
+    """Return a finding if the axes of the pitch do not agree with the rest before the motion."""
     rest = before & np.isfinite(sensor).all(axis=1)
-    found = check_pitch_axes(sensor, rest, settings.forward, settings.up) if rest.any() else ()
-    return tuple(one for one in found if one.level == "warn")
+    axis_findings = check_pitch_axes(sensor, rest, settings.forward, settings.up) if rest.any() else ()
+    return tuple(warning for warning in axis_findings if warning.level == "warn")
 
 
 _KINDS: dict[OffsetChoice, OffsetKind] = {"none": "other", "rest": "subtracted", "motion": "shown"}
@@ -656,13 +653,13 @@ def _expected(
     settings: TrialSettings,
     source: OffsetSource | None,
 ) -> Expected | None:
-    """Return the errors to expect of a corrected recording; None where no covariance of the gyroscopes is known."""
+    """Return the expected errors of a corrected recording, or None without a covariance of the gyroscopes."""
     model = None if calibration is None else calibration.gyro
     if calibration is None or model is None or settings.method == "vqf" or not model.covariance[:9, :9].any():
         return None
     if source is None:
-        in_motion = (model.method in IN_MOTION and judged.rest is None) or model.moving_offset is not None
-        source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=in_motion)
+        fitted_in_motion = (model.method in IN_MOTION and judged.rest is None) or model.moving_offset is not None
+        source = OffsetSource(rest=_KINDS[settings.offset if judged.rest else "none"], in_motion=fitted_in_motion)
     mounting, subtracted = judged.mounting, judged.rest
     before: tuple[float, float] | None = (float(done.time[0]), judged.motion.start_s - LEAD_S)
     stretch = before if subtracted is None and judged.motion.rested else subtracted and subtracted.rest_s
@@ -732,11 +729,11 @@ def _in_degrees(
     time: FloatArray,
     stretches: tuple[BoolArray, BoolArray],
 ) -> dict[str, float]:
-    """Return the errors over the motion and after it, with the lag left in or undone; pitches are sensor and reference, rad."""
+    """Return the errors over the motion and after it, with or without the lag. `pitches` are of sensor and reference, rad."""
     error, (moving, after) = errors[undone], stretches
     total, pitch = error.total[moving], error.pitch[moving]
     both = moving & np.isfinite(pitches[0]) & np.isfinite(pitches[1])
-    ranges = [of_known(np.ptp, each[both]) for each in pitches]
+    ranges = [of_known(np.ptp, angles_of_one[both]) for angles_of_one in pitches]
     angles = {
         "rmse_total_deg": rms(total),
         "rmse_inclination_deg": rms(error.inclination[moving]),
@@ -757,7 +754,7 @@ def _in_degrees(
 
 
 def check_poses(record: Record, reference: Reference, settings: TrialSettings = TrialSettings()) -> tuple[Finding, ...]:
-    """Return what a reference shows against the axes of a record that no fit has turned yet; raise where it is clear."""
+    """Return findings on the convention of a reference for an unaligned record, or raise an error if it is clearly wrong."""
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return ()
     done, poses = record.in_si(), native_poses(reference)
@@ -766,18 +763,18 @@ def check_poses(record: Record, reference: Reference, settings: TrialSettings = 
 
 
 def _gaps(record: Record) -> BoolArray:
-    """True where a channel that the record has is missing; rates that are nothing but gaps are refused."""
-    held = [~np.isfinite(values).all(axis=1) for values in (record.gyro, record.accel) if values is not None]
-    if record.gyro is not None and held[0].all():
+    """Return True for samples with a missing channel. Raise InputError if all rates are missing."""
+    missing = [~np.isfinite(values).all(axis=1) for values in (record.gyro, record.accel) if values is not None]
+    if record.gyro is not None and missing[0].all():
         check_gaps(record.gyro, record.time, "validate")
-    return np.asarray(np.any(held, axis=0))
+    return np.asarray(np.any(missing, axis=0))
 
 
 def _corrected(
     record: Record, calibration: Calibration | None, settings: TrialSettings
 ) -> tuple[Record, tuple[Finding, ...]]:
-    whole, record = record, unpadded(record)
-    padded = padding(whole, record)
+    original, record = record, unpadded(record)
+    padded = padding(original, record)
     if calibration is None:
         adc = device_adc([record]) if settings.adc == "auto" and record.state == "raw" else None
         if adc is None:
@@ -792,7 +789,7 @@ def _corrected(
 
 
 def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
-    """Return the calibration of a device that is what its unit says, apart from the rounding of its codes."""
+    """Return the nominal calibration of a device with the unit of its readings, including the rounding of its codes."""
     return Calibration(
         device=record.device,
         reference_temp_c=float("nan"),
@@ -806,28 +803,28 @@ def nominal_calibration(record: Record, adc: AdcModel | None) -> Calibration:
 def _re_zeroed(
     record: Record, motion: MotionSpan, settings: TrialSettings, model: TriadModel | None
 ) -> tuple[Record, OffsetLeft | None, tuple[Finding, ...]]:
-    """Subtract what is left from the first still phase on; where none is found, from what the reference marks before the motion."""
+    """Subtract the remaining offset of the first still phase, or of the rest before the motion if there is no still phase."""
     if settings.offset == "none":
         return record, None, ()
-    more, rest = tuple[Finding, ...](), None
+    offset_findings, rest = tuple[Finding, ...](), None
     try:
         rest = find_rest_offset(record)
     except InputError:
         if motion.rested:
-            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S))
-            what = f"the mean rate from {rest.start_s:.1f} to {rest.stop_s:.1f} s, which is not still, was subtracted; correct and "
-            more = (finding("validate.no_rest", "warn", what=what + "orient refuse the offset rest here"),)
+            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S)) what = f"the mean rate from
+            {rest.start_s:.1f} to {rest.stop_s:.1f} s, which is not still, was subtracted, but correct and " offset_findings =
+            (finding("validate.no_rest", "warn", what=what + "orient do not accept the offset rest here"),)
         elif settings.offset == "rest":
-            what = "the offset of the gyroscopes is not removed; it can be found from motion"
+            what = "the offset of the gyroscopes is not removed, but it can be determined from motion"
             return record, None, (finding("validate.no_rest", "warn", what=what),)
     remainder = offset_left(record, settings.offset, rest, model)
-    return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, more
+    return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, offset_findings
 
 
 def _aligned(
-    record: Record, poses: Reference, seen: tuple[Lag, MotionSpan], settings: TrialSettings
+    record: Record, poses: Reference, lag_and_motion: tuple[Lag, MotionSpan], settings: TrialSettings
 ) -> tuple[Record, Mounting | None]:
-    lag, motion = seen
+    lag, motion = lag_and_motion
     if settings.align == "level":
         with suppress(AlignmentError):
             alignment = align_level(record, poses, motion, lag_s=lag.seconds)
@@ -835,7 +832,7 @@ def _aligned(
     try:
         alignment = align_rates(record, poses, lag_s=lag.seconds)
     except AlignmentError:
-        return record, None  # turning about one axis alone does not show the mounting; it is taken as stated
+        return record, None  # rotation about one axis cannot determine the mounting, so the mounting is unchanged
     if settings.align == "auto" and alignment.angle <= settings.align_above:
         return record, Mounting(alignment=alignment, applied=False)
     return _turned(record, alignment.rotation), Mounting(alignment=alignment, applied=True)
