@@ -126,9 +126,7 @@ def track_from_reference(
     first = int(np.searchsorted(record.time, motion.start_s))
     time, gyro = record.time[first:], record.gyro[first:]
     check_gaps(gyro, time, "validate")
-    q = orientation_at(
-        time, integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0])), reference.time + shift_s
-    )
+    q = orientation_at(time, integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0])), reference.time + shift_s)
     start = quaternion_product(reference.q_nb, quaternion_conjugate(q))
     known: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
     known &= reference.time < reference.time[int(np.argmax(known))] + START_S
@@ -560,7 +558,9 @@ def validate_trial(
     poses, reference = (seen_poses(done, ref, lag) for ref in (poses, reference))
     findings += (*clock_findings, *check_reference(_worn(done, settings), poses, lag.seconds))
     motion = find_motion(done, reference, lag_s=lag.seconds)
-    done, rest_offset, offset_findings = _re_zeroed(done, motion, settings, None if calibration is None else calibration.gyro)
+    done, rest_offset, offset_findings = _re_zeroed(
+        done, motion, settings, None if calibration is None else calibration.gyro
+    )
     done, mounting = _aligned(_worn(done, settings), poses, (lag, motion), settings)
     shift_s = lag.seconds - 0.5 / done.sample_rate_hz  # strapdown uses each reading for the step before its time stamp
     track, start_findings = _track(done, (reference, poses), motion, shift_s, settings)
@@ -811,9 +811,10 @@ def _re_zeroed(
         rest = find_rest_offset(record)
     except InputError:
         if motion.rested:
-            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S)) what = f"the mean rate from
-            {rest.start_s:.1f} to {rest.stop_s:.1f} s, which is not still, was subtracted, but correct and " offset_findings =
-            (finding("validate.no_rest", "warn", what=what + "orient do not accept the offset rest here"),)
+            rest = find_rest_offset(record, (float(record.time[0]), motion.start_s - LEAD_S))
+            what = f"the mean rate from {rest.start_s:.1f} to {rest.stop_s:.1f} s, which is not still, was subtracted, but "
+            what += "correct and orient do not accept the offset rest here"
+            offset_findings = (finding("validate.no_rest", "warn", what=what),)
         elif settings.offset == "rest":
             what = "the offset of the gyroscopes is not removed, but it can be determined from motion"
             return record, None, (finding("validate.no_rest", "warn", what=what),)
