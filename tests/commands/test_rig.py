@@ -85,7 +85,7 @@ def test_check_accepts_a_table_by_its_limit(capsys):
         (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
         (["check", "--rig", "manual:"], "rig check: wanted a table with a motor, got manual:", 2),
-        (["check", "--rig", NOBODY, "--seconds", "0"], "rig check: wanted duration_s above 0", 2),
+        (["check", "--rig", NOBODY, "--seconds", "0"], "duration_s above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
         (
             ["run", "p.toml", *SIMULATED, "--device", "tcp://h:1", "-o", "x"],
@@ -99,8 +99,8 @@ def test_check_accepts_a_table_by_its_limit(capsys):
             2,
         ),
         (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "wanted options out of seed, device", 2),
-        (["check", "--rig", "simulated:?clock_speed=0"], "wanted a clock_speed above 0", 2),
-        (["check", "--rig", "simulated:one"], "wanted the address 'simulated:'", 2),
+        (["check", "--rig", "simulated:?clock_speed=0"], "clock_speed must be", 2),
+        (["check", "--rig", "simulated:one"], "must be 'simulated:'", 2),
     ],
 )
 def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code, capsys, tmp_path, monkeypatch):

@@ -83,13 +83,13 @@ def test_the_default_warm_up_is_that_of_the_recorded_board() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ChamberSettings(board_lag_s=0.0), "chamber: wanted board_lag_s above 0, got 0"),
+        (lambda: ChamberSettings(board_lag_s=0.0), "board_lag_s above 0, got 0"),
         (lambda: RampSettings(low_c=30.0, high_c=20.0), "got 30 to 20 degC at 1 and 1 degC/min"),
-        (lambda: WarmUpSettings(fast_share=2.0), "warm-up: wanted a share of 0 to 1 and times above 0 s, got 2,"),
-        (lambda: soak_profile((), measured_s=1.0), "soaks: wanted one set-point or more, got none"),
+        (lambda: WarmUpSettings(fast_share=2.0), "0 to 1 .*got 2,"),
+        (lambda: soak_profile((), measured_s=1.0), "at least one set-point"),
         (
             lambda: soak_profile((20.0, 60.0), measured_s=1.0, settings=ChamberSettings(longest_wait_s=300.0)),
-            "wanted less than 0.1 degC/min within 300 s at 60 degC, got",
+            "below 0.1 degC/min within 300 s at 60 degC, got",
         ),
     ],
 )

@@ -74,9 +74,7 @@ def test_limits_of_agreement_follow_the_closed_form():
 
 
 def test_tables_that_cannot_be_are_refused():
-    with pytest.raises(
-        InputError, match=r"three subjects or more and two methods or more without gaps, got shape \(2, 2\)"
-    ):
+    with pytest.raises(InputError, match=r"got shape \(2, 2\)"):
         bland_altman(np.ones(2), np.ones(2))
     with pytest.raises(InputError, match="without gaps"):
         intraclass_correlation(np.array([[1.0, np.nan], [1.0, 2.0], [3.0, 1.0]]))

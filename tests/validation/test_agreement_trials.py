@@ -63,5 +63,5 @@ def test_calls_that_cannot_be_are_refused(pairs):
 
 
 def test_a_recording_cannot_judge_itself(pairs):
-    with pytest.raises(InputError, match="got number 2 with the readings of number 1"):
+    with pytest.raises(InputError, match="recording 2 has the same readings as recording 1"):
         validate_leave_one_out([pairs[0], pairs[0]])

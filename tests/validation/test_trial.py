@@ -157,13 +157,11 @@ def test_a_record_without_accelerometer_starts_from_the_optics(perfect):
 
 def test_what_cannot_be_judged_is_refused(perfect):
     record, reference = perfect
-    with pytest.raises(InputError, match="wanted a record with a gyroscope"):
+    with pytest.raises(InputError, match="no gyroscope"):
         validate_trial(Record(time=record.time, accel=record.accel), reference)
     with pytest.raises(InputError, match="wanted a physical unit, got count"):
         validate_trial(replace(record, gyro_unit="count"), reference)
-    with pytest.raises(
-        AlignmentError, match=r"wanted the reference to see the rest from -2\.0 s to 7\.5 s, got no pose there"
-    ):
+    with pytest.raises(AlignmentError, match=r"no pose at rest from -2\.0 s to 7\.5 s"):
         validate_trial(record, hidden(reference, -1.0, 7.6))
     gyro = np.array(record.gyro)
     gyro[4000:4010] = np.nan
@@ -212,7 +210,7 @@ def test_a_rest_without_a_specific_force_is_refused(perfect):
     start_s = validate_trial(record, reference).motion.start_s
     accel = record.accel.copy()
     accel[record.time < start_s] = np.nan
-    with pytest.raises(InputError, match=r"wanted a specific force at rest before .* s, got nothing but gaps \(NaN\)"):
+    with pytest.raises(InputError, match=r"at rest before .* s has only gaps"):
         validate_trial(replace(record, accel=accel), reference)
 
 

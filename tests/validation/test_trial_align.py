@@ -31,12 +31,12 @@ def test_one_axis_of_turning_does_not_tell_a_mounting():
     angle = np.sin(t)
     q = Rotation.from_rotvec(angle[:, None] * (0.0, 1.0, 0.0)).as_quat(scalar_first=True)
     record = Record(time=t, gyro=np.cos(t)[:, None] * np.array([0.0, 1.0, 0.0]))
-    with pytest.raises(AlignmentError, match="wanted turning about two axes or more, got one"):
+    with pytest.raises(AlignmentError, match="about one axis only"):
         align_rates(record, Reference(time=t, q_nb=q), lag_s=0.0)
 
 
 def test_a_reversed_axis_is_a_reflection():
     record, reference = make_recording(np.random.default_rng(2), turn_s=20.0)
     mirrored = replace(record, gyro=record.gyro * np.array([1.0, 1.0, -1.0]))
-    with pytest.raises(AlignmentError, match="wanted a rotation between two right-handed frames, got a reflection"):
+    with pytest.raises(AlignmentError, match="is a reflection"):
         align_rates(mirrored, reference, lag_s=0.0)

@@ -88,9 +88,9 @@ def test_rate_drift_grows_with_rate_and_warmth() -> None:
 
 
 def test_what_no_device_can_be_is_refused() -> None:
-    with pytest.raises(InputError, match="wanted unit vectors as axes"):
+    with pytest.raises(InputError, match="unit vectors"):
         Scale(nominal_sensitivity=1.0, axes=2.0 * np.eye(3))
-    with pytest.raises(InputError, match="wanted a nominal sensitivity above 0"):
+    with pytest.raises(InputError, match="sensitivity must be positive"):
         Scale(nominal_sensitivity=0.0)
-    with pytest.raises(InputError, match="lever arm: wanted a motion with angular acceleration"):
+    with pytest.raises(InputError, match="no angular acceleration"):
         run(device_of(accel=chain("m/s2", lever_arm=LeverArm(arms=np.eye(3)))), motion_of(TIME, RAMP))

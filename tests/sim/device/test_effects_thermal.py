@@ -77,7 +77,7 @@ def test_an_lm335_counts_kelvins_by_the_step_of_its_converter() -> None:
 
 def test_an_uneven_grid_and_a_negative_lag_are_refused() -> None:
     motion = motion_of(np.array([0.0, 0.1, 0.3, 0.4]), np.zeros((4, 3)))
-    with pytest.raises(InputError, match="thermometer: wanted evenly spaced samples of the motion"):
+    with pytest.raises(InputError, match=r"thermometer: .*evenly spaced"):
         run(device_of(thermometer=Thermometer(lag_s=1.0)), motion, temp_c=np.array([20.0, 21.0, 22.0, 23.0]))
-    with pytest.raises(InputError, match=r"Thermometer.lag_s: wanted 0 or more, got -1"):
+    with pytest.raises(InputError, match=r"Thermometer.lag_s: .*0 or more, got -1"):
         Thermometer(lag_s=-1.0)

@@ -49,19 +49,22 @@ def changed(change: Callable[[Any], object]) -> Any:
     [
         (lambda c: c.update(kind="undrift.calibration"), "wanted kind 'undrift.device', got 'undrift.calibration'"),
         (lambda c: c.update(format=2), "wanted format 1, got 2; read it with the undrift that wrote it"),
-        (lambda c: c.pop("gyro"), "device.gyro: wanted the keys of format 1, got it missing"),
+        (lambda c: c.pop("gyro"), "device.gyro: expected the keys of format 1, got it missing"),
         (
             lambda c: c["gyro"].update(colour="red"),
-            "device.gyro.colour: wanted the keys of format 1, got an unknown key",
+            "device.gyro.colour: expected the keys of format 1, got an unknown key",
         ),
-        (lambda c: c["gyro"].update(scale=3), "device.gyro.scale: wanted an object, got int"),
-        (lambda c: c["gyro"]["scale"].update(error=3), "device.gyro.scale.error: wanted an array, got 3"),
+        (lambda c: c["gyro"].update(scale=3), "device.gyro.scale: expected an object, got int"),
+        (lambda c: c["gyro"]["scale"].update(error=3), "device.gyro.scale.error: expected an array, got 3"),
         (lambda c: c["gyro"]["scale"].update(error=[1.0]), r"Scale.error: wanted shape \(3,\), got \(1,\)"),
-        (lambda c: c["gyro"]["amplifier"].update(gain="big"), "device.gyro.amplifier.gain: wanted a number, got 'big'"),
-        (lambda c: c["gyro"]["adc"].update(bits=12.5), "device.gyro.adc.bits: wanted int, got 12.5"),
+        (
+            lambda c: c["gyro"]["amplifier"].update(gain="big"),
+            "device.gyro.amplifier.gain: expected a number, got 'big'",
+        ),
+        (lambda c: c["gyro"]["adc"].update(bits=12.5), "device.gyro.adc.bits: expected int, got 12.5"),
         (
             lambda c: c["gyro"]["adc"].update(rounding="up"),
-            "Adc.rounding: wanted nearest, floor, toward_zero, got 'up'",
+            "Adc.rounding: must be one of nearest, floor, toward_zero, got 'up'",
         ),
     ],
 )

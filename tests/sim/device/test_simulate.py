@@ -108,9 +108,9 @@ def test_readings_are_gaps_where_the_motion_is_unknown() -> None:
     assert np.isnan(record.accel[100:150]).all()  # type: ignore[index]
     blind = motion_of(motion.time, rate, np.full((n, 3), np.nan), valid=valid)
     assert run(device, blind).record.accel is None
-    with pytest.raises(InputError, match="g-sensitivity: wanted a motion with specific force"):
+    with pytest.raises(InputError, match="no specific force"):
         run(device_of(chain(g_sensitivity=GSensitivity(matrix=np.eye(3)))), blind)
-    with pytest.raises(InputError, match="motion: wanted known samples, got none"):
+    with pytest.raises(InputError, match="samples are unknown"):
         run(device, motion_of(motion.time, np.full((n, 3), np.nan), valid=np.zeros(n)))
 
 
