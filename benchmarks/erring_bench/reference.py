@@ -1,6 +1,7 @@
 """Fit to references on a bench that errs: markers put on anew, cameras with noise and slow errors, parts with all their effects.
 
 The mounting of each recording is drawn and not known, so scale and cross-axis terms are compared as M'M, which no rotation changes.
+The accelerometers' offset is that of the whole recording, with what flickers.
 The gyroscopes' offset is that of these recordings in motion, with g-sensitivity and what the offset did on that day: no constant of
 the device, and not compared. What it adds to an error in degrees is judged by ``benchmarks.broad``.
 """
@@ -15,6 +16,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
 from undrift.errors import NotObservable
+from undrift.fit.priors import REFERENCE_LEVEL
 from undrift.fit.triad import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import AdcModel, TriadModel
@@ -41,7 +43,7 @@ class Case:
 
     grade: GradeName
     optics: OpticsSettings
-    errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors of the poses
+    errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors and a common tilt of the poses
 
 
 CASES = {
@@ -67,12 +69,10 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         device = _erring(device, rng) if case.errs else device
         fits = _fits(device, rng, case)
         truth = true_calibration(device)
-        for tally, fit, true in zip((gyro, accel), fits, (truth.gyro, truth.accel), strict=True):
-            if true is not None and fit is not None:
-                groups = _groups(fit, true)
-                tally.add(
-                    fit.verdict, **(groups if tally is accel else {k: groups[k] for k in ("scale", "cross-axis")})
-                )
+        groups = _groups(fits[0], truth.gyro, np.zeros(3))
+        gyro.add(fits[0].verdict, **{group: groups[group] for group in ("scale", "cross-axis")})
+        if fits[1] is not None:
+            accel.add(fits[1].verdict, **_groups(fits[1], truth.accel, fits[2]))
     yield from gyro.rows()
     yield from accel.rows()
 
@@ -94,7 +94,7 @@ def moving_rows(devices: int, seed: int) -> Iterator[Row]:
             device = replace(device, gyro=replace(device.gyro, g_sensitivity=None))
             true, change = true_calibration(device).gyro, MOVING_PRIOR * rng.standard_normal(3)
             lost = lsb * (0.5 + CODE_PRIOR * rng.standard_normal(3))
-            pairs = [_seen(device, rng, case) for _ in range(3)]
+            pairs = [_seen(device, rng, case)[:2] for _ in range(3)]
             records = [_moved(record, true, change, (lsb, lost)) for record, _ in pairs]
             adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
             fit = fit_reference(records, [p[1] for p in pairs], adc=adc).triad
@@ -123,50 +123,53 @@ def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:
 
 def _seen(
     device: DeviceModel, rng: np.random.Generator, case: Case, *, six_rests: bool = False
-) -> tuple[Record, Reference]:
-    """Return a recording and what the cameras saw."""
+) -> tuple[Record, Reference, FloatArray]:
+    """Return a recording, what the cameras saw, and the mean flicker (3,) of the accelerometers in it, raw unit."""
     from scipy.signal import lfilter
 
     task = draw_task("free", rng=rng)
     task = with_six_rests(task) if six_rests else task
     motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
     temp_c = even_rise(CREEP_C * case.errs, len(motion))
-    record = simulate_device(device, motion, rng=rng, temp_c=temp_c).record
+    simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    record, flicker = simulated.record, device.accel.gain * simulated.accel.of("instability").mean(axis=0)
     reference = see(task, rng=rng, settings=case.optics)
     if not case.errs:
-        return record, reference
+        return record, reference, flicker
     kept = np.exp(-1.0 / (SLOW_S * case.optics.sample_rate_hz))
     drawn = SLOW_SD * rng.standard_normal((len(reference), 3))
     drawn[1:] *= np.sqrt(1.0 - kept**2)
     off = lfilter([1.0], [1.0, -kept], drawn, axis=0)
     record = replace(record, time=record.time + JITTER_S * rng.standard_normal(len(record)))
-    return record, replace(reference, q_nb=quaternion_product(reference.q_nb, quaternion_of(off)))
+    tilt = quaternion_of(np.append(REFERENCE_LEVEL * rng.standard_normal(2), 0.0))
+    q_nb = quaternion_product(tilt, quaternion_product(reference.q_nb, quaternion_of(off)))
+    return record, replace(reference, q_nb=q_nb), flicker
 
 
-def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[TriadFit, TriadFit | None]:
-    """Return the gyroscopes by three recordings of motion, and the accelerometers by one with rests on six sides.
+def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[TriadFit, TriadFit | None, FloatArray]:
+    """Return the gyroscopes by three recordings, the accelerometers by one with rests on six sides, and its mean flicker.
 
     Where the errors hide some of the rests, the accelerometers are refused, and n of their rows is smaller.
     """
-    gyro = fit_reference(*zip(*(_seen(device, rng, case) for _ in range(3)), strict=True))
-    pair = _seen(device, rng, case, six_rests=True)
+    gyro = fit_reference(*zip(*(_seen(device, rng, case)[:2] for _ in range(3)), strict=True)).triad
+    *pair, flicker = _seen(device, rng, case, six_rests=True)
     fit = fit_reference(*([part] for part in pair))
     alone = {"mountings": fit.mountings, "gravity_m_s2": STANDARD_GRAVITY, "lags_s": fit.lags_s}
     try:
-        return gyro.triad, fit_reference_accel(*([part] for part in pair), **alone)
+        return gyro, fit_reference_accel(*([part] for part in pair), **alone), flicker
     except NotObservable:
-        return gyro.triad, None
+        return gyro, None, flicker
 
 
-def _groups(fit: TriadFit, true: TriadModel) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return errors and standard deviations of M'M, relative, and of the offset, in units of the output."""
+def _groups(fit: TriadFit, true: TriadModel, shift: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return errors and standard deviations of M'M, relative, and of the offset moved by a shift (3,), in units of the output."""
     matrix, size = fit.model.matrix, float(np.linalg.norm(true.matrix, 2))
     element = np.eye(9).reshape(9, 3, 3)
     change = (np.swapaxes(element, 1, 2) @ matrix + matrix.T @ element).reshape(9, 9).T / size**2
     sigma = np.sqrt(np.diag(change @ fit.model.covariance[:9, :9] @ change.T)).reshape(3, 3)
     error = (matrix.T @ matrix - true.matrix.T @ true.matrix) / size**2
     upper = np.triu_indices(3, 1)
-    offset = size * (fit.model.offset - true.offset)
+    offset = size * (fit.model.offset - true.offset - shift)
     return {
         "scale": (np.diag(error) / 2.0, np.diag(sigma) / 2.0),
         "cross-axis": (error[upper], sigma[upper]),

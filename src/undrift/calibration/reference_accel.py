@@ -2,13 +2,13 @@
 
     M u - c = R' g z + e          u mean reading of a rest, R its pose in the body of the gyroscopes' fit, c = M o
 
-The errors e are noise, codes, flicker and temperature as in six faces, and a tilt of each pose and one of the level of the
-reference, whose sizes the residuals show. Motion is not used, so six rests or more must determine M and c.
+The errors e are noise, codes, flicker and temperature as in six faces, a tilt of the level of the reference of a stated size, and a
+tilt of each pose, whose size the residuals show. Motion is not used, so six rests or more must determine M and c. The offset is
+that at the mean temperature of the recordings, of which the rests may all be at one end.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from undrift.calibration.sources import creep_of, flicker_about_mean, in_case
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Verdict, finding
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
-from undrift.fit.priors import ACCEL_FLICKER
+from undrift.fit.priors import ACCEL_FLICKER, REFERENCE_LEVEL
 from undrift.fit.triad import TriadFit, first_matrix, fit_of, parameters_of, scaled_condition
 from undrift.frames import rotation
 from undrift.model import TriadModel
@@ -30,9 +30,6 @@ from undrift.record import Record, Reference, Session, Still
 from undrift.segments import find_still
 from undrift.sync import native_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 MIN_RESTS = 6  # with fewer, the residuals do not show how far the poses are off
 NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # of accelerometers that nothing determines: relative; m/s2. Assumed.
@@ -84,14 +81,17 @@ def fit_reference_accel(
     if any(record.accel is None or record.accel_unit != unit for record in records):
         raise InputError("reference: all recordings need accelerometers in one unit. Map them.")
     records = [without_saturated(record)[0] for record in records]
-    stills, poses = list[Still](), list[FloatArray]()
+    stills, windows, poses = list[Still](), list[FloatArray](), list[FloatArray]()
     for number, (record, reference) in enumerate(zip(records, references, strict=True)):
-        mounting = Rotation.from_rotvec(mountings[number])
+        seen, mounting = native_poses(reference), Rotation.from_rotvec(mountings[number])
         for still in find_still(record, recording=number).stills:
-            pose = _mean_pose(native_poses(reference), record.time[[still.start, still.stop - 1]] - lags_s[number])
-            if pose is not None and len(whole_readings(record.accel, still.start, still.stop)) > 1:
+            start_s, stop_s = record.time[[still.start, still.stop - 1]] - lags_s[number]
+            during = seen.valid & (seen.time >= start_s) & (seen.time <= stop_s)
+            window = whole_readings(record.accel, still.start, still.stop)
+            if during.any() and len(window) > 1:
                 stills.append(still)
-                poses.append((pose * mounting).as_matrix())  # R: mean body to level
+                windows.append(window)
+                poses.append((rotation(seen.q_nb[during]).mean() * mounting).as_matrix())  # R: mean body to level
     body = np.reshape(poses, (-1, 3, 3))
     up = body[:, 2]
     rank, condition = scaled_condition(np.column_stack((up, np.ones(len(up))))) if stills else (0, np.inf)
@@ -101,27 +101,21 @@ def fit_reference_accel(
             "of its six sides in view of the reference, or calibrate with six faces.",
             rests=len(stills),
         )
-    windows = [whole_readings(records[still.recording].accel, still.start, still.stop) for still in stills]
     reading, force = np.array([window.mean(axis=0) for window in windows]), gravity_m_s2 * up
     matrix = first_matrix(force, reading)
+    sources = _sources(records, stills, windows, matrix, force, gravity_m_s2)
     # effect of a tilt of 1 rad on the force: of each pose, and of the level of the reference on all rests together
     tilt = block_diag(*(gravity_m_s2**2 * (np.eye(3) - up[:, :, None] * up[:, None, :])))
-    level = gravity_m_s2 * np.swapaxes(body[:, :2], 1, 2).reshape(-1, 2)
-    sources = _sources(records, stills, windows, matrix, force, gravity_m_s2)
-    fit = solve_inverse(reading, force, None, matrix, sources, excess={"level": tilt, "level common": level @ level.T})
+    level = REFERENCE_LEVEL * gravity_m_s2 * np.swapaxes(body[:, :2], 1, 2).reshape(-1, 2)
+    fit = solve_inverse(reading, force, None, matrix, sources | {"level": level @ level.T}, excess={"level": tilt})
     residuals = -fit.residuals.reshape(-1, 3)
     fitted = fit_of(parameters_of(fit), force, residuals, method="reference", unit_in=unit, unit_out="m/s2")
     uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
     if uncertainty <= WANTED:
         return fitted
-    uncertain = finding("reference.accel_uncertainty", "warn", uncertainty_percent=100.0 * uncertainty)
+    percent = 100.0 * uncertainty
+    uncertain = finding("reference.uncertainty", "warn", triad="accelerometer", uncertainty_percent=percent)
     return replace(fitted, verdict=Verdict.of(uncertain))
-
-
-def _mean_pose(reference: Reference, span: FloatArray) -> "Rotation | None":
-    """Return the mean pose within start and stop, s, clock of the reference; None without a valid one."""
-    during = reference.valid & (reference.time >= span[0]) & (reference.time <= span[1])
-    return rotation(reference.q_nb[during]).mean() if during.any() else None
 
 
 def _sources(
@@ -135,10 +129,14 @@ def _sources(
     codes = mean_rounding([np.asarray(record.accel) for record in records], windows)
     session = Session(kind="calibration", serial="", gravity_m_s2=gravity_m_s2, records=tuple(records))
     seen = Observed(session=session, settings=CalibrateSettings(), stills=tuple(stills), found=True)
+    creep, temps_c = creep_of(seen, stills, "accel"), [r.temp_c for r in records if r.temp_c is not None]
+    if temps_c:
+        warmer_k = seen.mean_temperature() - np.mean([np.nanmean(temp_c) for temp_c in temps_c])
+        creep = replace(creep, warmth=creep.warmth + warmer_k)
     own = np.eye(len(stills))[:, :, None]
     return {
         "noise": in_case(matrix, own * noise[:, None] ** 2),
         "adc": in_case(matrix, own * np.broadcast_to(codes**2, noise.shape)[:, None]),
         "instability": np.kron(ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, stills)), np.eye(3)),
-        "temperature": creep_of(seen, stills, "accel").covariance_in_case(force),
+        "temperature": creep.covariance_in_case(force),
     }

@@ -45,6 +45,11 @@ TABLE_ARM = 0.1
 # start of a dwell in which the rate of a table settles, s: four time constants of 0.5 s. Assumed. Option: settle_s.
 SETTLE_S = 2.0
 
+# ---- optics and other references of orientation
+
+# tilt of the level of a reference, rad, about each horizontal axis: cameras are levelled with a frame on the floor. Assumed.
+REFERENCE_LEVEL = 2e-3
+
 # ---- limits of a verdict: marginal above the first, bad above the second
 
 # drift of the rest offsets over a session, rad/s: what 1 K does to a consumer part; the mean offset is off by half of it.
