@@ -48,7 +48,7 @@ def test_correct_subtracts_the_offset_of_a_recording_that_never_rests():
 def test_planar_paths_of_a_robot_keep_a_prior_about_one_axis():
     data_path("robot_arm_reference", "SOURCE.md")
     fit = fit_reference(*zip(*pairs("carpus"), strict=True))
-    assert only(fit.triad.verdict.findings, "reference.prior").values["axes"] == ("x",)
+    assert only(fit.triad.verdict.findings, "motion.prior").values["axes"] == ("x",)
     # 3 mg of resampled readings, 30 s: what is shown lies within the part's data sheet (1 %, 0.6 deg)
     shown = fit.triad.model.standard_uncertainty[:9].reshape(3, 3)[:, 1:]
     assert shown.max() < 0.02

@@ -12,30 +12,23 @@ turns. A recording without a rest has the mean offset of the others and a change
 T of its own between the mean body and its body, since markers are put on again; ``mounting`` "one" leaves it out.
 
 Every element of M has a prior about the rotation that maps the readings to the body, if the readings have a physical unit. Elements
-that the motion does not determine keep it, and the verdict names them. If the codes show how they were rounded, c is fitted about
-half a step, or about zero.
+that the motion does not determine keep it, and the verdict names their axes. If the codes show how they were rounded, c is fitted
+about half a step, or about zero.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 import undrift.sync as sync
-from undrift.arrays import BoolArray, FloatArray, IntArray
+from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
-from undrift.calibration.reference_windows import (
-    STRIDE_S,
-    Recording,
-    Solution,
-    Windows,
-    independent_windows,
-    solve,
-    window_equations,
-)
+from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
-from undrift.fit.triad import TriadFit, offset_of
+from undrift.fit.triad import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
@@ -51,13 +44,9 @@ FIRST_WINDOW_S = 2.0  # error of raw readings over it stays below about 0.5 rad
 class ReferenceSettings:
     """How a device is fitted to a reference."""
 
-    longest_window_s: float = (
-        16.0  # longer windows reduce the effect of pose noise and increase that of a wandering offset
-    )
+    longest_window_s: float = 16.0  # longer windows are less sensitive to poses, and more to an offset that wanders
     turning: bool = True  # d acts while the device turns; False: from the first to the last rest
-    mounting: Mounting = (
-        "each"  # "each": device and reference body are turned against each other again in each recording
-    )
+    mounting: Mounting = "each"  # "each": the device is put on the reference body again for each recording
 
     def __post_init__(self) -> None:
         check_choices(self, "reference")
@@ -89,8 +78,7 @@ class ReferenceFit:
         return replace(model, offset=rest_offset + self.motion_offset * (model.moving_offset is None))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeldOut:
+class HeldOut(NamedTuple):
     """The fit to all other recordings, for a recording that was held out."""
 
     fit: ReferenceFit
@@ -135,28 +123,27 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
 def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
-    gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
+    gap = np.isnan(gyro).any(axis=1)
     step = float(np.median(np.diff(time)))
-    late = np.diff(time, prepend=time[0]) > sync.LONGEST_STEP * step
     rest, uncertainty, sign = rest_reading(aligned)
-    acts: FloatArray = np.ones(len(time))
+    turns = np.ones(len(time))
     if turning and np.isfinite(rest).all():
-        acts = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
+        turns = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
     # a strapdown holds each reading over the step before its stamp: half a sample
-    at = poses.time + (lag.seconds - 0.5 * step)
-    inside = (at >= max(span.start_s - MARGIN_S, time[0])) & (at <= min(span.stop_s + MARGIN_S, time[-1]))
+    pose_time = poses.time + (lag.seconds - 0.5 * step)
+    inside = (pose_time >= max(span.start_s - MARGIN_S, time[0])) & (pose_time <= min(span.stop_s + MARGIN_S, time[-1]))
     ends = np.flatnonzero(inside)[:: max(1, round(STRIDE_S * poses.sample_rate_hz))]
     return Recording(
         time=time,
         gyro=np.where(gap[:, None], 0.0, gyro),
-        gaps=np.cumsum(gap | late),
+        gaps=np.cumsum(gap | (np.diff(time, prepend=time[0]) > sync.LONGEST_STEP * step)),
         lag=lag,
         moving=(time >= span.start_s) & (time < span.stop_s) & ~gap,
-        turning=acts,
+        turning=turns,
         rest=rest,
         rest_sign=sign,
         rest_uncertainty=uncertainty,
-        at=np.ascontiguousarray(at[ends]),
+        pose_time=np.ascontiguousarray(pose_time[ends]),
         q_nb=np.ascontiguousarray(poses.q_nb[ends]),
         findings=aligned.findings,
     )
@@ -165,18 +152,18 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
 def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign; NaN and zeros if it never rests."""
     record, span = aligned.record, aligned.span
-    rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
+    rows = span.rested & (record.time < span.start_s - MARGIN_S)
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
         for still in find_still(record).stills[:1]:
-            rows = (record.time >= record.time[still.start]) & (record.time < record.time[still.stop - 1])
+            rows[still.start : still.stop - 1] = True
     readings = aligned.gyro[rows & np.isfinite(aligned.gyro).all(axis=1)]
     count = int(len(readings) / (REST_BLOCK_S * record.sample_rate_hz))
-    if count < 2 and not span.rested:
-        return np.full(3, np.nan), np.zeros(3), np.zeros(3)
-    if count < 2:
+    if count < 2 and span.rested:
         raise InputError(
             "reference: the rest before the motion has less than a second of readings. Record 3 s of rest."
         )
+    if count < 2:
+        return np.full(3, np.nan), np.zeros(3), np.zeros(3)
     means = np.array([block.mean(axis=0) for block in np.array_split(readings, count)])
     return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(count), np.sign(readings).mean(axis=0)
 
@@ -185,6 +172,9 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 # share of the rates about the second and third axis of the motion in those about the first, rms: below it they are not determined
 SECOND_AXIS, THIRD_AXIS = 0.03, 0.1
+SHARED_BODY = (
+    0.01  # weight of all recordings in the first body of each: one about a single axis does not determine its own
+)
 # elements of M about the rotation from readings to body, relative (data sheets of consumer parts: scale factor 1 to 3 %, cross-axis
 # sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
 MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
@@ -208,7 +198,7 @@ def fit_reference(
     lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
     """Fit matrix, offset in motion, and loss of the codes of a gyroscope to references; ``adc`` is the rounding of its codes."""
-    return fit_aligned(align_all(records, references, lag_settings), settings, adc)
+    return fit_aligned(_align_all(records, references, lag_settings), settings, adc)
 
 
 def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
@@ -229,7 +219,7 @@ def leave_one_out(
     """Fit the model of each recording to all others of the device; ``progress`` takes what is done, and a share of 0 to 1."""
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
-    aligned = align_all(records, references, lag_settings)
+    aligned = _align_all(records, references, lag_settings)
     recordings = [recording_of(each, turning=settings.turning) for each in aligned]
     trials = list[HeldOut]()
     for k, recording in enumerate(recordings):
@@ -237,11 +227,11 @@ def leave_one_out(
         fit = _fit([*recordings[:k], *recordings[k + 1 :]], settings, records[0].gyro_unit, adc)
         codes = fit.triad.model.code_offset
         rest = recording.rest if codes is None else recording.rest + recording.rest_sign * codes
-        trials.append(HeldOut(fit=fit, model=fit.model_at_rest_offset(rest)))
+        trials.append(HeldOut(fit, fit.model_at_rest_offset(rest)))
     return tuple(trials)
 
 
-def align_all(
+def _align_all(
     records: Sequence[Record], references: Sequence[Reference], lag_settings: sync.LagSettings
 ) -> list[Aligned]:
     """Find lag and motion of the recordings of one device."""
@@ -257,7 +247,7 @@ def align_all(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Parameters:
-    """The P parameters of R recordings: M row by row, d, c, U changes of the offset, and V rotations of the mountings.
+    """The P parameters of R recordings: M row by row, d, c, changes of the offset, and rotations of the mountings.
 
     A change of the offset belongs to one recording without a rest; rotations are combinations that add up to zero.
     """
@@ -265,8 +255,7 @@ class _Parameters:
     value: FloatArray  # (P,)
     expected: FloatArray  # (P,), mean of the prior
     spread: FloatArray  # (P,), standard deviation of the prior: infinite without a prior, 0 if the parameter is fixed
-    changes: FloatArray  # (R, U), share of each change in each recording
-    rotations: FloatArray  # (R, V), share of each rotation in each recording
+    local: FloatArray  # (R, 18, P), from the parameters to those of each recording: M, d, c, rotation of its mounting
     offsets: FloatArray  # (R, 3), o, raw unit
     mountings: FloatArray  # (R, 4), rotation from the mean body to the body of each recording
     nominal: FloatArray  # (3, 3), rad/s per raw unit: rotation from the readings to the mean body, times the factor of the unit
@@ -278,23 +267,20 @@ class _Parameters:
 
     def equations(self, recordings: Sequence[Recording], reach: int) -> tuple[list[Windows], FloatArray]:
         """Return the windows of all recordings, and the columns (n, 3, F) of the free parameters."""
-        matrix, moving, codes = self.value[:9].reshape(3, 3), self.value[9:12], self.value[12:15]
-        moved = moving + self.changes @ self.value[15 : 15 + 3 * self.changes.shape[1]].reshape(-1, 3)
-        windows, columns = list[Windows](), list[FloatArray]()
-        for k, recording in enumerate(recordings):
-            each = window_equations(recording, matrix, moved[k], codes, self.offsets[k], self.mountings[k], reach)
-            change, rotation = each.design[..., 9:12], each.design[..., 15:]
-            parts = [share * change for share in self.changes[k]] + [share * rotation for share in self.rotations[k]]
-            windows.append(each)
-            columns.append(np.concatenate([each.design[..., :15], *parts], axis=2)[..., self.free])
+        windows = [
+            window_equations(recording, local @ self.value, offset, mounting, reach)
+            for recording, local, offset, mounting in zip(
+                recordings, self.local, self.offsets, self.mountings, strict=True
+            )
+        ]
+        columns = [each.design @ local[:, self.free] for each, local in zip(windows, self.local, strict=True)]
         return windows, np.concatenate(columns)
 
     def moved(self, step: FloatArray) -> "_Parameters":
         """Return the parameters after a step (F,) of the free ones."""
         whole = np.zeros(len(self.value))
         whole[self.free] = step
-        turns = self.rotations @ whole[15 + 3 * self.changes.shape[1] :].reshape(-1, 3)
-        mountings = quaternion_product(self.mountings, quaternion_of(turns))
+        mountings = quaternion_product(self.mountings, quaternion_of((self.local @ whole)[:, 15:]))
         return replace(self, value=self.value + whole, mountings=mountings)
 
 
@@ -302,19 +288,21 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
     """Fit a device to short windows, then to longer and longer ones, each fit starting from the one before."""
     parameters = _start(recordings, settings, unit, adc)
     solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
-    for length_s in _lengths(settings.longest_window_s):
+    doublings = int(np.ceil(np.log2(settings.longest_window_s / FIRST_WINDOW_S)))
+    for number in range(doublings + 1 + REFINEMENTS):
+        length_s = min(FIRST_WINDOW_S * 2.0**number, settings.longest_window_s)
         reach = round(length_s / STRIDE_S)
         windows, design = parameters.equations(recordings, reach)
-        count, unknown = independent_windows(windows, reach), design.shape[2]
-        if 3 * count <= unknown and solution is not None:
-            break  # the recordings are too short for longer windows
-        if 3 * count <= unknown:
-            saturated = [item.text for r in recordings for item in r.findings if item.code == "session.saturated"]
+        count, unknown = sum(-(-len(each.first) // reach) for each in windows), design.shape[2]
+        if 3 * count <= unknown and solution is None:
+            causes = " ".join(item.text for recording in recordings for item in recording.findings)
             raise NotObservable(
                 f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
-                f"got {count}. {' '.join((*saturated, 'Record longer motion.'))}",
+                f"got {count}. {causes} Record longer motion.",
                 windows=count,
             )
+        if 3 * count <= unknown:
+            break  # the recordings are too short for longer windows
         free = parameters.free
         away, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
         solution, window_s = solve(windows, design, away, spread, reach=reach, scale=scale), length_s
@@ -324,14 +312,6 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
             "reference: the fit did not converge to a right-handed matrix. Check the axes of the readings."
         )
     return _result(recordings, parameters, solution, window_s, unit)
-
-
-def _lengths(longest_s: float) -> list[float]:
-    """Return the lengths of windows, s, one after the other."""
-    lengths = [FIRST_WINDOW_S]
-    while lengths[-1] < longest_s:
-        lengths.append(min(2.0 * lengths[-1], longest_s))
-    return lengths + [lengths[-1]] * REFINEMENTS
 
 
 def _start(
@@ -349,40 +329,40 @@ def _start(
     axes = np.linalg.svd(common, compute_uv=False)
     if ((np.linalg.det(common) < 0.0) & (axes[:, 2] > THIRD_AXIS**2 * axes[:, 0])).any():
         raise Implausible("reference: one axis of the readings or of the reference is reversed. Change its sign.")
-    # the mounting of a recording about one axis only is taken from all recordings
-    own = (settings.mounting == "each") & (axes[:, 1] > SECOND_AXIS**2 * axes[:, 0])
-    bodies = Rotation.from_matrix(_nearest_rotation(np.where(own[:, None, None], common, common.sum(axis=0))))
+    each = settings.mounting == "each"
+    bodies = Rotation.from_matrix(_nearest_rotation(each * common + SHARED_BODY * common.sum(axis=0)))
     mountings = bodies * bodies.mean().inv()
     physical = is_physical(unit)
     factor = si_factor(unit, "rate") if physical else float(axes.sum() / np.trace(power, axis1=1, axis2=2).sum())
     nominal, back = factor * bodies.mean().as_matrix(), mountings.inv().as_matrix()
     matrix = _first_matrix(back @ matrices, power, nominal)
 
-    rested = np.array([r.rested for r in recordings])
     rest = np.array([r.rest for r in recordings])
-    usual = rest[rested].mean(axis=0) if rested.any() else np.zeros(3)
-    offsets = np.where(rested[:, None], rest, usual)
+    rested = np.isfinite(rest[:, 0])
+    offsets = np.where(rested[:, None], rest, rest[rested].mean(axis=0) if rested.any() else 0.0)
     moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(back, recordings, offsets, strict=True)]
-    step = None if adc is None else adc.gyro_lsb
-    lost = np.zeros(3) if step is None or adc is None else 0.5 * step * (adc.gyro_rounding == "toward_zero")
+    step, half = np.zeros(3), 0.0
+    if adc is not None and adc.gyro_lsb is not None:
+        step, half = adc.gyro_lsb, 0.5 * (adc.gyro_rounding == "toward_zero")
     count, apart = len(recordings), settings.turning and bool(rested.any())
     changes = np.eye(count)[:, ~rested] if count > 1 else np.zeros((1, 0))
-    rotations = null_space(np.ones((1, count))) if settings.mounting == "each" else np.zeros((count, 0))
-    others = np.zeros(3 * (changes.shape[1] + rotations.shape[1]))
+    rotations = null_space(np.ones((1, count))) if each else np.zeros((count, 0))
+    own = 3 * changes.shape[1], 3 * rotations.shape[1]
+    local = np.zeros((count, 18, 15 + sum(own)))
+    local[:, :15, :15] = np.eye(15)
+    local[:, 9:12, 15 : 15 + own[0]], local[:, 15:, 15 + own[0] :] = (
+        [np.kron(shares, np.eye(3)) for shares in columns] for columns in (changes, rotations)
+    )
+    spreads = (
+        MATRIX_PRIOR * factor if physical else np.inf, MOVING_PRIOR if apart else np.inf, 0.0, TURN_ON, MOUNTING_PRIOR,
+    )  # fmt: skip
+    spread = np.repeat(spreads, (9, 3, 3, *own))
+    spread[12:15] = CODE_PRIOR * step
     return _Parameters(
-        value=np.concatenate((matrix.reshape(-1), np.mean(moving, axis=0), lost, others)),
-        expected=np.concatenate((nominal.reshape(-1), np.zeros(3), lost, others)),
-        spread=np.concatenate(
-            (
-                np.full(9, MATRIX_PRIOR * factor if physical else np.inf),
-                np.full(3, MOVING_PRIOR if apart else np.inf),
-                np.zeros(3) if step is None else CODE_PRIOR * step,
-                np.full(3 * changes.shape[1], TURN_ON),
-                np.full(3 * rotations.shape[1], MOUNTING_PRIOR),
-            )
-        ),
-        changes=changes,
-        rotations=rotations,
+        value=np.concatenate((matrix.ravel(), np.mean(moving, axis=0), half * step, np.zeros(sum(own)))),
+        expected=np.concatenate((nominal.ravel(), np.zeros(3), half * step, np.zeros(sum(own)))),
+        spread=spread,
+        local=local,
         offsets=offsets,
         mountings=mountings.as_quat(scalar_first=True),
         nominal=nominal,
@@ -420,28 +400,32 @@ def _result(
     recordings: Sequence[Recording], parameters: _Parameters, solution: Solution, window_s: float, unit: str
 ) -> ReferenceFit:
     """Return the fit with the covariance of M, o, d and c."""
+    from scipy.linalg import block_diag
     from scipy.spatial.transform import Rotation
 
     matrix, moving, codes = parameters.value[:9].reshape(3, 3), parameters.value[9:12], parameters.value[12:15]
-    rested = [r for r in recordings if r.rested]
+    apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
+    rested = [r for r in recordings if np.isfinite(r.rest).all()]
     base = sign = spread = np.zeros(3)
     if rested:
         sign = np.mean([r.rest_sign for r in rested], axis=0)
         base = np.mean([r.rest for r in rested], axis=0) + sign * codes
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
-    apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
     # The fit has M, d and c. The offset o is the mean at rest, so its error moves o, and d by as much the other way.
-    free, jacobian = parameters.free[parameters.free < 15], np.eye(18)
-    covariance = np.diag(np.append(np.zeros(15), spread**2))
+    free, eye, none, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
+    motion_offset = inverse @ moving
+    to_rest = [np.zeros((3, 9)), none, np.diag(sign), eye]
+    to_motion = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), none]
+    jacobian = np.vstack(
+        [
+            np.eye(9, 18),
+            np.hstack(to_rest if apart else to_motion),
+            np.hstack([np.zeros((3 * apart, 9)), *(part[: 3 * apart] for part in (eye, none, -matrix))]),
+            np.eye(3 * coded, 18, 12),
+        ]
+    )
+    covariance = block_diag(np.zeros((15, 15)), np.diag(spread**2))
     covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
-    motion_offset, to_offset = offset_of(matrix, moving, 12)
-    jacobian[9:, 9:] = 0.0
-    jacobian[9:12, 12:15], jacobian[15:, 12:15] = np.diag(sign), np.eye(3)
-    if apart:
-        jacobian[9:12, 15:], jacobian[12:15, 9:12], jacobian[12:15, 15:] = np.eye(3), np.eye(3), -matrix
-    else:
-        jacobian[9:12, :12] = to_offset[9:]
-    jacobian = jacobian[np.flatnonzero(np.repeat((True, apart, coded), (12, 3, 3)))]
     rates = [(r.gyro[r.moving] - base - motion_offset) @ matrix.T for r in recordings]
     model = TriadModel(
         method="reference/motion",
@@ -459,12 +443,12 @@ def _result(
         moving_offset=moving if apart else None,
         code_offset=codes if coded else None,
     )
-    of_recordings = [item for r in recordings for item in r.findings]
+    findings = [item for r in recordings for item in r.findings]
     return ReferenceFit(
         triad=TriadFit(
             model=model,
             residuals=solution.residuals,
-            verdict=Verdict.of(*_findings(model, parameters.nominal, recordings), *of_recordings),
+            verdict=Verdict.of(*_findings(model, parameters.nominal, [r.rest for r in rested]), *findings),
         ),
         motion_offset=motion_offset,
         rest_offsets=np.array([r.rest for r in recordings]),
@@ -475,20 +459,24 @@ def _result(
     )
 
 
-def _findings(model: TriadModel, nominal: FloatArray, recordings: Sequence[Recording]) -> Iterator[Finding]:
-    """Yield findings: matrix elements that keep their prior, else a large uncertainty; rests that differ between recordings."""
+def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray]) -> Iterator[Finding]:
+    """Yield axes whose elements keep their prior, else a large uncertainty of the matrix; rest offsets that differ."""
     size = float(np.linalg.norm(nominal, 2))
     to_device = np.kron(nominal.T, np.eye(3)) / size**2
-    spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T))
-    kept = [k for k in range(9) if is_physical(model.unit_in) and spread[k] > 0.5 * MATRIX_PRIOR]
-    if kept:
-        axes, elements = sorted({"xyz"[k % 3] for k in kept}), [MATRIX_NAMES[k] for k in kept]
-        yield finding("reference.prior", "warn", elements=elements, axes=axes, percent=100.0 * MATRIX_PRIOR)
+    spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T)).reshape(3, 3)
+    kept = is_physical(model.unit_in) & (spread > 0.5 * MATRIX_PRIOR).any(axis=0)
+    if kept.any():
+        yield finding(
+            "motion.prior",
+            "warn",
+            triad="gyroscope",
+            axes=tuple(axis for axis, keeps in zip("xyz", kept, strict=True) if keeps),
+            uncertainty_percent=100.0 * MATRIX_PRIOR,
+            advice="also record turns about these axes of the device",
+        )
     elif spread.max() > WANTED_MATRIX:
-        yield finding("reference.uncertainty", "warn", uncertainty_percent=100.0 * float(spread.max()))
-    rest = [r.rest for r in recordings if r.rested]
-    if (
-        len(rest) > 1
-        and (spread_dps := np.std(rest, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) > WANTED_REST_DPS
-    ):
-        yield finding("reference.rest_offset", "warn", spread_dps=float(spread_dps))
+        percent = 100.0 * float(spread.max())
+        yield finding("reference.uncertainty", "warn", triad="gyroscope", uncertainty_percent=percent)
+    spread_dps = float(np.std(rests, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) if len(rests) > 1 else 0.0
+    if spread_dps > WANTED_REST_DPS:
+        yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)

@@ -40,14 +40,9 @@ class Recording:
     rest: FloatArray  # (3,), mean reading at rest before the motion, raw unit; NaN if it never rests
     rest_sign: FloatArray  # (3,), mean sign of the readings there
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of the mean reading, raw unit
-    at: FloatArray  # (L,), times of the poses at which windows start and end, s, clock of the record
+    pose_time: FloatArray  # (L,), times of the poses at which windows start and end, s, clock of the record
     q_nb: FloatArray  # (L, 4), these poses; NaN in gaps
     findings: tuple[Finding, ...]  # about the clocks, the ends of both files, and saturated readings
-
-    @property
-    def rested(self) -> bool:
-        """True if it rests before the motion."""
-        return bool(np.isfinite(self.rest).all())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,46 +55,40 @@ class Windows:
 
 
 def window_equations(
-    recording: Recording, matrix: FloatArray, moving: FloatArray, codes: FloatArray, offset: FloatArray,
-    mounting: FloatArray, reach: int,
-) -> Windows:  # fmt: skip
-    """Return the equations of all windows that span ``reach`` strides, at M, d, c, o and T (4,)."""
+    recording: Recording, values: FloatArray, offset: FloatArray, mounting: FloatArray, reach: int
+) -> Windows:
+    """Return the equations of all windows that span ``reach`` strides, at ``values`` (18,) of M, d and c, at o and T (4,)."""
     from undrift.kernels.rotation import accumulate
 
+    matrix, moving, codes = values[:9].reshape(3, 3), values[9:12], values[12:15]
     sign, turning = np.sign(recording.gyro) - recording.rest_sign, recording.turning[:, None]
     u = recording.gyro + sign * codes - offset
     regressors = np.concatenate((u, turning, sign), axis=1)
-    points, channels = len(recording.at), regressors.shape[1]
-    q, total = np.empty((points, 4)), np.zeros((points, 3, 3, channels))
+    q, total = np.empty((len(recording.pose_time), 4)), np.zeros((len(recording.pose_time), 3, 3, 7))
     accumulate(
         np.ascontiguousarray(u @ matrix.T - turning * moving).reshape(-1),
         np.ascontiguousarray(regressors).reshape(-1),
         np.ascontiguousarray(recording.time),
-        recording.at,
+        recording.pose_time,
         q.reshape(-1),
         total.reshape(-1),
     )
-    first = _whole(recording, reach)
+    valid = np.isfinite(recording.q_nb[:, 0])
+    gaps = recording.gaps[np.searchsorted(recording.time, recording.pose_time).clip(0, len(recording.time) - 1)]
+    first = np.flatnonzero(valid[:-reach] & valid[reach:] & (gaps[:-reach] == gaps[reach:]))
     last = first + reach
     body = quaternion_product(recording.q_nb, mounting)
-    turned, seen = (quaternion_product(quaternion_conjugate(each[first]), each[last]) for each in (q, body))
+    by_readings, by_poses = (quaternion_product(quaternion_conjugate(each[first]), each[last]) for each in (q, body))
     back = quaternion_conjugate(q[last])[:, None, None, :]
     gain = np.moveaxis(rotate(back, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
     by_matrix = gain[..., :3].reshape(len(first), 3, 9)
     by_codes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
-    by_mounting = np.swapaxes(rotation(seen).as_matrix(), 1, 2) - np.eye(3) if len(first) else np.zeros((0, 3, 3))
+    by_mounting = np.swapaxes(rotation(by_poses).as_matrix(), 1, 2) - np.eye(3) if len(first) else np.zeros((0, 3, 3))
     return Windows(
-        turn=rotation_vector(quaternion_product(quaternion_conjugate(turned), seen)),
+        turn=rotation_vector(quaternion_product(quaternion_conjugate(by_readings), by_poses)),
         design=np.concatenate((by_matrix, -gain[..., 3], by_codes, by_mounting), axis=2),
         first=first,
     )
-
-
-def _whole(recording: Recording, reach: int) -> IntArray:
-    """Return the numbers of the poses at which a window without a gap starts."""
-    valid = np.isfinite(recording.q_nb[:, 0])
-    gaps = recording.gaps[np.searchsorted(recording.time, recording.at).clip(0, len(recording.time) - 1)]
-    return np.flatnonzero(valid[:-reach] & valid[reach:] & (gaps[:-reach] == gaps[reach:]))
 
 
 # ---- robust least squares of overlapping windows
@@ -124,11 +113,6 @@ class Solution:
     condition: float  # of the design with columns scaled to one
 
 
-def independent_windows(windows: Sequence[Windows], reach: int) -> int:
-    """Return how many windows that do not overlap the recordings have."""
-    return sum(-(-len(w.first) // reach) for w in windows)
-
-
 def solve(
     windows: Sequence[Windows], design: FloatArray, away: FloatArray, spread: FloatArray, *, reach: int, scale: float
 ) -> Solution:
@@ -137,7 +121,7 @@ def solve(
     The prior expects a step of ``away`` (P,) with the standard deviation ``spread`` (P,), infinite without a prior. Windows overlap
     ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
     """
-    a, y = design.reshape(-1, len(away)), np.concatenate([w.turn for w in windows]).reshape(-1)
+    a, y = design.reshape(-1, len(away)), np.concatenate([each.turn for each in windows]).reshape(-1)
     pull = scale * np.sqrt(reach) / spread
     condition = full_rank(np.vstack((a, np.diag(pull))))
     step, weight, scale = fit_huber(np.vstack((a, np.diag(pull))), np.append(y, pull * away), prior=len(pull))
@@ -146,12 +130,11 @@ def solve(
     normal = (a.T * inside) @ a + np.diag(pull**2)
     of_prior = np.linalg.solve(normal, np.diag(pull**2 * np.where(pull > 0.0, spread, 0.0)))
     covariance, blocks = of_prior @ of_prior.T, np.repeat(_blocks(windows, reach), 3)
-    widening = student_factor(blocks.max())
     for block in range(blocks.max() + 1):
         rows = blocks == block
         without = normal - (a[rows].T * inside[rows]) @ a[rows]
         moved = np.linalg.solve(without, a[rows].T @ (weight * residuals)[rows])
-        covariance += widening * np.outer(moved, moved)
+        covariance += student_factor(blocks.max()) * np.outer(moved, moved)
     return Solution(
         step=step, covariance=covariance, residuals=residuals.reshape(-1, 3), scale=scale, condition=condition
     )
@@ -160,7 +143,7 @@ def solve(
 def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
     """Return the block that each window belongs to. Blocks are numbered through all recordings."""
     for length in (2 * reach, reach):
-        place = np.concatenate([1_000_000 * number + w.first // length for number, w in enumerate(windows)])
+        place = np.concatenate([1_000_000 * number + each.first // length for number, each in enumerate(windows)])
         blocks: IntArray = np.unique(place, return_inverse=True)[1]
         if blocks.max() + 1 >= MIN_BLOCKS:
             break
