@@ -128,7 +128,7 @@ class _Part:
     moving: FloatArray  # (N,), 1 in motion and 0 at rest
     rest: FloatArray | None  # (3,), mean rate at the first rest of the recording, rad/s
     rest_spread: FloatArray  # (3,), by which the offset in motion may differ from it: a body that sways is no rest
-    field: FloatArray | None  # (N, 3), magnetic field, scaled to the size of gravity
+    mag: FloatArray | None  # (N, 3), magnetic field, scaled to the size of gravity
     stretches: list[tuple[slice, CarriedMeans, CarriedMeans]] = field(default_factory=list)  # gravity, magnetic field
 
     def cut(self, length_s: float) -> None:
@@ -154,8 +154,8 @@ class _Part:
             design = np.concatenate((*matrices, -by_force[..., 3] @ accel, -by_rate[..., 3] @ gyro), axis=2)
             information, towards = gravity.equations(mean, design, usual, length)
             total, right = total + information, right + towards
-            if self.field is not None:
-                mean, by_rate, _ = north.means(rate @ gyro.T, self.field[span], by[0], np.empty((len(rate), 0)))
+            if self.mag is not None:
+                mean, by_rate, _ = north.means(rate @ gyro.T, self.mag[span], by[0], np.empty((len(rate), 0)))
                 design = np.concatenate((by_rate[..., :3].reshape(-1, 3, 9), -by_rate[..., 3] @ gyro), axis=2)
                 of_gyro = np.r_[:9, 21:24]
                 information, towards = north.equations(
@@ -279,7 +279,7 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
             parts.append(
                 _Part(
                     recording=number, time=np.asarray(record.time)[a:b], rate=gyro[a:b], force=accel[a:b], moving=moving[a:b],
-                    rest=rest, rest_spread=rest_spread, field=None if mag is None else mag[a:b],
+                    rest=rest, rest_spread=rest_spread, mag=None if mag is None else mag[a:b],
                 )
             )  # fmt: skip
     turned_dps = np.degrees(max(float(np.sqrt(part.rate.var(axis=0).sum())) for part in parts))
@@ -305,8 +305,9 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     count, eye = 24 + 3 * len(parts), np.eye(3)
     kinds = np.hstack((TO_KINDS, np.zeros((21, count - 21))))
-    rows, values, spreads = [kinds, np.eye(3, count, 21)], [TO_KINDS @ NOMINAL, np.zeros(3)], [np.ones(21)]
-    spreads.append(np.full(3, RAW_RATE))
+    rows: list[FloatArray] = [kinds, np.eye(3, count, 21)]
+    values: list[FloatArray] = [TO_KINDS @ NOMINAL, np.zeros(3)]
+    spreads: list[FloatArray] = [np.ones(21), np.full(3, RAW_RATE)]
     for k, part in enumerate(parts):
         own = np.eye(3, count, 24 + 3 * k)
         daily = own.copy()

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 import undrift.sync as sync
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
@@ -126,7 +126,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     gap = np.isnan(gyro).any(axis=1)
     step = float(np.median(np.diff(time)))
     rest, uncertainty, sign = rest_reading(aligned)
-    turns = np.ones(len(time))
+    turns: FloatArray = np.ones(len(time))
     if turning and np.isfinite(rest).all():
         turns = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
     # a strapdown holds each reading over the step before its stamp: half a sample
@@ -152,7 +152,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
 def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign; NaN and zeros if it never rests."""
     record, span = aligned.record, aligned.span
-    rows = span.rested & (record.time < span.start_s - MARGIN_S)
+    rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
         for still in find_still(record).stills[:1]:
             rows[still.start : still.stop - 1] = True
@@ -341,7 +341,8 @@ def _start(
     rested = np.isfinite(rest[:, 0])
     offsets = np.where(rested[:, None], rest, rest[rested].mean(axis=0) if rested.any() else 0.0)
     moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(back, recordings, offsets, strict=True)]
-    step, half = np.zeros(3), 0.0
+    step: FloatArray = np.zeros(3)
+    half = 0.0
     if adc is not None and adc.gyro_lsb is not None:
         step, half = adc.gyro_lsb, 0.5 * (adc.gyro_rounding == "toward_zero")
     count, apart = len(recordings), settings.turning and bool(rested.any())
