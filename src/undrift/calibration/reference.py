@@ -123,7 +123,7 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
 def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
-    gap = np.isnan(gyro).any(axis=1)
+    gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
     step = float(np.median(np.diff(time)))
     rest, uncertainty, sign = rest_reading(aligned)
     turns: FloatArray = np.ones(len(time))
