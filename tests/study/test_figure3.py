@@ -96,7 +96,7 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
         )  # of two, quartiles lie between
         assert -1.0 <= row.correlation_interval[0] <= row.correlation <= row.correlation_interval[1] <= 1.0
         assert np.isnan(row.largest_interval).all()  # four units or more
-    with pytest.raises(InputError, match="drawn units: wanted two or more, for quartiles, got 1"):
+    with pytest.raises(InputError, match="at least two .*got 1"):
         drawn_cohort(units=1)
 
 
@@ -185,6 +185,6 @@ def test_the_model_and_the_actual_device_differ_by_the_named_effects_alone() -> 
 
 def test_an_effect_that_is_not_one_is_told() -> None:
     with pytest.raises(
-        InputError, match="wanted effects of hysteresis, thermometer, adc_inl, g_sensitivity, got 'ageing'"
+        InputError, match="unknown effect 'ageing'"
     ):
         actual_device(preset("enc03j_3031"), ("ageing",))  # type: ignore[arg-type]

@@ -6,13 +6,13 @@ Each of the two is calibrated and judged by the product's own functions::
     thermal session, soaks up and down -> fit_drift    tables
     trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag removed (validate_trial)
 
-The levels of correction are those of ``validation.levels``, without the first and the last: constants, static table, all tables,
-the offset of the rest before the motion, which needs no chamber, and both together, as is recommended. Errors are those of the
-acquisition's 4 s from the start of integration; the note's 3.2 deg are 0.8 deg/s over it. The board warms from 25 degC
-while it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is that of the
-two errors over the acquisition.
+The levels of correction are as in ``validation.levels``, without the first and the last: constants, static table, all tables, the
+offset of the rest before the motion (without a chamber), and both together, which is recommended. Errors are over the 4 s of the
+acquisition from the start of integration. The 3.2 deg of the note are 0.8 deg/s over this time. The board warms from 25 degC while
+it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is between the two
+errors over the acquisition.
 
-The study's model is a unit without the effects that a study leaves out; the actual device is the same unit with them::
+The model of the study is a unit without some effects, and the actual device is the same unit with these effects::
 
     hysteresis      offset differs between warming and cooling               as the kind of device has it
     thermometer     board thermometer lags behind the sensors                80 s, LM335 in still air
@@ -59,10 +59,10 @@ LEAST_LAG_S = 80.0  # LM335 in still air
 
 
 def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> DeviceModel:
-    """Return a unit with the effects that the study's model lacks, or some of them; with none it is that model."""
+    """Return a unit with some or all effects that the study's model lacks. Without them, it is the study's model."""
     unknown = [name for name in hidden if name not in HIDDEN]
     if unknown:
-        raise InputError(f"actual device: wanted effects of {', '.join(HIDDEN)}, got '{unknown[0]}'; name some of them")
+        raise InputError(f"actual device: unknown effect '{unknown[0]}'. Use effects from {', '.join(HIDDEN)}.")
     bow = np.full(3, INL_LSB if "adc_inl" in hidden else 0.0)
     chains: dict[str, Any] = {}
     for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
@@ -93,21 +93,21 @@ class Figure3:
     """Pitch error over the acquisition, N instants, for each of ``COMPARED``."""
 
     time: FloatArray  # (N,), from the beginning of the acquisition, s
-    reference_pitch: FloatArray  # (N,), what the optics saw, deg
+    reference_pitch: FloatArray  # (N,), pitch from the optics, deg
     simulated: FloatArray  # (5, N), pitch error of each level, deg
     actual: FloatArray  # (5, N), as above
     lag_ms: tuple[float, float]  # Lag that was removed, simulated and actual
-    excursion_k: float  # Board temperature above that of the bench, K
+    excursion_k: float  # temperature of the board minus temperature of the bench, K
     simulated_max_deg: FloatArray  # (5,), largest error of each level, deg
     actual_max_deg: FloatArray  # (5,), as above
     simulated_rms_deg: FloatArray  # (5,), root mean square of the error of each level, deg
     actual_rms_deg: FloatArray  # (5,), as above
-    simulated_actual_max_deg: FloatArray  # (5,), largest difference between the two errors; the note: 0.15 at most
+    simulated_actual_max_deg: FloatArray  # (5,), largest difference between the two errors (at most 0.15 in the note)
     correlation: FloatArray  # (5,), of the two errors over the acquisition
 
     @property
     def decrease_deg(self) -> float:
-        """What both tables take off the actual device's largest error, deg; the note: more than 3.2."""
+        """Reduction of the actual device's largest error by both tables, deg (more than 3.2 in the note)."""
         return float(self.actual_max_deg[0] - self.actual_max_deg[2])
 
 
@@ -189,18 +189,18 @@ class DrawnRow:
 
     correction: str
     units: int
-    # Of the largest pitch error of the actual device, deg
+    # statistics of the largest pitch error of the actual device, deg
     lower_deg: float  # quartile
     median_deg: float
     upper_deg: float  # quartile
     simulated_deg: Quartiles  # As above, simulated device
     apart_deg: Quartiles  # Largest difference between the two errors
     within: int  # Units for which it is within the note's
-    correlation: float  # Of the two errors over the acquisition, mean over the units by Fisher's z
-    correlation_interval: tuple[float, float]  # 95 %, over the units; NaN with fewer than two
-    largest_correlation: float  # Of the two largest errors, over the units
-    largest_interval: tuple[float, float]  # 95 %, by Fisher's z; NaN with fewer than four units
-    largest_deg: tuple[float, ...] = ()  # Of each unit, actual device, in their order
+    correlation: float  # correlation of the two errors over the acquisition, mean over the units with Fisher's z
+    correlation_interval: tuple[float, float]  # 95 % interval over the units, or NaN with fewer than two
+    largest_correlation: float  # correlation of the two largest errors over the units
+    largest_interval: tuple[float, float]  # 95 % interval with Fisher's z, or NaN with fewer than four units
+    largest_deg: tuple[float, ...] = ()  # largest error of each unit's actual device, in the order of the units
 
 
 def drawn_cohort(
@@ -212,9 +212,9 @@ def drawn_cohort(
     spread: Callable[..., Any] = map,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[DrawnRow, ...]:
-    """Calibrate and wear drawn units as both devices of the figure, each on its person; ``advance`` gets units done and in all."""
+    """Simulate both devices of the figure for random units, each on its person. ``advance`` receives units done and total."""
     if units < 2:
-        raise InputError(f"drawn units: wanted two or more, for quartiles, got {units}; 30 is the default")
+        raise InputError(f"drawn units: at least two are required for quartiles, got {units}. Use for example 30.")
     work = partial(drawn_errors, kind, seed, excursion_k)
     rows = np.empty((units, 4, len(COMPARED)))
     for number, errors in enumerate(spread(work, range(units))):
@@ -226,11 +226,11 @@ def drawn_cohort(
 def _drawn_row(
     name: str, simulated: FloatArray, actual: FloatArray, apart: FloatArray, correlation: FloatArray
 ) -> DrawnRow:
-    """Summarise one of ``COMPARED`` over U units; all are (U,)."""
+    """Summarise a level of ``COMPARED`` over U units, from arrays (U,)."""
     count = len(actual)
     of_errors, of_actual, of_apart = (_quartiles(x) for x in (simulated, actual, apart))
     (middle, (low, high)), largest = mean_interval(np.arctanh(correlation)), float(np.corrcoef(simulated, actual)[0, 1])
-    ends = np.full(2, np.nan)  # two or three units say nothing
+    ends = np.full(2, np.nan)  # not defined for two or three units
     if count > 3:
         ends = np.tanh(np.arctanh(largest) + 1.96 / np.sqrt(count - 3) * np.array((-1.0, 1.0)))
     return DrawnRow(
@@ -282,7 +282,7 @@ def calibrated(device: DeviceModel, *, rng: np.random.Generator, back: bool = Tr
 def worn_record(
     device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator, room_c: float = ROOM_TEMP_C
 ) -> Record:
-    """Return what a device reads in a task after half an hour on a person, whose warmth it has taken on."""
+    """Return the readings of a device in a task after half an hour on a person, at the temperature that it has reached."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     moved = performed.at(np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
     motion = after_rest(moved, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)  # still until the task begins

@@ -1,15 +1,15 @@
 """The methods that undrift offers and the note's rivals, on the same devices and trials.
 
-The rivals have short motions, one stated instrument error each, and the product's own fits::
+The rivals have short motions, one assumed instrument error each, and the fits of undrift::
 
-    data sheet        nothing is recorded: nominal sensitivities and zero-rate outputs
-    inclined plane    stills at stated angles about each axis; accelerometers by least squares on the stated force
-    trolley, piston   a sinusoid of stated frequency and stroke along each axis; accelerometers likewise
-    optics            a minute of turns by hand and six rests in front of optics; fit to the references
-    robot arm         the same by an arm whose poses are known
+    data sheet        no recording, but nominal sensitivities and zero-rate outputs
+    inclined plane    stills at nominal angles about each axis, and a least-squares fit of the accelerometers to the nominal force
+    trolley, piston   a sinusoid with nominal frequency and stroke along each axis, and the same fit of the accelerometers
+    optics            a minute of turns by hand and six rests in front of optics, and a fit to the references
+    robot arm         the same with an arm whose poses are known
 
-A rival calibrates what it can. For the other triad the data sheet stands in, with the offset of a rest. The error of the tilt shows
-the accelerometers alone: the note says that a static calibration is as good as a dynamic one.
+If a rival can calibrate only one triad, the other triad uses the data sheet and the offset of a rest. The error of the tilt depends
+only on the accelerometers. According to the note, a static calibration is as good as a dynamic one.
 """
 
 from collections.abc import Callable, Iterator
@@ -50,8 +50,8 @@ INSTRUMENTS: dict[Rival, str] = {
 MINUTES: dict[Rival, float] = {
     "data sheet": 0.0, "inclined plane": 6.0, "trolley": 3.0, "piston": 3.0, "optics": 4.0, "robot arm": 4.0,
 }  # fmt: skip
-# One stated error of each instrument, all assumed: a digital inclinometer; a crank set by a ruler, 1 mm of 150; a transducer of
-# class 0.5; a cluster of markers that gives way; an arm that repeats within 0.05 mm and bends with its pose.
+# Error of each instrument, all assumed: a digital inclinometer, a crank set with a ruler (1 mm of 150), a transducer of
+# class 0.5, a flexible cluster of markers, and an arm that repeats within 0.05 mm and bends with its pose.
 PLANE_ANGLE, TROLLEY_STROKE, PISTON_STROKE = 0.05 * RADIAN_PER_DEGREE, 0.01, 0.005
 POSES = {
     "optics": OpticsSettings(slow_sd=0.05 * RADIAN_PER_DEGREE),
@@ -73,7 +73,7 @@ class MethodRow:
     triads: str  # triads that it calibrates
     error_deg: tuple[float, ...]  # mean rms error of the pitch in each task
     interval_deg: tuple[tuple[float, float], ...]  # 95 %
-    tilt_deg: float  # rms error of the tilt at rest by the accelerometers alone, over 26 directions
+    tilt_deg: float  # rms error of the tilt at rest from the accelerometers, over 26 directions
     failed: int  # devices that it could not calibrate
 
 
@@ -81,7 +81,7 @@ class MethodRow:
 
 
 def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return true and stated specific force (N, 3), m/s2, of a device that is mounted once per axis."""
+    """Return true and nominal specific force (N, 3), m/s2, of a device that is mounted once per axis."""
     true, stated = list[FloatArray](), list[FloatArray]()
     for axis in range(3):
         mount = rng.normal(0.0, NOTE_BENCH.mount_tilt, 3)
@@ -107,7 +107,7 @@ def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, F
 def _by_known_forces(
     rival: Rival, device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
 ) -> Calibration:
-    """Fit the accelerometers to the stated force by least squares; the gyroscopes have their data sheet and a rest."""
+    """Fit the accelerometers to the nominal force by least squares. The gyroscopes use the data sheet and a rest."""
     from undrift.sim.motion.motion import Motion
 
     true, stated = _known_forces(rival, streams(rival))
@@ -118,7 +118,9 @@ def _by_known_forces(
         time=time, gravity_m_s2=STANDARD_GRAVITY, q_nb=level, rate_b=still, mean_rate_b=still, force_b=true,
         angular_acceleration_b=still, moving=np.zeros(len(true)),
     )  # fmt: skip
-    settled = replace(device, accel=replace(device.accel, low_pass=None))  # fits only what has settled
+    settled = replace(
+        device, accel=replace(device.accel, low_pass=None)
+    )  # without low-pass, because only settled readings are fitted
     record = simulate_device(
         settled, motion, rng=streams(f"{rival} noise"), temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S
     ).record
@@ -135,7 +137,7 @@ def _by_known_forces(
 
 
 def _block_means(values: FloatArray, block: int) -> FloatArray:
-    """Return the means (N / block, 3) of successive blocks; the solver of dense equations takes hundreds of rows, not thousands."""
+    """Return the means (N / block, 3) of successive blocks, which reduces the number of equations for the dense solver."""
     return np.asarray(values.reshape(-1, block, 3).mean(axis=1))
 
 
@@ -181,7 +183,7 @@ def calibrate_rival(
 
 
 def _one_device(study: Study, number: int) -> list[tuple[str, list[float], float]]:
-    """Return each method with its errors in the tasks and of the tilt, deg; NaN if it could not calibrate the device."""
+    """Return each method with its errors in the tasks and of the tilt, deg, NaN if it could not calibrate the device."""
     device = with_cutoff(study.unit(number), None)
     streams = partial(stream, study.seed, study.group, "method", number)
     truth = true_calibration(device, temp_c=ROOM_TEMP_C)

@@ -5,8 +5,8 @@
     a sit-to-stand, worn, warmer -> correct, orient, compare with the optics: none, static, static and dynamic
 
 A run drives the bench as it drives hardware, and each protocol makes a run folder. Time is simulated, so nothing depends on how
-busy the host is. The chamber heats by 10 K a second, and the board, with its thermometer in moving air, follows within seconds;
-real soaks take hours. Only ``compare_with_truth`` knows the hidden truth.
+busy the host is. The chamber heats by 10 K per second, and the board, with its thermometer in moving air, follows within seconds.
+Real soaks take hours. Only ``compare_with_truth`` uses the hidden truth.
 """
 
 import time
@@ -43,19 +43,19 @@ from undrift.validation.trial import Trial
 
 KIND = "enc03j_3031"
 UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what this kind spreads
-SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # the worn board is at 37.5; the bench at 25
+SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # (the worn board is at 37.5 degC, the bench at 25 degC)
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
-FAST = 200.0  # simulated seconds in one of the host's: for the forecast alone
+FAST = 200.0  # simulated seconds per host second, for the forecast only
 
-Tell = Callable[[str, float], None]  # gets what is being done, and the seconds of the host that are left of it
+Tell = Callable[[str, float], None]  # receives the current activity and its remaining time, host s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchPlan:
-    """What is recorded on a simulated bench."""
+    """Recordings of a simulated bench."""
 
     bench: Protocol  # At room temperature
     thermal: Protocol  # At set-points
@@ -74,11 +74,11 @@ class BenchRun:
     plan: BenchPlan
     bench: RunResult
     thermal: RunResult
-    host_s: float  # How long both took, host s
+    host_s: float  # duration of both, host s
 
 
 def bench_plan(*, quick: bool = False) -> BenchPlan:
-    """Return what the demo records."""
+    """Return the recordings of the demo."""
     seconds = 3.0
     few = Protocol(
         name="thermal",
@@ -140,20 +140,20 @@ EXCURSION_K = 12.5  # between the note's 10 and 15
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchFit:
-    """What the runs gave."""
+    """Results of the runs."""
 
-    constant: Calibration  # Of the bench run alone
+    constant: Calibration  # calibration from the bench run only
     drift: DriftFit  # Its calibration has the tables
 
 
 def fit_bench(bench: Session, thermal: Session) -> BenchFit:
-    """Fit what a simulated bench recorded."""
+    """Fit the recordings of a simulated bench."""
     constant = calibrate(bench)
     return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
 
 
 def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
-    """Simulate a sit-to-stand with a device that its wearer has warmed: what it reads, and what the optics see."""
+    """Simulate a sit-to-stand with a device warmed by its wearer, and return its readings and the poses from the optics."""
     person, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
@@ -177,7 +177,7 @@ STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # of the error without tables
 class Check(NamedTuple):
     """A figure and its limit."""
 
-    name: str  # What it is, with its unit
+    name: str  # name of the quantity, with its unit
     value: float
     limit: float  # The most that it may be
 
@@ -192,7 +192,7 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     found, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
     tables, summary = fit.drift.calibration.drift, fit.drift.gyro_summary
     if tables is None or tables.static is None or summary is None:
-        raise InputError("tables: wanted offsets over temperature, got none; run the thermal programme")
+        raise InputError("tables: no offsets over temperature. Run the thermal programme.")
     nodes = tables.static.temp_c
     seen = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
     felt = device.thermometer  # settled: from its reading to the temperature of the board
@@ -201,7 +201,7 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     rows = []
     for name, one, other in (("accelerometers", found.accel, true.accel), ("gyroscopes", found.gyro, true.gyro)):
         if one is None or other is None:
-            raise InputError("matrix: wanted that of both triads, got one missing; record faces and rates")
+            raise InputError("matrix: the matrix of a triad is missing. Record faces and rates.")
         text = f"{name}: matrix against the true one, largest element (1)"
         rows.append(Check(text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
     gyro = _offset_apart(found.gyro, tables, warm, seen) / RADIAN_PER_DEGREE
@@ -225,7 +225,7 @@ def _offset_apart(triad: TriadModel | None, found: DriftTables, true: DriftTable
     name = "gyro_offset" if triad is not None and triad.unit_out == "rad/s" else "accel_offset"
     table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (found, true))
     if triad is None or table is None or hidden is None:
-        raise InputError(f"tables: wanted {name} over temperature, got none; run the thermal programme")
+        raise InputError(f"tables: no {name} over temperature. Run the thermal programme.")
     return float(np.abs((table[seen] - hidden) @ triad.matrix.T).max())
 
 
