@@ -35,7 +35,7 @@ def test_an_offset_alone_is_taken_by_a_rest_and_by_the_table():
     assert found.tables_deg == pytest.approx(1.96 * U * MOTION_S)
     assert found.both_deg == pytest.approx(1.96 * 0.001 * MOTION_S)
     assert "12.5 K above the reference" in found.motion
-    assert "which no rest removes, were not measured" in found.answer
+    assert "were not measured" in found.answer
 
 
 def test_a_scale_over_temperature_is_left_by_the_rest_and_not_by_the_table():

@@ -1,12 +1,12 @@
-"""One device in one trial: what it reads, and the error of the pitch that its calibration leaves.
+"""A device in a trial: its readings, and the remaining error of the pitch after correction.
 
     readings -> correct (offset of the rest subtracted) -> orient -> pitch;    error = pitch - true pitch
 
-Two errors: aligned in time, as the note compares, against the true pitch of the instant that the readings belong to; and in real
-time, against the true pitch now. A simulator knows the delay of its device: the group delay of the filter, minus the half sample by
-which strapdown integrates early.
+Two errors are computed. The aligned error compares with the true pitch at the time of the readings, as in the note. The real-time
+error compares with the current true pitch. The simulation knows the delay of its device: the group delay of the filter, minus the
+half sample by which strapdown integrates early.
 
-One kind of error may be switched off. It is zeroed and not removed, so that all other draws stay the same.
+A kind of error can be switched off. It is set to zero and not removed, so that all other draws stay the same.
 """
 
 import zlib
@@ -42,7 +42,7 @@ EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
 
 
 def stream(seed: int, *words: str | int) -> np.random.Generator:
-    """Return the generator of one part of a study: the same seed and words give the same numbers."""
+    """Return the random generator for a part of a study. The same seed and words give the same numbers."""
     keys = tuple(word if isinstance(word, int) else zlib.crc32(word.encode()) for word in words)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=keys))
 
@@ -80,7 +80,7 @@ _SCALE = {
 
 
 def device_without(device: DeviceModel, effect: EffectName) -> DeviceModel:
-    """Return a device without one kind of error; the delay is removed by the comparison."""
+    """Return a device without a kind of error. The delay is removed in the comparison."""
     chains = {}
     for name, chain in (("gyro", device.gyro), ("accel", device.accel)):
         fields: dict[str, tuple[str, ...]] = {}
@@ -161,7 +161,7 @@ def make_case(
 
 
 def _delayed(pitch: FloatArray, samples: float) -> FloatArray:
-    """Return a pitch (N,) as it was a number of samples earlier, rad; NaN next to gaps."""
+    """Return a pitch (N,), rad, delayed by a number of samples, NaN next to gaps."""
     from scipy.interpolate import CubicSpline
 
     valid, place = np.isfinite(pitch), np.arange(len(pitch))

@@ -1,8 +1,8 @@
 """Results of a study: the error of each session, the cheapest session that is good enough, and the causes of the error.
 
-A session is good enough for a target if 95 % of the devices that it calibrates stay below the target, each on a person of its own.
-The quantile counts, not the mean: whoever buys one device gets one error. The cheapest such session, by its minutes, is the answer.
-It is tried again with other devices on the other group of people.
+A session is good enough for a target if 95 % of the devices that it calibrates stay below the target, each on a different person.
+The quantile is used, not the mean, because a user has a single device. The answer is the shortest session that is good enough. It
+is tested again with other devices on the other group of people.
 """
 
 from collections.abc import Sequence
@@ -32,10 +32,14 @@ class SessionErrors:
     mean_deg: float
     interval_deg: tuple[float, float]  # 95 % interval of the mean
     quantile_deg: float  # 95 % of devices stay below
-    single_deg: tuple[float, float]  # 95 % of further devices lie within; n - 1 of n + 1 with fewer than 39
+    single_deg: tuple[
+        float, float
+    ]  # prediction interval of a further device, 95 % (or (n - 1) / (n + 1) with fewer than 39)
     real_time_deg: float  # mean error against the true pitch of now
     failed: int  # devices that the session could not calibrate
-    against_best: PairedDifference | None  # this session against the one with the least mean; None for that one
+    against_best: (
+        PairedDifference | None
+    )  # this session compared with the session of the smallest mean (None for the latter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +49,7 @@ class Answer:
     target_deg: float
     session: str  # empty if no session is good enough
     below: int = 0  # devices of the other group that stayed below the target
-    tested: int = 0  # devices of the other group; 0 for recorded people
+    tested: int = 0  # number of devices of the other group (0 for recorded people)
 
     @property
     def confirmed(self) -> bool:
@@ -55,19 +59,19 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterEffect:
-    """Effect of one of the note's four numbers; the other three keep their values."""
+    """Effect of one of the note's four numbers, with constant values of the other three."""
 
     parameter: Parameter
     values: tuple[float, ...]
     means_deg: tuple[float, ...]
     own: float  # value around which the others were tried
     anova: Anova | None  # None if the differences are exact
-    p_holm: float  # adjusted over the parameters of the task; NaN without an analysis
+    p_holm: float  # adjusted over the parameters of the task, or NaN without an analysis
     differences: tuple[PairedDifference, ...]  # each other value against the own one
 
     @property
     def verdict(self) -> str:
-        """Say whether another value is better than the own one by more than the margin."""
+        """Return True if another value is better than the default by more than the margin."""
         verdicts = {difference.verdict for difference in self.differences}
         if "better" in verdicts:
             return "another value is better"
@@ -95,14 +99,14 @@ class StudyOutcome:
     subjects: int
     tasks: tuple[TaskOutcome, ...]
     for_all: tuple[Answer, ...]  # the cheapest session that is good enough in every task
-    # first task: temperature rise (infinite: that of the study), offset rule, session, 95 % quantile in deg (NaN if a device fails)
+    # first task: temperature rise (infinite: as in the study), offset rule, session, 95 % quantile in deg (NaN if a device fails)
     sensitivity: tuple[tuple[float, str, str, float], ...]
     runs: tuple[Run, ...]
     methods: tuple[MethodRow, ...] = ()  # methods and rivals, for the note's preset
 
 
 def errors_of(runs: Sequence[Run], task: str, session: str, timing: Timing, role: str = "session") -> FloatArray:
-    """Return the rms errors of all subjects by subject, (n,) deg; NaN for a device that was not calibrated."""
+    """Return the rms error of each subject, (n,) deg, NaN for a device that was not calibrated."""
     own = sorted(
         (run for run in runs if (run.task, run.session, run.role) == (task, session, role)), key=lambda run: run.subject
     )
@@ -120,7 +124,7 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         valid, both = np.isfinite(errors), np.isfinite(errors) & np.isfinite(columns[best])
         mean, interval = mean_interval(errors[valid])
         nan = float("nan")
-        # the k-th of n errors is the quantile k / (n + 1) of a further device, so that few devices promise no less than they can
+        # the k-th of n errors is the quantile k / (n + 1) of a further device, so few devices cannot reach 95 %
         ends = (*ENDS, QUANTILE)
         low, high, quantile = np.quantile(errors[valid], ends, method="weibull").tolist() if valid.any() else (nan,) * 3
         decision = None
@@ -131,7 +135,7 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         rows.append(
             SessionErrors(
                 session=session, mean_deg=mean, interval_deg=interval, single_deg=(low, high), failed=int((~valid).sum()),
-                quantile_deg=quantile if valid.all() else float("inf"),  # a device that fails is no device below the target
+                quantile_deg=quantile if valid.all() else float("inf"),  # a device that fails is not below the target
                 real_time_deg=float(np.nanmean(now)) if np.isfinite(now).any() else nan, against_best=decision,
             )
         )  # fmt: skip
@@ -153,7 +157,7 @@ def find_answers(study: Study, rows: Sequence[Sequence[SessionErrors]]) -> tuple
 
 
 def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[ParameterEffect, ...]:
-    """Return the effect of each of the note's four numbers on the error; the other three keep their values."""
+    """Return the effect of each of the note's four numbers on the error, with constant values of the other three."""
     if task.around is None:
         return ()
     tried = {
@@ -251,7 +255,7 @@ def with_test(outcome: StudyOutcome, tested: Sequence[Run], effects: Sequence[Ru
 
 
 def breakdown_session(task: TaskOutcome) -> str:
-    """Return the session whose error is split: that of the first target that is reached, otherwise the best."""
+    """Return the session for the split of the error: the answer for the first target that is reached, otherwise the best."""
     reached = [answer.session for answer in task.answers if answer.session]
     return reached[0] if reached else min(task.sessions, key=lambda row: row.mean_deg).session.name
 

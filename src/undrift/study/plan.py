@@ -1,9 +1,9 @@
 """Plan of a study: study.toml, or the note's study as a preset.
 
     [study]            device, people, temperatures, sessions, target
-    [[task]]           a task of the library, or recorded people; with [task.try] the note's four numbers are varied one at a time
-    [[session]]        a session of a laboratory's own: a protocol.toml
-    [category.NAME]    people of a laboratory's own
+    [[task]]           a task of the library, or recorded people ([task.try] varies the note's four numbers one at a time)
+    [[session]]        a custom session with a protocol.toml
+    [category.NAME]    a custom category of people
 
 The page "Keys" of the site has every key with its default.
 """
@@ -35,14 +35,14 @@ DEVICE = "enc03j_3031"  # the note's
 MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
 SUBJECTS = 30
 
-# [study.bench] if a key is left out. The note states its encoder and its servo; the rest is assumed unless a source is given.
+# Default of [study.bench]. Encoder and servo are from the note. All other values are assumed unless a source is given.
 NOTE_BENCH = BenchErrors(
     face_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: a squared block on a plate
     mount_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: the same block
     level=0.05 * RADIAN_PER_DEGREE,  # assumed: a bubble level
-    wobble=0.01 * RADIAN_PER_DEGREE,  # assumed: a motor's bearings; precision tables state a few arc seconds
+    wobble=0.01 * RADIAN_PER_DEGREE,  # assumed for a motor's bearings (precision tables have a few arc seconds)
     table_rate=0.01 * 0.01,  # crystals of a controller and a computer differ by 50 to 100 ppm
-    servo=0.012 * RADIAN_PER_DEGREE,  # note: largest error of the angle; the encoder reads it
+    servo=0.012 * RADIAN_PER_DEGREE,  # largest error of the angle in the note, which the encoder measures
     encoder_lines=10_000,  # note: N = 10,000, read as lines
 )
 
@@ -78,7 +78,7 @@ class NoteNumbers:
 class StudyTask:
     """One task of a study."""
 
-    name: str  # sit_to_stand, step, posturography or free; any word for recorded people
+    name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
     category: str = DEFAULT  # of the people who perform it
     motion: OwnMotion | None = None  # recorded people in place of the library's task
     around: NoteNumbers | None = None  # numbers around which others are tried
@@ -99,7 +99,7 @@ class StudyTask:
             numbers[2].session()
 
     def variations(self) -> Iterator[tuple[Parameter, float, NoteNumbers]]:
-        """Yield each parameter and value with the four numbers, the others as they are; the first value is the own one."""
+        """Yield each parameter and value with the four numbers, of which one is varied. The first value is the default."""
         if self.around is None:
             return
         for parameter, values in self.values:
@@ -110,7 +110,7 @@ class StudyTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """What holds for all tasks of a study."""
+    """Settings for all tasks of a study."""
 
     name: str = ""
     device: str = DEVICE  # a preset, of which every subject wears a unit of its own, or the path of a device.json
@@ -122,7 +122,7 @@ class Frame:
     # board temperature of the trials above the room, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
     seed: Annotated[int, Ge(0)] = 0
-    offset: OffsetRule = "rest"  # offset that is subtracted in a trial; none is the note's
+    offset: OffsetRule = "rest"  # offset that is subtracted in a trial (none in the note)
     timing: Timing = "aligned"  # compared with the true pitch of the readings' instant, or of now
     fit: Fit = "product"  # paper: the note's matrix and not-a-knot splines
     margin_deg: Positive = MARGIN_DEG  # smallest difference that matters
@@ -136,7 +136,7 @@ class Study(Frame):
 
     tasks: tuple[StudyTask, ...]
     sessions: tuple[CalibrationSession, ...] = tuple(SESSIONS.values())
-    worn: str = ""  # text of a device.json that every subject wears; empty draws units of ``device``
+    worn: str = ""  # text of a device.json for all subjects (empty: random units of ``device``)
     lab: tuple[tuple[str, Category], ...] = ()  # categories of a laboratory's own, by name
 
     def __post_init__(self) -> None:
@@ -171,7 +171,7 @@ class Study(Frame):
 
 
 def with_categories(study: Study, categories: Sequence[str]) -> Study:
-    """Return a study whose drawn tasks are performed by each of several categories; recorded people have none."""
+    """Return a study in which each of several categories performs the simulated tasks. Recorded people have no category."""
     known = (*CATEGORIES, *dict(study.lab))
     unknown = [name for name in categories if name not in known]
     if unknown or not categories or len(set(categories)) < len(categories):
@@ -208,7 +208,7 @@ TABLE_1: dict[TaskName, NoteRow] = {
     "posturography": _row(11.5, 0.1, 0.1, 5.0, 0.049),
 }
 CUTOFFS_HZ = (5.0, 8.0, 14.0, 20.0, 40.0)
-# step, omega_m and omega_M beside the note's; each divides the span. Less than one count of the encoder in 0.1 s, 0.09 deg/s,
+# step, omega_m and omega_M in addition to the note's values. Each step divides the span. Less than a count in 0.1 s, 0.09 deg/s,
 # cannot be imposed, so the posturography has no smaller rates than the note's.
 TRIED: dict[TaskName, tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = {
     "sit_to_stand": ((2.5, 17.0), (10.0, 20.0), (50.0, 110.0)),
@@ -246,7 +246,7 @@ class TaskEntry:
     """[[task]]."""
 
     name: str  # of the task
-    category: str = ""  # of its people, in place of those of [study]
+    category: str = ""  # category of its people, instead of the category in [study]
     motion: MotionEntry | None = None  # in place of a drawn performance
     tried: TryEntry | None = None  # values of the note's numbers
 

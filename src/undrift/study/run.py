@@ -1,10 +1,10 @@
-"""Run a study: each device is calibrated once by every session and worn in every task; devices and people are added in batches.
+"""Run a study: each device is calibrated once with every session and worn in every task, in batches of devices and people.
 
     Session x device -> calibration        shared by all tasks and categories
     Task x person    -> trial              the person of a device's own number
     both             -> errors of the pitch, one ``Run`` each
 
-The unit of work is a device. It carries its own seed, so the numbers depend on neither the executor nor the number of workers.
+The unit of work is a device with its own seed, so the numbers do not depend on the executor or the number of workers.
 """
 
 import os
@@ -44,12 +44,12 @@ from undrift.validation.agreement import mean_interval
 # ---- executors
 
 BATCH = 10  # devices between two looks at the intervals
-SENSITIVITY_K = (0.0, 5.0, 20.0)  # temperature rises that are tried beside the study's own, K
+SENSITIVITY_K = (0.0, 5.0, 20.0)  # additional temperature rises for the sensitivity, K
 
 
 @contextmanager
 def executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Give a ``map`` over processes of this machine, or over the workers of a Dask scheduler."""
+    """Return a ``map`` over processes of this machine, or over the workers of a Dask scheduler."""
     if scheduler is not None and workers is not None:
         raise InputError("study: `scheduler` has its own workers. Omit `workers`.")
     if scheduler is not None:
@@ -83,7 +83,7 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """Errors of one device and person in one task with one calibration."""
+    """Errors of a device and a person in a task with a calibration."""
 
     task: str
     subject: int
@@ -122,7 +122,7 @@ class _Device:
         self._performed: dict[str, list[Task | RecordedTask]] = {}
 
     def calibration(self, session: CalibrationSession) -> Calibration | None:
-        """Calibrate the device with a session; return None if the session cannot calibrate it."""
+        """Calibrate the device with a session. Return None if the session cannot calibrate it."""
         if session.name not in self._calibrations:
             self._calibrations[session.name] = None
             if session.suits(self.model):
@@ -157,7 +157,7 @@ class _Device:
         excursion_k: float | None = None,
         offsets: Sequence[OffsetRule] = (),
     ) -> Iterator[Run]:
-        """Yield the errors of a task for each session; all sessions are judged on the same trials."""
+        """Yield the errors of a task for each session. All sessions use the same trials."""
         study = self.study
         rise = float(stream(study.seed, study.group, "temperature", self.number).uniform(*study.excursion_k))
         rise = rise if excursion_k is None else excursion_k

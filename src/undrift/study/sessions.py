@@ -1,6 +1,6 @@
-"""Named calibration sessions: how a device is recorded on a bench that errs, and fitted by the functions of the product.
+"""Named calibration sessions, recorded on a bench with errors and fitted with the functions of undrift.
 
-    session        what is done                                                          fitted by
+    session        recording                                                             fitted by
     hand           six faces, three turns of 360 deg by hand                             calibrate
     free poses     24 poses by hand, with the moves between them                         calibrate
     motion         two minutes of motion by hand                                         calibrate_from_motion
@@ -84,13 +84,13 @@ class CalibrationSession:
 
     @property
     def at_one_temperature(self) -> "CalibrationSession":
-        """The part of the session before its soaks; sessions with the same rates share it."""
+        """Part of the session before its soaks, which sessions with the same rates share."""
         if self.protocol is None:
             return self
         return replace(self, name="", protocol=replace(self.protocol, name="", temperatures_c=()))
 
     def suits(self, device: DeviceModel) -> bool:
-        """Return False for motion alone if readings are counts or volts: motion cannot determine a gain."""
+        """Return False for a session of motion only with readings in counts or volts, as motion cannot determine a gain."""
         return self.kind != "motion" or (is_physical(device.gyro.unit) and is_physical(device.accel.unit))
 
     @property
@@ -104,7 +104,7 @@ class CalibrationSession:
         return ", ".join(needs[-1:] if self.warm else needs) or "none"
 
     def commands(self, stem: str) -> tuple[str, ...]:
-        """Return the commands that record and fit the session; ``stem`` names its files."""
+        """Return the commands that record and fit the session. ``stem`` is the start of its file names."""
         if self.protocol is not None:
             chamber = bool(self.protocol.temperatures_c)
             run = (
@@ -131,7 +131,7 @@ def table_protocol(
     set_points_c: tuple[float, ...] = (),
     dwell_s: float = 2.0,
 ) -> Protocol:
-    """Return a rate-table protocol by the note's numbers, deg/s; its grid leaves omega_m out, as the note's count does."""
+    """Return a rate-table protocol from the note's numbers, deg/s. Its grid omits omega_m, as in the note's count."""
     step, low, high = (value * RADIAN_PER_DEGREE for value in (step_dps, min_dps, max_dps))
     return Protocol(
         name=name, grid="paper", turn_rate_step=step, turn_rate_min=low, turn_rate_max=high, dwell_s=dwell_s, bracket_s=6.0,
@@ -205,7 +205,7 @@ def add_tables(
     streams: Streams,
     fit: Fit = "product",
 ) -> Calibration:
-    """Record the soaks of a session, and fit the tables over temperature; a session without soaks has none."""
+    """Record the soaks of a session and fit the tables over temperature. A session without soaks has no tables."""
     protocol = session.protocol
     if protocol is None or not protocol.temperatures_c:
         return calibration
@@ -238,7 +238,7 @@ def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
 def calibrate_by_means(
     protocol: Protocol, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
 ) -> Calibration:
-    """Fit a session at room temperature whose dwells are simulated as means (sim/table_sessions.py); a dwell errs alike in all."""
+    """Fit a session at room temperature with dwells simulated as means (sim/table_sessions.py). Dwells share their errors."""
     laid = lay_out(protocol)
     faces, turns = laid.chosen(FACE), laid.chosen(REST, RATE)
     size = np.round(np.abs(turns.rate) / KEY_STEP)

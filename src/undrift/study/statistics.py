@@ -1,8 +1,8 @@
 """Repeated measures: does the error depend on a parameter, and by how much?
 
 Every subject meets each of k values: F = MS_condition / MS_error, with degrees of freedom (k - 1) and (n - 1)(k - 1) times
-Greenhouse and Geisser's epsilon (1959). p values of several parameters are adjusted after Holm (1979). A simulator can make any
-difference significant by adding people, so each p stands beside the span of the means in degrees.
+Greenhouse and Geisser's epsilon (1959). p values of several parameters are adjusted after Holm (1979). With enough simulated
+people, any difference becomes significant. So each p is reported with the span of the means in degrees.
 """
 
 from dataclasses import dataclass
