@@ -157,7 +157,7 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
     ("make", "message"),
     [
         (lambda: simulate_thermal_session("fridge", quiet(), rng=rng()), "soak, ramp, warm_up"),  # type: ignore[arg-type]
-        (lambda: ThermalSettings(power_on_s=-1.0), "power_on_s .*got -1 s"),
+        (lambda: ThermalSettings(power_on_s=-1.0), "got -1 s"),
     ],
 )
 def test_what_cannot_be_done_in_a_thermal_session_is_refused(make, message: str) -> None:

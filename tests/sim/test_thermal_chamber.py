@@ -85,7 +85,7 @@ def test_the_default_warm_up_is_that_of_the_recorded_board() -> None:
     [
         (lambda: ChamberSettings(board_lag_s=0.0), "board_lag_s above 0, got 0"),
         (lambda: RampSettings(low_c=30.0, high_c=20.0), "got 30 to 20 degC at 1 and 1 degC/min"),
-        (lambda: WarmUpSettings(fast_share=2.0), "0 to 1 .*got 2,"),
+        (lambda: WarmUpSettings(fast_share=2.0), "got 2,"),
         (lambda: soak_profile((), measured_s=1.0), "at least one set-point"),
         (
             lambda: soak_profile((20.0, 60.0), measured_s=1.0, settings=ChamberSettings(longest_wait_s=300.0)),

@@ -96,7 +96,7 @@ def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(m
         )  # of two, quartiles lie between
         assert -1.0 <= row.correlation_interval[0] <= row.correlation <= row.correlation_interval[1] <= 1.0
         assert np.isnan(row.largest_interval).all()  # four units or more
-    with pytest.raises(InputError, match="at least two .*got 1"):
+    with pytest.raises(InputError, match=r"at least two .*got 1"):
         drawn_cohort(units=1)
 
 
