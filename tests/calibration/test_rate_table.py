@@ -544,8 +544,8 @@ def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
     fit = fit_rate_table(wrong, rests)
     assert np.array_equal(nearest_signed_permutation(fit.model.forward_matrix), np.eye(3))
     assert fit.verdict.status == "bad"
-    uncertain = only(fit.verdict.findings, "rate_table.uncertainty")
-    assert uncertain.values["uncertainty_percent"] > uncertain.values["wanted"] == 0.5
+    uncertain = only(fit.verdict.findings, "session.uncertain")
+    assert uncertain.values["size"] > uncertain.values["wanted"] == 0.5
     drifting = replace(
         dwells, reading=dwells.reading + 0.4 * (dwells.span.mean(axis=1) - 70.0)[:, None]
     )  # 1.5 deg/s in a minute

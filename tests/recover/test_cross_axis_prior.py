@@ -55,7 +55,7 @@ def test_without_a_prior_the_session_is_refused_and_with_it_all_is_fitted() -> N
     fit, _ = fitted(0)
     assert fit.gyro is not None
     assert fit.accel.model.rank < 9
-    assert "multi_position.cross_axis_prior" in codes(fit.accel.verdict.findings)
+    assert "session.not_observable" in codes(fit.accel.verdict.findings)
     assert fit.accel.verdict.status == "marginal"
 
 
@@ -119,8 +119,8 @@ def test_one_pose_between_two_faces_shows_its_term_and_the_prior_stands_for_the_
         script.lay(facing(script.q, up + 0.005 * rng.normal(size=3)), SETTINGS.move_s)
         script.still(SETTINGS.still_s)
     fit, accel = fitted(3, script_motion(script, SETTINGS))
-    found = only(fit.accel.verdict.findings, "multi_position.cross_axis_prior")
-    assert found.values["terms"] == "cross-axis terms xz and yz"
+    found = only(fit.accel.verdict.findings, "session.not_observable")
+    assert found.values["what"] == "Accelerometer's cross-axis terms xz and yz"
     assert found.action == "add poses between the faces (edges and corners up)"
     share = fit.accel.model.standard_uncertainty[:9].reshape(3, 3)
     assert share[0, 1] < 1e-3

@@ -246,6 +246,7 @@ LEAST_ANGLE, LEAST_RATE = (
 LOOSE = 1e-4  # of the precision of turns by known angles in the fit to the moves
 CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
 HOPELESS_DEG = 20.0  # rms: moves that end farther from gravity are not those of this gyroscope
+MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger turns between the poses"}
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
 
 
@@ -546,9 +547,7 @@ def _as_triad(
     rate = (np.concatenate(inside) - offset) @ matrix.T
     findings = (
         *above("multi_position.residual", rows.rms_deg, MISS_DEG, rms=rows.rms_deg, unit="deg", what="Moves"),
-        *above(
-            "multi_position.uncertainty", percent, UNCERTAIN_PERCENT, size=percent, unit="%", what="Gyroscope matrix"
-        ),
+        *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
         *limited_by_codes("gyroscope", problem.codes, np.diag(covariance)[9:12], unit_in),
         *saturated,
     )

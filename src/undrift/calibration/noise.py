@@ -351,15 +351,13 @@ def _findings(triad: str, axes: tuple[AxisNoise, ...], record: Record) -> Iterat
         if lost:
             no_axis = name == "bias_instability" and len(lost) == len(axes)
             level: Level = "warn" if name == "angle_random_walk" or no_axis else "info"
+            wanted_h = int(np.ceil(LONGER * record.duration_s / 3600.0))
             yield finding(
-                "noise.not_observable",
+                "session.not_observable",
                 level,
-                triad=triad,
-                axes=lost,
-                term=term,
-                duration_s=record.duration_s,
-                longest_s=axes[0].curve.taus_s[-1],
-                wanted_h=int(np.ceil(LONGER * record.duration_s / 3600.0)),
+                what=f"{triad} {', '.join(lost)}: {term}",
+                why=f"record of {record.duration_s:.0f} s, averaging times up to {axes[0].curve.taus_s[-1]:.4g} s",
+                record=f"record {wanted_h} h or more at rest, at a steady temperature",
             )
     worst = max((axis.model_error for axis in axes), default=0.0)
     if worst >= DEPARTURE:

@@ -269,15 +269,16 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
     rms_mg, sigma = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
     yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms=rms_mg, unit="mg", what="Poses")
-    yield from above("multi_position.uncertainty", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Corrected gravity")
+    poses = "record more poses, held longer"
+    yield from above("session.uncertain", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Gravity", record=poses)
     if fit.prior_sd is not None and fit.kept:
+        percent = 100.0 * np.sqrt(max(fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept))
         yield finding(
-            "multi_position.cross_axis_prior",
+            "session.not_observable",
             "warn",
-            terms=parameter_names(fit.kept),
-            prior_percent=100.0 * fit.prior_sd,
-            uncertainty_percent=100.0 * np.sqrt([fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept]),
-            advice=_advice(corrected, fit.kept),
+            what=f"Accelerometer's {parameter_names(fit.kept)}",
+            why=f"0 +- {100.0 * fit.prior_sd:g} % of the scale was assumed, +- {percent:.2g} % remains (1 sigma)",
+            record=_advice(corrected, fit.kept),
         )
 
 

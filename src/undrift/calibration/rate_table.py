@@ -258,7 +258,11 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
     yield from above("rate_table.drift", dps, DRIFT_DPS, dps_per_minute=dps)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
-    yield from above("rate_table.uncertainty", uncertain, UNCERTAIN_PERCENT, uncertainty_percent=uncertain)
+    words = {
+        "what": "Gyroscope matrix",
+        "record": "turn at more rates, dwell longer, and check the residual of each dwell",
+    }
+    yield from above("session.uncertain", uncertain, UNCERTAIN_PERCENT, size=uncertain, unit="%", **words)
 
 
 def axes_missing(turned: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
