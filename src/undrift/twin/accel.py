@@ -1,14 +1,15 @@
-"""Accelerometer against poses: matrix, offset, delay and lever arm by least squares on specific force.
+"""Fit of the accelerometers to poses: matrix, offset, delay and lever arm, by least squares on specific force.
 
-With the motion of the optical body's origin from its poses (position p, orientation R_nb, rate w, its change w') the force
-at the sensor, r from that origin, is::
+The poses give the motion of the optical body's origin: position p, orientation R_nb, rate w and angular acceleration w'. The force
+at a sensor with the position r from that origin is::
 
     f + L r = M u(t + d) - c            f = R_nb^T (p'' + g z),  L = [w']x + [w]x [w]x,  c = M o
 
-The optics are the noisy side (differentiated twice), the readings u the quiet one, so f is explained and no regressor has much
-noise. All terms are turned into n and low-passed there; a low-pass there commutes with the second derivative of the position.
-Then the model is linear in M, c and r, and in d by the change of u with time. Residuals beyond 1.345 robust standard deviations
-count less (Huber). Filtered residuals correlate with their neighbours, so the covariance is the sandwich over blocks of a second.
+The optics are noisy, as they are differentiated twice, and the readings u are not. So f is the dependent variable, and the
+regressors have little noise. All terms are turned to n and low-passed there, because a low-pass in n commutes with the second
+derivative of the position. The model is linear in M, c and r, and in d through the time derivative of u. Residuals beyond 1.345
+robust standard deviations have less weight (Huber). Filtered residuals are correlated, so the covariance is a sandwich estimate
+over blocks of a second.
 
 The motion is a spline through the poses (``sim.motion.poses``), evaluated at the record's time minus the gyroscopes' delay.
 """
@@ -46,7 +47,7 @@ class Match(Aligned):
 
     name: str
     spline: PoseSpline  # through the poses
-    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s; NaN if it never rests
+    rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s, or NaN without a rest
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
         """Return the motion at the instants that readings with a delay belong to."""
@@ -114,7 +115,7 @@ MIN_BLOCKS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccelRows:
-    """Equations of one recording."""
+    """Equations of a recording."""
 
     design: FloatArray  # (K, 3, 16), matrix row by row, c, lever arm, delay; frame n
     force: FloatArray  # (K, 3), p'' + g z, m/s2
@@ -136,7 +137,7 @@ class AccelFit:
 
     model: TriadModel  # f = M (u - o) with covariance
     lever_arm: FloatArray  # (3,), from the optical body's origin to the sensor, frame of that body, m
-    delay: float  # of the readings beyond that of the gyroscopes, s
+    delay: float  # additional delay of the readings after the gyroscopes, s
     covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
     residual_rms: FloatArray  # (R,), per axis, for each recording, m/s2
     signal_rms: FloatArray  # (R,), specific force minus gravity, per axis, m/s2
@@ -154,7 +155,7 @@ def lever_matrix(motion: Motion) -> FloatArray:
 
 
 def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:
-    """Return the equations of one recording, linearised at a delay and a matrix."""
+    """Return the equations of a recording, linearised at a delay and a matrix."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
         raise InputError("accel fit: needs accel readings and positions of the reference. One of them is missing.")
@@ -192,7 +193,7 @@ def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: f
 
 
 def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None) -> AccelFit:
-    """Solve the equations of all recordings, or of chosen ones."""
+    """Solve the equations of all recordings, or of a subset."""
     rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
     x, covariance, condition = _solve(rows)
     matrix = x[:9].reshape(3, 3)

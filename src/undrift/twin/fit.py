@@ -65,7 +65,7 @@ def unknown(name: str, unit: str, reason: str) -> TwinParameter:
 
 
 def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, unit: str) -> list[TwinParameter]:
-    """Return matrix and offset of a fitted triad; covariance (12 or more, 12 or more)."""
+    """Return matrix and offset of a fitted triad, with the covariance of at least 12 parameters."""
     sigma = np.sqrt(np.maximum(np.diag(covariance)[:12], 0.0))
     names = [*(f"{prefix}_matrix_{name[-2:]}" for name in MATRIX_NAMES), *(f"{prefix}_offset_{axis}" for axis in AXES)]
     values = np.concatenate((model.matrix.ravel(), model.offset))
@@ -95,7 +95,7 @@ class RestNoise:
 
 
 def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
-    """Return the white noise of a triad at rest; ``step`` is that of its codes. None without 2 s of changing readings."""
+    """Return the white noise of a triad at rest, or None without 2 s of changing readings. ``step`` is its code step."""
     variances: list[FloatArray] = []
     freedom = 1
     for record in records:
@@ -123,7 +123,7 @@ class TwinSettings:
     """Settings of the fit of a twin."""
 
     gravity_m_s2: float = STANDARD_GRAVITY  # local gravity: the accelerometer's scale is proportional to it
-    gyro_cutoff_hz: float = 20.0  # low-pass at which gyroscope residuals are stated, Hz
+    gyro_cutoff_hz: float = 20.0  # low-pass for the gyroscope residuals, Hz
     accel_cutoff_hz: float = CUTOFF_HZ  # low-pass of the accelerometer fit, Hz
 
 
@@ -132,7 +132,7 @@ TWIN_SETTINGS = TwinSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prepared:
-    """Recordings of one device, aligned once for fits to all or to some of them."""
+    """Recordings of a device, aligned once for fits to all or to some of them."""
 
     matches: tuple[Match, ...]
     adc: AdcModel | None  # rounding of the gyroscope codes
@@ -225,7 +225,7 @@ def prepare_twin(
     settings: TwinSettings = TWIN_SETTINGS,
     names: Sequence[str] = (),
 ) -> Prepared:
-    """Align recordings of one device with their references."""
+    """Align recordings of a device with their references."""
     if not records or len(records) != len(references):
         raise InputError(
             f"twin: each record needs one reference, got {len(records)} records and {len(references)} references."
@@ -248,7 +248,7 @@ def prepare_twin(
 
 
 def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> Twin:
-    """Fit the device model to all recordings, or to chosen ones."""
+    """Fit the device model to all recordings, or to a subset."""
     numbers = list(range(len(prepared.matches)) if chosen is None else chosen)
     matches = [prepared.matches[k] for k in numbers]
     gyro = fit_aligned(matches, ReferenceSettings(mounting="one", turning=False))

@@ -1,9 +1,10 @@
-"""Held out: the twin, simulated on a motion to which it was not fitted, compared with the real device.
+"""Comparison of the twin with the real device on a motion that was not used in the fit.
 
-The twin is fitted to the other recordings of the device. Its readings of the held-out motion and the real readings are corrected by
-the twin's matrix, each with its own offset, and integrated from the same orientation over every window. The figures are the largest
-difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane (beyond, pitch stretches a
-difference of tilt more than twofold), and the difference at the window's end about each axis of the body.
+The twin is fitted to the other recordings of the device. Its readings of the held-out motion and the real readings are corrected
+by the twin's matrix, each with its own offset, and integrated from the same orientation over every window. There are two results.
+The first is the largest difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane.
+(Beyond, pitch more than doubles a difference of tilt.) The second is the difference at the end of the window about each axis of
+the body.
 """
 
 from collections.abc import Callable, Sequence
@@ -77,7 +78,7 @@ class HeldOutTrial:
 
     recording: str
     window_s: float  # length of the windows
-    pitch: FloatArray  # (W,), largest difference in each, rad; NaN if the vertical never came near the plane
+    pitch: FloatArray  # (W,), largest difference in each window, rad, or NaN if the vertical is never near the plane
     end: FloatArray  # (W, 3), difference at the end about each axis of the body, rad
 
 
@@ -88,7 +89,7 @@ def compare_held_out(
     lengths_s: Sequence[float] = WINDOWS_S,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOutTrial, ...]:
-    """Hold every recording out in turn and compare the twin of the others with it."""
+    """Compare each recording with the twin fitted to all other recordings."""
     count = len(prepared.matches)
     if count < 2:
         raise InputError("twin: needs two recordings to hold one out, got one. Record the device a second time.")

@@ -58,5 +58,5 @@ def test_a_quantity_keeps_its_bounds_its_mean_and_a_persons_habit() -> None:
 
 
 def test_a_group_that_is_not_one_is_refused() -> None:
-    with pytest.raises(InputError, match="wanted one of simulation, testing, got 'control'"):
+    with pytest.raises(InputError, match="unknown group or category 'control'"):
         cohort("control", rng=np.random.default_rng(0))  # type: ignore[arg-type]

@@ -1,49 +1,50 @@
-"""Task: human-like motion of a worn device, as functions of time.
+"""Tasks: human-like motion of a worn device, as functions of time.
 
-Three angles and three coordinates are courses: sums of parts with analytic derivatives (course.py)::
+Three angles and three coordinates are courses, which are sums of terms with analytic derivatives::
 
     R_nb = Rz(yaw) Ry(pitch) Rx(roll)                     x forward, y left, z up; pitch forward is positive
     w_b  = (roll' - yaw' sin p,  pitch' cos r + yaw' cos p sin r,  yaw' cos p cos r - pitch' sin r),   w_b' from it
-    p    = c + R_nb r                                     c the coordinates, r the device's arm from what they follow
+    p    = c + R_nb r                                     c the coordinates, r the device's arm from their reference point
     f_b  = R_nb^T (c'' + g z) + w' x r + w x (w x r)
 
-A task can be asked at any instants: the device and the optics each ask at their own.
+A task can be evaluated at any times, so device and optics each use their own sample times.
 
-Library of tasks: what subjects do in a test trial, each drawn anew.
+Library of tasks, with random parameters for each performance:
 
-``sit_to_stand``   trunk leans forward through a via-point and comes up again, then sways; up to 90 deg/s
-``step``           rising a step: lean, shift of weight, rise, the knock of each foot; up to 45 deg/s
-``posturography``  quiet stance on foam, eyes closed: a degree of sway for 50 s; up to 5 deg/s
-``free``           vigorous turns about all axes for a minute: what a fit against optics wants
+``sit_to_stand``   The trunk leans forward through a via-point, returns and sways, at up to 90 deg/s.
+``step``           Rising a step, with lean, shift of weight, rise and impact of each foot, at up to 45 deg/s.
+``posturography``  Quiet stance on foam with eyes closed, a degree of sway for 50 s, at up to 5 deg/s.
+``free``           Vigorous turns about all axes for a minute, for a fit to optics.
 
-The three bounds are those that the note's Table 1 calibrates for, of its category of subjects: a performance beyond them is drawn
-again. docs/motions.md lists model, numbers and their sources.
+The three limits are from the note's Table 1, for its category of subjects. A performance beyond them is drawn again.
+docs/motions.md lists model, numbers and sources.
 
-Sway of quiet stance: an inverted pendulum held up by a delayed controller and shaken by filtered noise.
+Sway of quiet stance: an inverted pendulum that is stabilised with a delayed controller and disturbed by filtered noise.
 
-Linear, so that the angle is a Gaussian process with a known spectrum. With the controller's gains in units of m g h and
-J / (m g h) = 1.147 h / g, the torque noise white through a first-order low-pass of time constant tau_n::
+The model is linear, so the angle is a Gaussian process with a known spectrum. The gains of the controller are in units of m g h,
+and J / (m g h) = 1.147 h / g. The torque noise is white noise after a first-order low-pass with the time constant tau_n::
 
     theta / noise = 1 / ((1.147 h/g) s^2 - 1 + (kp + kd s + ki / s) exp(-s tau)) / (1 + tau_n s),   s = 2 pi j f
 
-The process is written as sinusoids in geometric bands, one in each, with that spectrum's power, Rayleigh amplitudes and
-random phases; every derivative is then exact, and the sum is scaled to the wanted rms.
+The process is a sum of sinusoids, one per geometric frequency band, with the power of that spectrum, Rayleigh amplitudes and random
+phases. So every derivative is exact. The sum is scaled to the required rms.
 
-Subjects: who performs a task, and the two groups of thirty of the note's Table 2, in one of several categories.
+Subjects: the people who perform a task, and the two groups of thirty in the note's Table 2, in one of several categories.
 
-A subject has an age, a height, a category and habits: a root of random numbers of its own. A quantity of a performance is ::
+A subject has an age, a height, a category and habits, which are a separate root of random numbers. A quantity of a performance is
+::
 
-    x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time; 0.8^2 + 0.6^2 = 1
+    x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time, 0.8^2 + 0.6^2 = 1
 
-and drawn again until it lies within its bounds, so that over many subjects it has the stated mean and sd (nearly: the
-bounds cut the tails), and one subject resembles itself.
+It is drawn again until it is within its bounds. Over many subjects, it has almost exactly its mean and standard deviation, because
+the bounds only truncate the tails. Performances of the same subject are similar.
 
-Categories: the numbers of the tasks' models for each. The note studies protocols for a task and a category of subjects: healthy, or
-pathologic by type or by a degree of inability. Its own thirty subjects have Tinetti level 2, here ``level_2``, the default. A
-quantity is mean, standard deviation, least and greatest; a subject has the same habits in every category, in standard deviations.
-docs/motions.md has this table with the publications. The defaults of ``Category`` are the numbers of level_2 (assumed; three bounds
-of the note's Table 1). What a category leaves out is as that: for the instant of the turn found (phases last as long at 25 to 36 as
-at 61 to 74 years), else assumed.
+Categories: the numbers of the tasks' models for each category. The note studies protocols for a task and a category of subjects,
+healthy or pathologic, by type or by degree of inability. Its thirty subjects have Tinetti level 2, here ``level_2``, the default. A
+quantity has mean, standard deviation, minimum and maximum. A subject has the same habits in every category, in standard deviations.
+docs/motions.md has this table with the publications. The defaults of ``Category`` are the numbers of level_2, which are assumed,
+except for three bounds of the note's Table 1. Other categories use these numbers for missing quantities. For the time of the turn,
+this is published (phases last as long at 25 to 36 as at 61 to 74 years). Otherwise it is assumed.
 """
 
 import math
@@ -206,18 +207,17 @@ BELOW_ZERO = ("sitting_deg", "standing_deg", "upright_deg")  # quantities that m
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Category:
-    """How people of one category perform the three tasks."""
+    """Numbers of the three tasks for a category of people."""
 
-    label: str  # For people
-    age_years: Range | None = None  # Lowest, mean, highest; the note's Table 2, by group, where not given
-    height: Annotated[Range | None, Key("height_m")] = None  # m, as above
-    typical_age_years: Annotated[
-        float, Gt(0.0)
-    ]  # That the numbers below hold for; a year more adds 0.3 % to durations and 1 % to sway
-    # Greatest rate about any axis in sit-to-stand, step and posturography, deg/s; beyond it a performance is drawn again
+    label: str  # name for display
+    age_years: Range | None = None  # minimum, mean and maximum (by default the note's Table 2, by group)
+    height: Annotated[Range | None, Key("height_m")] = None  # minimum, mean and maximum, m
+    # age for the numbers below (each further year adds 0.3 % to durations and 1 % to sway)
+    typical_age_years: Annotated[float, Gt(0.0)]
+    # largest rate about any axis in sit-to-stand, step and posturography, deg/s (a faster performance is drawn again)
     most_dps: tuple[float, float, float] = (90.0, 45.0, 5.0)
-    # Mean, standard deviation, least and greatest; where a lab states the first two alone, the others are 2.5 deviations away
-    rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # Sit-to-stand: duration, s
+    # mean, standard deviation, minimum and maximum (by default the last two are 2.5 standard deviations from the mean)
+    rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # duration of sit-to-stand, s
     turn: Annotated[Spread, Key("turn_share")] = (
         0.40,
         0.05,
@@ -226,8 +226,8 @@ class Category:
     )  # Instant at which the trunk turns back, of duration
     flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # At L5, deg
     sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # First pitch, deg
-    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # Last pitch, and that of a step, deg
-    settling: Annotated[float, Gt(0.0), Key("settling_ratio")] = 1.0  # Sway after it, in that of level_2
+    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # last pitch, also for a step, deg
+    settling: Annotated[float, Gt(0.0), Key("settling_ratio")] = 1.0  # sway after rising, relative to level_2
     step_s: Spread = (2.0, 0.4, 1.2, 3.2)  # Step: duration, s
     lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)  # Forward, deg
     roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)  # To one side, deg
@@ -250,8 +250,8 @@ class Category:
                 rising = least <= mean <= greatest or name == "most_dps"
                 if not rising or min(row[1:2] if name in BELOW_ZERO else row) <= 0.0:
                     raise InputError(
-                        f"{name}: wanted least, mean and greatest that rise, above 0, got {list(row)}; state mean, standard "
-                        "deviation, least and greatest, or least, mean and greatest of ages and heights"
+                        f"{name}: minimum, mean and maximum must increase and be positive, got {list(row)}. Enter mean, standard "
+                        "deviation, minimum and maximum, or minimum, mean and maximum of ages and heights."
                     )
 
 
@@ -272,27 +272,27 @@ def numbers_of(category: Kind) -> Category:
     return category if isinstance(category, Category) else CATEGORIES[category]
 
 
-REACH_SD = 2.5  # least and greatest about a mean, where a lab states the standard deviation alone
+REACH_SD = 2.5  # default distance of minimum and maximum from the mean, standard deviations
 
 
 def category_tree(name: str, table: dict[str, Any]) -> dict[str, Any]:
-    """Return all keys of a category of which a table states some: the others as of the one that it is ``like``."""
+    """Return all keys of a category. Keys that are missing in the table are from the category that it is ``like``."""
 
     def bounded(value: Any) -> Any:
-        if not isinstance(value, list) or not all(isinstance(one, int | float) for one in value):
-            return [bounded(one) for one in value] if isinstance(value, list) else value
+        if not isinstance(value, list) or not all(isinstance(item, int | float) for item in value):
+            return [bounded(item) for item in value] if isinstance(value, list) else value
         return [*value, *(value[0] + side * REACH_SD * value[1] for side in (-1, 1))] if len(value) == 2 else value
 
     like = table.get("like", DEFAULT)
     if name in CATEGORIES or not name.isidentifier() or like not in CATEGORIES:
         raise InputError(
-            f"category.{name}: wanted a name of letters and digits other than {', '.join(CATEGORIES)}, like one of them, got "
-            f"{name} like {like}; rename it"
+            f"category.{name}: the name must be letters and digits other than {', '.join(CATEGORIES)}, and `like` one of these, "
+            f"got {name} like {like}. Rename it."
         )
-    stated = {key: bounded(value) for key, value in table.items() if key != "like"}
-    if isinstance(ages := stated.get("age_years"), list) and len(ages) == 3:
-        stated = {"typical_age_years": ages[1]} | stated
-    return {**tree_of(CATEGORIES[like]), "label": name.replace("_", " "), **stated}
+    values = {key: bounded(value) for key, value in table.items() if key != "like"}
+    if isinstance(ages := values.get("age_years"), list) and len(ages) == 3:
+        values = {"typical_age_years": ages[1]} | values
+    return {**tree_of(CATEGORIES[like]), "label": name.replace("_", " "), **values}
 
 
 # ---- Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
@@ -310,7 +310,7 @@ class Subject:
     group: Group  # simulation or testing
     age_years: float  # Years
     height: float  # m
-    habits: Streams  # What this person always does the same way
+    habits: Streams  # random streams of the person's habits
     category: Kind = DEFAULT  # Which numbers the performances are drawn with
 
 
@@ -322,11 +322,11 @@ class TableRow:
     height: tuple[float, float, float]  # m
 
 
-TABLE_2: dict[Group, TableRow] = {  # [note] Table 2; both groups Tinetti level 2
+TABLE_2: dict[Group, TableRow] = {  # [note] Table 2 (both groups have Tinetti level 2)
     "simulation": TableRow(age_years=(45.0, 62.0, 84.0), height=(1.50, 1.66, 1.85)),
     "testing": TableRow(age_years=(45.0, 65.0, 83.0), height=(1.52, 1.67, 1.83)),
 }
-TYPICAL_HEIGHT = 1.665  # between the two groups' means, as is the typical age; who performs where no subject is named
+TYPICAL_HEIGHT = 1.665  # between the two groups' means, for performances without a subject
 
 
 def table_row(group: Group, category: Kind = DEFAULT) -> TableRow:
@@ -338,10 +338,10 @@ def table_row(group: Group, category: Kind = DEFAULT) -> TableRow:
 
 
 def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) -> tuple[Subject, ...]:
-    """Draw the thirty subjects of one group; the same generator gives the same habits in every category."""
+    """Draw the thirty subjects of a group. The same generator gives the same habits in every category."""
     for got, known in ((group, get_args(Group)), (category, get_args(CategoryName))):
         if got not in known and not isinstance(got, Category):
-            raise InputError(f"cohort: wanted one of {', '.join(known)}, got '{got}'; name one of them")
+            raise InputError(f"cohort: unknown group or category '{got}'. Use one of {', '.join(known)}.")
     streams, row = draw_streams(rng), table_row(group, category)
     ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
     heights = _spread(row.height, streams.of(f"{group} height")).tolist()
@@ -365,10 +365,10 @@ def _spread(row: tuple[float, float, float], draw: np.random.Generator) -> np.nd
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """One performance by one person: where its numbers come from."""
+    """Random numbers for a performance by a person."""
 
-    draw: np.random.Generator  # What is new each time
-    subject: Subject | None = None  # Whose habits; None draws an unknown person of typical age and height
+    draw: np.random.Generator  # random generator of this performance
+    subject: Subject | None = None  # person with habits, or None for an unknown person of typical age and height
 
     @property
     def category(self) -> Category:
@@ -409,7 +409,7 @@ TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
 MOST_DRAWS = 1000  # of a performance within the bound of its category
-# Peak of the acceleration's spectrum over the sine's frequency, where the envelope peaks at half a period
+# peak of the acceleration's spectrum over the sine's frequency, for an envelope that peaks at half a period
 LOUDEST = 1.385
 
 
@@ -423,7 +423,7 @@ def draw_task(
 ) -> Task:
     """Draw one performance of a task."""
     if name not in get_args(TaskName):
-        raise InputError(f"task: wanted one of {', '.join(get_args(TaskName))}, got '{name}'; name one of them")
+        raise InputError(f"task: unknown task '{name}'. Use one of {', '.join(get_args(TaskName))}.")
     who = Performance(draw_streams(rng).of(name), subject)
     if name == "free":
         return _free(who.draw, rest_s, pace)
@@ -437,8 +437,8 @@ def draw_task(
         if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= most_dps * DEGREE:
             return task
     raise InputError(
-        f"{name}, {who.category.label}: wanted motions of {most_dps:g} deg/s or less, got none in {MOST_DRAWS}; raise most_dps, "
-        "or take longer durations or smaller angles"
+        f"{name}, {who.category.label}: no motion of {MOST_DRAWS} is below {most_dps:g} deg/s. Increase most_dps, "
+        "or use longer durations or smaller angles."
     )
 
 
@@ -537,7 +537,9 @@ def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tu
 
 def _posturography(who: Performance, rest_s: float) -> Task:
     span = (rest_s, rest_s + POSTUROGRAPHY_S)
-    arm = 0.54 * who.height  # [assumed] L5 at 0.58 and ankles at 0.04 of the height; the body's centre is there too
+    arm = (
+        0.54 * who.height
+    )  # [assumed] L5 at 0.58 and ankles at 0.04 of the height (the centre of the body is also there)
     own = who.category
     older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
     balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *own.stiffness), noise_s=own.noise_s)
