@@ -47,9 +47,9 @@ def test_tables_that_are_left_out_are_not_done(tmp_path: Path) -> None:
     [
         (
             "[rates]\nturn_rate_min_dps = 5.0\nturn_rate_max_dps = 90.0\nturn_rate_step_dps = 4.0\n",
-            "step that divides 85, got 4",
+            "must divide 85, got 4",
         ),
-        ("[protocol]\nname = 'x'\n", "wanted faces, rates or turns, got none"),
+        ("[protocol]\nname = 'x'\n", "faces, rates and turns"),
         ("[faces]\nsecond = 3.0\n", "second"),
         ("[temperatures]\nset_points_c = []\n", "set_points_c"),
     ],

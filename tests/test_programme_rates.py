@@ -30,9 +30,9 @@ def test_the_note_lists_34_rates_an_axis_from_ten_to_ninety() -> None:
 
 
 def test_a_grid_that_cannot_be_is_refused() -> None:
-    with pytest.raises(InputError, match=r"wanted a step that divides 85, got 4; try 4\.04"):
+    with pytest.raises(InputError, match=r"must divide 85, got 4.* 4\.04"):
         rate_grid(5.0, 90.0, 4.0)
-    with pytest.raises(InputError, match="wanted 0 < rate_min < rate_max and a positive step, got 5, 3, 1"):
+    with pytest.raises(InputError, match=r"positive step .*got 5, 3, 1"):
         rate_grid(5.0, 3.0, 1.0)
 
 
@@ -46,12 +46,12 @@ def test_a_protocol_gives_its_rates_in_radians() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"faces": (), "turn_rate_step": 0.0}, "wanted faces, rates or turns, got none"),
-        ({"dwell_s": None}, "wanted dwell_s or turn_rate_uncertainty, got neither"),
-        ({"dwell_s": 0.0}, "wanted dwell_s above 0"),
-        ({"temperatures_c": (30.0, 20.0)}, "wanted rising temperatures"),
-        ({"acceleration": -1.0}, "wanted an acceleration above 0"),
-        ({"face_s": float("nan")}, "wanted face_s of 0 or more, got nan"),
+        ({"faces": (), "turn_rate_step": 0.0}, "faces, rates and turns"),
+        ({"dwell_s": None}, "dwell_s and turn_rate_uncertainty"),
+        ({"dwell_s": 0.0}, "dwell_s must be positive"),
+        ({"temperatures_c": (30.0, 20.0)}, "temperatures must increase"),
+        ({"acceleration": -1.0}, "acceleration must be positive"),
+        ({"face_s": float("nan")}, "face_s .*got nan"),
     ],
 )
 def test_what_cannot_be_done_is_refused(change: dict[str, object], text: str) -> None:

@@ -58,7 +58,7 @@ def test_a_plan_has_its_tasks_sessions_and_people(folder):
     [
         (('"hand"', '"foot"'), "foot"),
         (("[11.1, 20.0]", "[]"), "cutoff_hz"),
-        (("[90.0, 50.0]", "[90.0, 51.0]"), "step that divides"),
+        (("[90.0, 50.0]", "[90.0, 51.0]"), "step must divide"),
         (('name = "step"', 'name = "dance"'), "dance"),
         (('category = "knee"', 'category = "hip"'), "hip"),
         (("subjects = 5", "subjects = 2"), "subjects"),

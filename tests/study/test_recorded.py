@@ -39,7 +39,7 @@ def test_a_turn_in_the_stated_rest_is_told_with_what_it_costs_and_how_long_the_r
     with pytest.raises(InputError, match=r"rest_s = 3 s, but it turns at up to 40") as caught:
         check_rest(spline, 3.0, FILE)
     text = str(caught.value)
-    still = re.search(r"it is still for (\S+) s: set rest_s = (\S+)$", text)
+    still = re.search(r"still for (\S+) s\. To continue, set rest_s = (\S+)\.$", text)
     assert still
     assert still[1] == still[2]
     assert 1.7 <= float(still[1]) <= 2.0

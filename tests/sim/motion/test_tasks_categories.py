@@ -73,6 +73,6 @@ def test_a_person_has_the_same_habits_in_every_category() -> None:
 def test_a_category_that_is_not_one_is_refused() -> None:
     with pytest.raises(
         InputError,
-        match="'frail'. Use one of level_1, level_2",
+        match=r"'frail'. Use one of level_1, level_2",
     ):
         cohort("testing", rng=np.random.default_rng(0), category="frail")  # type: ignore[arg-type]
