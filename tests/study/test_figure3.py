@@ -184,7 +184,5 @@ def test_the_model_and_the_actual_device_differ_by_the_named_effects_alone() -> 
 
 
 def test_an_effect_that_is_not_one_is_told() -> None:
-    with pytest.raises(
-        InputError, match="unknown effect 'ageing'"
-    ):
+    with pytest.raises(InputError, match="unknown effect 'ageing'"):
         actual_device(preset("enc03j_3031"), ("ageing",))  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
@@ -149,8 +149,11 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
             yield rate / segments.BENCH_RATE_LIMIT, number, what
 
 
+SHARED_LIMIT = 0.1  # of the shorter of two pieces: readings that both hold would count twice
+
+
 def check_counted_once(session: Session) -> None:
-    """Raise if a recording is stated twice: its readings would count twice."""
+    """Raise if readings would count twice: a recording, still or turn is stated again."""
     triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
     for first, second in combinations(range(len(triads)), 2):
         pairs = list(zip(triads[first], triads[second], strict=False))
@@ -158,6 +161,17 @@ def check_counted_once(session: Session) -> None:
             raise InputError(
                 f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )
+    pieces: tuple[tuple[str, tuple[Still | Turn, ...]], ...] = (("still", session.stills), ("turn", session.turns))
+    for what, stated in pieces:
+        order = sorted(range(len(stated)), key=lambda number: (stated[number].recording, stated[number].start))
+        for number, following in pairwise(order):
+            piece, later = stated[number], stated[following]
+            shared = piece.stop - later.start if piece.recording == later.recording else 0
+            if shared > SHARED_LIMIT * min(piece.stop - piece.start, later.stop - later.start):
+                name = piece_name(session, later, following, what=what)
+                raise InputError(
+                    f"{name}: it overlaps [[{what}]] {number + 1}. Remove one of the two or correct its times."
+                )
 
 
 # ---- turns
