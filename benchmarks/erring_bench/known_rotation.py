@@ -61,6 +61,7 @@ CASES = {
     "low-pass 4 Hz, sampled at 50 Hz": Case(cutoff_hz=4.0),
     "10 bit": Case(bits=10),
     "flicker 8 deg/h": Case(flicker=True),
+    "creep 1 degC, flicker 8 deg/h": Case(creep_c=1.0, flicker=True),
     "rests on faces alone": Case(faces_alone=True),
     "rests on faces alone, flicker 8 deg/h": Case(faces_alone=True, flicker=True),
     "no rest beside the turns, flicker 8 deg/h": Case(faces_alone=True, none_found=True, flicker=True),

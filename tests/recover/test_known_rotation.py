@@ -107,8 +107,9 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
 def test_a_scale_that_creeps_with_temperature_is_as_uncertain_as_it_errs(devices: int) -> None:
-    scale = next(row for row in rows_of("creep 1 degC", devices, 1) if row.group == "scale")
+    # the fit states flicker too, so the devices flicker
+    scale = next(row for row in rows_of("creep 1 degC, flicker 8 deg/h", devices, 1) if row.group == "scale")
     ratio, count = scale.rmse / scale.stated, 3 * devices
     low, high = (math.sqrt(chi2.ppf(p, count) / count) for p in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     show("known rotation, creep of 1 K: scale inside, %, and error over stated", scale.inside_percent, ratio)
-    assert max(0.8, low) < ratio < min(1.1, high)  # turns and moves creep alike: counted apart it was 0.74
+    assert max(0.8, low) < ratio < min(1.1, high)  # turns and moves creep alike: counted apart it was 0.8

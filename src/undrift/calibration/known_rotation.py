@@ -10,12 +10,14 @@ Without accelerometers G is left out, and what it may do to each piece is a sour
 device was not turned keep the nominal scale, as on a rate table. The errors in the frame of the case:
 
     noise, adc     M n                    noise and rounding of the mean
-    angle          a / T along j          angle of a turn, and jitter of the clock
+    angle          a / T along j          angle of a turn; and M u' d / T by jitter d of the time stamps
     axis           (t / T) d_j across j   the axis of the turns about j against the case, in common to them
     temperature    warmth (alpha + beta w)   offset and scale follow the temperature
     instability    flicker of a stated size, and a random walk of each sensor, whose size is an excess variance (fit/gls.py)
 
-Moves between the rests turn gravity, which shows the matrix as well (moves.py): its fit joins both.
+Moves between the rests turn gravity, which shows the matrix as well (moves.py). Both join: with the parameters x and matrix x_M by
+the turns, m by the moves, and K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is x + K (m - x_M). Turns and moves have
+the slopes of the scale over temperature in common: cov(x, m) = D_x D_m'.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -29,7 +31,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
-from undrift.calibration.moves import fit_moves
+from undrift.calibration.moves import MatrixOfMoves, matrix_of_moves
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     axis_vectors,
@@ -42,13 +44,13 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
 from undrift.calibration.session import Observed, Outcome, spans_of
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, walks_of
+from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, slip_covariance, walks_of
 from undrift.calibration.triads import find_disagreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, parameters_of
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, offset_of, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -57,7 +59,6 @@ KnownRotationMode = Literal["paper", "affine"]
 
 CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
 MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic
-GAP = 1.5  # median steps of the clock: a longer one is a gap, not jitter
 
 # ---- means over rests and turns
 
@@ -74,7 +75,7 @@ class RotationRows:
     duration: FloatArray  # (R,), of each turn, s
     axis: tuple[Axis, ...]  # (R,), of each turn
     angle: FloatArray  # (R,), of each turn about +axis, rad
-    slip: FloatArray | None = None  # (R,), what jitter of the clock adds to the integral along the axis, unit * s
+    slip: FloatArray | None = None  # (R, 3, 3), covariance of the integral by jitter of the clock, (unit s)^2
     span: FloatArray | None = None  # (E, 2), start and stop of each piece on one clock, s
     rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, ``unit``
     unit: str = "rad/s"
@@ -86,7 +87,7 @@ class RotationRows:
         return self.of_turns(axis_vectors(self.axis) * (self.angle / self.duration)[:, None])
 
     def of_turns(self, values: FloatArray) -> FloatArray:
-        """Return rows (E, 3, ..) that are zero at rest, from those of the turns (R, 3, ..)."""
+        """Return rows (E, ..) that are zero at rest, from those of the turns (R, ..)."""
         return np.concatenate((np.zeros((len(self.faces), *values.shape[1:])), values))
 
 
@@ -100,71 +101,72 @@ def rotation_rows(
 ) -> RotationRows:
     """Average the readings of a session over its rests and turns; matrix and offset are the accelerometer's, if there is one."""
     used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
-    windows, force, rests = list[FloatArray](), list[FloatArray](), list[Still]()
+    rests, windows, force, duration, slip = list[Still](), list[FloatArray](), list[FloatArray](), list[float](), []
     for still in stills:
-        gyro, felt = (values[still.start : still.stop] for values in _triads(records[still.recording], matrix, offset))
-        whole = ~np.isnan(gyro).any(axis=1) & ~np.isnan(felt).any(axis=1)
+        gyro, felt = _readings(records[still.recording], still, matrix, offset)
+        whole = np.isfinite(gyro).all(axis=1) & np.isfinite(felt).all(axis=1)
         if whole.sum() > 1:
+            rests.append(still)
             windows.append(gyro[whole])
             force.append(felt[whole].mean(axis=0))
-            rests.append(still)
         elif still.face is not None:
             raise InputError(
                 f"known rotation: expected readings at rest on face {still.face}, got {whole.sum()}. Choose another stretch."
             )
-    samples, noise = np.array([len(window) for window in windows], float), list[FloatArray]()
-    white = sample_sd = np.zeros(3)  # by the scatter of samples, and of block means, at rest
-    if windows:
-        square = np.sum([((w - w.mean(axis=0)) ** 2).sum(axis=0) for w in windows], axis=0)
-        white = np.sqrt(square / max(1.0, float(samples.sum()) - len(samples)))
-        blocks = noise_of_means(windows, [block_size(records[s.recording].sample_rate_hz) for s in rests])
-        sample_sd = white if blocks is None else np.maximum(white, blocks[0] * samples[0] ** 0.5)
-        noise = [sample_sd / count**0.5 for count in samples]
-    reading, duration, slip = [window.mean(axis=0) for window in windows], list[float](), list[float]()
+    sample_sd = _sample_noise(windows, [records[still.recording].sample_rate_hz for still in rests])
+    reading, noise = [window.mean(axis=0) for window in windows], [sample_sd / len(window) ** 0.5 for window in windows]
     for turn in used:
-        record, k = records[turn.recording], AXES.index(turn.axis or "x")
-        gyro, felt = (values[turn.start : turn.stop] for values in _triads(record, matrix, offset))
+        time = records[turn.recording].time
+        gyro, felt = _readings(records[turn.recording], turn, matrix, offset)
         if np.isnan(gyro).any() or np.isnan(felt).any():
             raise InputError(f"known rotation: the turn about {turn.axis} has gaps. Record it again.")
         check_range([gyro], f"gyroscope in the turn about {turn.axis}")
-        steps = np.diff(record.time)
-        step = np.concatenate((steps[:1], steps))[turn.start : turn.stop]
+        step = np.diff(time, prepend=2.0 * time[0] - time[1])[turn.start : turn.stop]
         duration.append(float(step.sum()))
         reading.append(step @ gyro / duration[-1])
         force.append(step @ felt / duration[-1])
         noise.append(sample_sd * np.sqrt(step @ step) / duration[-1])
-        # A stamp off by d moves the integral by d times the change of the reading there: jitter of steps has twice its variance.
-        even = steps[steps < GAP * np.median(steps)]
-        change = float((np.diff(gyro[:, k]) ** 2).sum()) - 2.0 * (len(gyro) - 1) * float(white[k]) ** 2
-        slip.append(float(np.sqrt(0.5 * even.var() * max(change, 0.0))))
+        slip.append(slip_covariance(time[turn.start : turn.stop], gyro))
+    every = [np.asarray(records[k].gyro) for k in {still.recording for still in rests}]
     return RotationRows(
         reading=np.array(reading).reshape(-1, 3),
         noise=np.array(noise).reshape(-1, 3),
         force=None if matrix is None else np.array(force).reshape(-1, 3),
-        samples=samples,
+        samples=np.array([len(window) for window in windows], float),
         faces=tuple(still.face for still in rests),
         duration=np.array(duration),
         axis=tuple(turn.axis for turn in used if turn.axis is not None),
         angle=np.array([turn.angle for turn in used], float),
-        slip=np.array(slip),
+        slip=np.array(slip).reshape(-1, 3, 3),
         span=spans_of(records, [*rests, *used]),
-        rounding=mean_rounding([_triads(records[k], None, None)[0] for k in {s.recording for s in rests}], windows)
-        if rests
-        else None,
+        rounding=mean_rounding(every, windows) if rests else None,
         unit=records[0].gyro_unit,
         pieces=(*rests, *used),
     )
 
 
-def _triads(record: Record, matrix: FloatArray | None, offset: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return rate readings and the specific force (N, 3), m/s2; zeros without matrix and offset of an accelerometer."""
+def _readings(
+    record: Record, piece: Still | Turn, matrix: FloatArray | None, offset: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return rate readings and specific force (N, 3), m/s2, of a piece; the force is zero without an accelerometer."""
     if record.gyro is None or (matrix is not None and record.accel is None):
         raise InputError(
             "known rotation: expected both sensors in every recording. Map the columns of gyroscope and accelerometer."
         )
+    gyro = record.gyro[piece.start : piece.stop]
     if matrix is None or offset is None or record.accel is None:
-        return record.gyro, np.zeros((len(record), 3))
-    return record.gyro, np.asarray((record.accel - offset) @ matrix.T)
+        return gyro, np.zeros_like(gyro)
+    return gyro, np.asarray((record.accel[piece.start : piece.stop] - offset) @ matrix.T)
+
+
+def _sample_noise(windows: Sequence[FloatArray], sample_rates_hz: Sequence[float]) -> FloatArray:
+    """Return the standard deviation (3,) of one sample at rest, by the scatter of samples and of block means."""
+    if not windows:
+        return np.zeros(3)
+    square = np.sum([((window - window.mean(axis=0)) ** 2).sum(axis=0) for window in windows], axis=0)
+    white = np.sqrt(square / max(1, sum(map(len, windows)) - len(windows)))
+    blocks = noise_of_means(windows, [block_size(rate_hz) for rate_hz in sample_rates_hz])
+    return np.asarray(white if blocks is None else np.maximum(white, blocks[0] * len(windows[0]) ** 0.5))
 
 
 # ---- sources and fit
@@ -173,23 +175,26 @@ def _triads(record: Record, matrix: FloatArray | None, offset: FloatArray | None
 def _sources(
     rows: RotationRows, matrix: FloatArray, angle_uncertainty: float, axis_uncertainty: float
 ) -> dict[str, FloatArray]:
-    """Return the stated covariances (3 E, 3 E) of the rows, or their diagonals (3 E,), (rad/s)^2; angle and axis in rad."""
+    """Return the stated covariances (3 E, 3 E) of the rows, (rad/s)^2; angle and axis have standard uncertainties, rad."""
     rests, own, along = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
     noise = np.maximum(rows.noise, MIN_NOISE * np.abs(rows.reading).max())
-    sources = {"noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2)}
+    angle = angle_uncertainty**2 * along[:, :, None] * along[:, None]
+    if rows.slip is not None:
+        angle = angle + matrix @ rows.slip @ matrix.T
+    per_turn = rows.of_turns(angle / rows.duration[:, None, None] ** 2)
+    # all turns about one axis lean alike, as a fixture or an edge does
+    leaning = np.einsum("ej,fj,jk->efk", rows.rate, rows.rate, 1.0 - np.eye(3))
+    sources = {
+        "noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2),
+        "angle": np.einsum("eij,ef->eifj", per_turn, own).reshape(2 * (rows.reading.size,)),
+        "axis": axis_uncertainty**2 * in_case(np.eye(3), leaning),
+    }
     if rows.rounding is not None:
         alike = own.copy()  # the rests read one code and err alike; a turn errs by itself
         alike[:rests, :rests] = 1.0
         sources["adc"] = in_case(matrix, alike[:, :, None] * rows.rounding**2)
     if rows.span is not None:
         sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
-    slip = 0.0 if rows.slip is None else rows.slip[:, None] * np.diag(matrix)  # rad
-    angle = along * (angle_uncertainty**2 + slip**2) / rows.duration[:, None] ** 2
-    sources["angle"] = rows.of_turns(angle).ravel()
-    # all turns about one axis lean alike, as a fixture or an edge does
-    lean = np.einsum("rj,ik->rijk", rows.rate[rests:], np.eye(3)) * (1.0 - np.eye(3))[:, :, None]
-    columns = axis_uncertainty * rows.of_turns(lean.reshape(-1, 3, 9)).reshape(-1, 9)
-    sources["axis"] = columns @ columns.T
     if rows.force is None:  # the g-sensitivity keeps its prior
         sources["prior"] = np.full(rows.reading.size, (G_SENSITIVITY * STANDARD_GRAVITY) ** 2)
     return sources
@@ -205,20 +210,19 @@ def fit_known_rotation(
     cross_axis_prior: float = 0.01,
     scale_tolerance: float = SCALE_TOLERANCE,
     creep: Creep | None = None,
-    moves: Callable[[TriadParameters], TriadModel | PoorFit | None] = lambda fitted: None,
+    moves: Callable[[TriadParameters], MatrixOfMoves | PoorFit | None] = lambda turns: None,
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
-    Angle and axis have standard uncertainties, rad. ``moves`` takes the parameters and returns the matrix that turns and moves
-    together determine. The columns of axes that were not turned keep the nominal scale factor, and cross-axis terms of
-    ``cross_axis_prior``.
+    Angle and axis have standard uncertainties, rad. ``moves`` takes the fit to the turns and returns the matrix by the moves. The
+    columns of axes that were not turned keep the nominal scale factor, and cross-axis terms of ``cross_axis_prior``.
     """
     turned = _check_complete(rows, mode)
     matrix = first_table_matrix(rows.rate, rows.reading, turned, rows.unit)
     _check_turns(np.linalg.inv(matrix), rows, turned, scale_tolerance)
     sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
-    if creep is not None:
-        sources["temperature"] = creep.covariance_in_case(rows.rate)
+    warmth = np.zeros((rows.reading.size, 6)) if creep is None else creep.columns_in_case(rows.rate)
+    sources["temperature"] = warmth @ warmth.T
     if mode == "paper":
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
@@ -229,7 +233,8 @@ def fit_known_rotation(
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
         if len(turned) == 3:
-            fitted, findings = _with_moves(fitted, moves(fitted))
+            _, to_model = offset_of(fitted.matrix, gls.theta[9:12], len(gls.theta))
+            fitted, findings = _with_moves(fitted, to_model @ gls.gains @ warmth[:, 1::2], moves(fitted))
         else:
             findings = [axes_missing([AXES[k] for k in turned], rows.unit, cross_axis_prior)]
     if rows.rounding is not None:
@@ -259,9 +264,8 @@ def _closed_form(
     jacobian = np.eye(21)
     jacobian[:9, :9], jacobian[12:, :9] = inverse_jacobian(matrix), -np.kron(matrix, g.T)
     jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    each = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(
-        3, 7, -1
-    )  # errors e of the rows are K e of the readings
+    # errors e of the rows are K e of the readings
+    each = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(3, 7, -1)
     gains = jacobian @ np.vstack((each[:, :3].reshape(9, -1), each[:, 3], each[:, 4:].reshape(9, -1)))
     parts = {name: carried(gains, covariance) for name, covariance in sources.items()}
     theta = np.concatenate((matrix.ravel(), forward[:, 3], g.ravel()))
@@ -269,33 +273,31 @@ def _closed_form(
     return TriadParameters(theta, np.sum([*parts.values()], axis=0), parts), residuals
 
 
-# Moves from rest to rest turn gravity (moves.py), whatever angle and axis of a turn were. The turns' matrix and its
-# covariance C enter their fit, which returns both joined, m and C_m. The other parameters x follow:
-#
-#     x + B (m - x_M)        B = cov(x, x_M) C^-1
-#
-# Of errors e of x by the turns only, (1 + B (C_m C^-1 - 1)) e is left.
+def _with_moves(
+    turns: TriadParameters, warmth: FloatArray, moves: MatrixOfMoves | PoorFit | None
+) -> tuple[TriadParameters, list[Finding]]:
+    """Return the parameters by turns and moves together, and a finding if they disagree.
 
-
-def _with_moves(fitted: TriadParameters, moved: TriadModel | PoorFit | None) -> tuple[TriadParameters, list[Finding]]:
-    """Return the parameters by rests, turns and moves together, and a finding if turns and moves disagree."""
-    if isinstance(moved, PoorFit):
-        return fitted, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moved}")]
-    if moved is None:
-        return fitted, []
-    by_turns, joint = fitted.covariance[:9, :9], moved.covariance[:9, :9]
-    away = (moved.matrix - fitted.matrix).ravel()
-    gain, change = np.linalg.solve(by_turns, fitted.covariance[:9]).T, np.eye(len(fitted.theta))
-    change[:, :9] += gain @ (np.linalg.solve(by_turns, joint).T - np.eye(9))
+    ``warmth`` (P, 3) is D_x: the change of the parameters by the slope of the scale of each sensor, one standard deviation each.
+    """
+    if isinstance(moves, PoorFit):
+        return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moves}")]
+    if moves is None:
+        return turns, []
+    away, common = moves.matrix.ravel() - turns.theta[:9], warmth @ moves.warmth.T
+    spread = moves.covariance + turns.covariance[:9, :9] - common[:9] - common[:9].T
+    gain = np.linalg.solve(spread, (turns.covariance[:, :9] - common).T).T
+    change = np.eye(len(turns.theta))
+    change[:, :9] -= gain
     joined = TriadParameters(
-        theta=fitted.theta + gain @ away,
-        covariance=fitted.covariance + gain @ (joint - by_turns) @ gain.T,
-        parts={name: change @ part @ change.T for name, part in fitted.parts.items()},
+        theta=turns.theta + gain @ away,
+        covariance=turns.covariance - carried(gain, spread),
+        parts={name: carried(change, part) for name, part in turns.parts.items()},
     )
-    if away @ np.linalg.solve((1.0 + 1e-6) * by_turns - joint, away) <= CONTRADICTION:
+    if away @ np.linalg.solve(spread, away) <= CONTRADICTION:
         return joined, []
-    percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moved.matrix, 2))
-    what = f"the matrix of the turns is {percent:.2g} % off that of {moved.count // 2} moves, beyond its uncertainty"
+    percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moves.matrix, 2))
+    what = f"the matrix of the turns is {percent:.2g} % off that of {moves.count} moves, beyond its uncertainty"
     return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
 
 
@@ -353,8 +355,9 @@ def with_edges(
     """Return rests without the ends in which the device still moves, and turns with those next to them: their angle is the same."""
     rests, longer = [], list(turns)
     for still in stills:
-        chunk = max(1, round(CHUNK_S * records[still.recording].sample_rate_hz))
-        reading = _triads(records[still.recording], None, None)[0][still.start : still.stop]
+        record = records[still.recording]
+        chunk = max(1, round(CHUNK_S * record.sample_rate_hz))
+        reading = _readings(record, still, None, None)[0]
         start, stop = still.start + _moving_start(reading, chunk), still.stop - _moving_start(reading[::-1], chunk)
         rests.append(replace(still, start=start, stop=stop))
         for k, turn in enumerate(turns):
@@ -389,22 +392,18 @@ def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequ
 
 
 def _by_moves(
-    seen: Observed, rows: RotationRows, accel: TriadModel, fitted: TriadParameters
-) -> TriadModel | PoorFit | None:
-    """Fit the matrix to turns and moves, with readings freed of the g-sensitivity.
-
-    Return None if the moves determine nothing, and the error if no matrix fits turns and moves together.
-    """
-    slope = np.zeros((3, 3)) if fitted.g_sensitivity is None else np.linalg.solve(fitted.matrix, fitted.g_sensitivity)
-    records = [
-        replace(r, gyro=r.gyro - (r.accel - accel.offset) @ accel.matrix.T @ slope.T)
-        for r in seen.session.records
-        if r.gyro is not None and r.accel is not None
-    ]
-    stills = sorted((p for p in rows.pieces if isinstance(p, Still)), key=lambda still: (still.recording, still.start))
+    seen: Observed, rows: RotationRows, accel: TriadModel, turns: TriadParameters
+) -> MatrixOfMoves | PoorFit | None:
+    """Return the matrix by the moves, None if there are none, or why no matrix fits turns and moves together."""
+    records, slope = seen.session.records, np.linalg.solve(turns.matrix, turns.theta[12:].reshape(3, 3)) @ accel.matrix
+    if any(record.gyro is None or record.accel is None for record in records):
+        return None
+    freed = [replace(r, gyro=np.asarray(r.gyro) - (np.asarray(r.accel) - accel.offset) @ slope.T) for r in records]
+    rests = [piece for piece in rows.pieces if isinstance(piece, Still)]
+    stills = sorted(rests, key=lambda still: (still.recording, still.start))
     creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
     try:
-        return fit_moves(records, stills, accel, creep=creep, turns=fitted).model
+        return matrix_of_moves(freed, stills, accel, turns, creep=creep)
     except NotObservable:
         return None
     except PoorFit as error:
@@ -416,9 +415,8 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
 
     The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
     """
-    rate, force = (
-        (v - m.offset) @ m.matrix.T for v, m in ((np.asarray(record.gyro), gyro), (np.asarray(record.accel), accel))
-    )
+    rate = (np.asarray(record.gyro) - gyro.offset) @ gyro.matrix.T
+    force = (np.asarray(record.accel) - accel.offset) @ accel.matrix.T
     conflict = find_disagreement(replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2"))
     if conflict is None:
         return ()
@@ -429,10 +427,9 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
     else:
         values["text"] = f"{values['text']}, or the turns are stated about other axes"
         values["action"] = "correct the order or the sign of the columns, or the axes of the turns"
-    conflict = replace(conflict, values=values)
     if conflict.level == "fail":
-        raise Implausible(f"known rotation: {values['text']} ({conflict.detail}). Check: {conflict.action}.", **values)
-    return (conflict,)
+        raise Implausible(f"known rotation: {values['text']}. Check: {values['action']}.", **values)
+    return (replace(conflict, values=values),)
 
 
 def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
@@ -442,7 +439,9 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
     if not turns:
         turns = seen.full_turns()
         if not turns:
-            return Outcome(findings=(finding("known_rotation.needs_turns", "warn"),))
+            raise NotObservable(
+                "expected turns by known angles, got none. Turn the device about x, y and z between rests, and state angle_deg."
+            )
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         findings.append(finding("known_rotation.turns_found", "warn", turns=taken))
     rests = seen.stills
@@ -464,7 +463,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
-        moves=lambda fitted: None if model is None else _by_moves(seen, rows, model, fitted),
+        moves=lambda turns: None if model is None else _by_moves(seen, rows, model, turns),
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's

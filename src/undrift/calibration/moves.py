@@ -19,6 +19,7 @@ and in moves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -294,29 +295,55 @@ def fit_moves(
     accel: TriadModel,
     *,
     creep: tuple[Creep, Creep] | None = None,
-    turns: TriadParameters | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time.
-
-    ``turns`` is the result of turns by known angles: an observation beside the moves, whose readings have no g-sensitivity left.
-    """
+    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
     moves, saturated = _without_saturated(cut_moves(records, stills))
-    if len(moves.first) < (FEWEST_MOVES if turns is None else 1):
+    if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
             f"multi-position gyro: wanted {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
             f"{len(moves.first)}{''.join(f' ({item.text})' for item in saturated)}; turn the device by 90 deg or more about "
             "another axis between still poses of one recording",
             moves=len(moves.first),
         )
+    problem, matrix = _observed(moves, accel, records, creep, None)
+    fit, rows = _descend(problem, matrix, None)
+    _check_determined(rows, fit.theta)
+    return _as_triad(problem, fit.theta, fit.covariance, rows, records[0].gyro_unit, saturated)
+
+
+class MatrixOfMoves(NamedTuple):
+    """Matrix of gyroscopes by the moves between rests."""
+
+    matrix: FloatArray  # (3, 3)
+    covariance: FloatArray  # (9, 9), row by row
+    warmth: FloatArray  # (9, 3), change by the slope of the scale of each sensor over temperature, one standard deviation each
+    count: int  # moves
+
+
+def matrix_of_moves(
+    records: Sequence[Record],
+    stills: Sequence[Still],
+    accel: TriadModel,
+    turns: TriadParameters,
+    *,
+    creep: tuple[Creep, Creep],
+) -> MatrixOfMoves:
+    """Return the matrix that moves between rests determine beside turns by known angles; readings without g-sensitivity.
+
+    The turns are a prior of little weight: if they contradict the moves, they must not enlarge the excess of the moves.
+    """
+    moves, _ = _without_saturated(cut_moves(records, stills))
+    if not len(moves.first):
+        raise NotObservable(
+            "multi-position gyro: no move between rests. Record the rests and the moves in one recording."
+        )
     problem, matrix = _observed(moves, accel, records, creep, turns)
-    theta, covariance, rows = _descend(problem, matrix, turns)
-    if turns is None:
-        _check_determined(rows, theta)
-    else:
-        change = np.abs(theta[:9] - turns.theta[:9]).max()
-        if change > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
-            raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
-    return _as_triad(problem, theta, covariance, rows, records[0].gyro_unit, saturated)
+    fit, rows = _descend(problem, matrix, turns)
+    found = fit.theta[:9].reshape(3, 3)
+    if np.abs(found - turns.matrix).max() > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
+        raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
+    warmth = fit.gains[:9] @ _by_scale(problem, rows, fit.theta)
+    return MatrixOfMoves(found, fit.covariance[:9, :9], warmth, len(moves.first))
 
 
 def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
@@ -376,13 +403,8 @@ def _observed(
     return problem, matrix
 
 
-def _descend(
-    problem: _Problem, matrix: FloatArray, turns: TriadParameters | None
-) -> tuple[FloatArray, FloatArray, _MoveRows]:
-    """Return parameters and covariance by Gauss-Newton, and the rows there; turns join the result at its end.
-
-    In the descent, turns have little weight: if they contradict the moves, they must not enlarge the excess of the moves.
-    """
+def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | None) -> tuple[GlsFit, _MoveRows]:
+    """Return the fit by Gauss-Newton, and the rows there; turns are a prior of little weight."""
     theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
     known = np.zeros((len(theta), len(theta)))
     known[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
@@ -405,8 +427,7 @@ def _descend(
         drift = (problem.flicker + fit.excess["walk"] * problem.walk) @ np.einsum("epa,e->pa", rows.by_offset, weighted)
         change, theta = np.abs(fit.theta - theta)[:9].max(), fit.theta
         if change < CONVERGED * problem.size:
-            theta, covariance = _with_turns(fit, turns)
-            return theta, covariance, _rows(problem, theta, drift)
+            return fit, _rows(problem, theta, drift)
         if not change < 10.0 * problem.size:
             break
     raise PoorFit(
@@ -414,15 +435,6 @@ def _descend(
         "convergence; check the gyroscope's columns and the time column",
         moves=len(problem.moves.first),
     )
-
-
-def _with_turns(fit: GlsFit, turns: TriadParameters | None) -> tuple[FloatArray, FloatArray]:
-    """Return parameters and covariance of the moves, joined with the rest of the precision of the turns."""
-    if turns is None:
-        return fit.theta, fit.covariance
-    of_matrix = fit.covariance[:, :9]
-    gain = np.linalg.solve(of_matrix[:9] + turns.covariance[:9, :9] / (1.0 - LOOSE), of_matrix.T).T
-    return fit.theta + gain @ (turns.theta[:9] - fit.theta[:9]), fit.covariance - gain @ of_matrix.T
 
 
 def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
@@ -487,12 +499,19 @@ def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str,
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
         columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
         by_pose = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -by_model[:, :, 9:], columns, optimize=True)
-        warmth = np.append(np.zeros(rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
-        by_scale = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1) * gyro.scale_per_k * warmth[:, None]
         by_offset = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
-        slopes = np.hstack((by_pose.reshape(-1, 6), by_scale, by_offset))
+        slopes = np.hstack((by_pose.reshape(-1, 6), _by_scale(problem, rows, theta), by_offset))
         sources["temperature"] = slopes @ slopes.T
     return sources
+
+
+def _by_scale(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> FloatArray:
+    """Return the change of the rows (E, 3) by the slope of the scale of each gyroscope, one standard deviation each."""
+    if problem.creep is None:
+        return np.zeros((len(rows.misfit), 3))
+    warmth = np.append(np.zeros(rows.rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
+    by_sensor = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(problem.creep[1].scale_per_k * warmth[:, None] * by_sensor)
 
 
 def _tangent(n: FloatArray) -> FloatArray:

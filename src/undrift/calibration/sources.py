@@ -160,13 +160,17 @@ class Creep:
         slopes = np.stack((np.full(len(self.warmth), self.offset_per_k), self.scale_per_k * value))
         return np.asarray((gain * self.warmth * slopes).T)
 
-    def covariance_in_case(self, value: FloatArray) -> FloatArray:
-        """Return the covariance (3 P, 3 P) of warmth (alpha + beta value), each axis with slopes of its own; value (P, 3), SI."""
+    def columns_in_case(self, value: FloatArray) -> FloatArray:
+        """Return the columns (3 P, 6) of warmth (alpha + beta value), of offset and scale of each axis; value (P, 3), SI."""
         columns = np.zeros((len(value), 3, 3, 2))
         for axis in range(3):
             columns[:, axis, axis] = self.columns(value[:, axis])
-        both = columns.reshape(value.size, 6)
-        return np.asarray(both @ both.T)
+        return columns.reshape(value.size, 6)
+
+    def covariance_in_case(self, value: FloatArray) -> FloatArray:
+        """Return their covariance (3 P, 3 P)."""
+        columns = self.columns_in_case(value)
+        return np.asarray(columns @ columns.T)
 
     @property
     def none(self) -> bool:

@@ -110,23 +110,24 @@ def solve(
     definite. In the budget, an excess counts as the source that is the first word of its kind. Raises
     ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
     """
-    length, excess = np.linalg.norm(design, axis=0), excess or {}
+    length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
+    parts = {name: _matrix(part) for name, part in sources.items()}
+    shapes = {kind: _matrix(shape) for kind, shape in (excess or {}).items()}
     rows = _Rows(
         design=design / length,
         value=value,
         prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
         mean=np.zeros(len(length)) if prior is None else prior.mean * length,
-        stated=np.sum([_matrix(part) for part in sources.values()], axis=0),
-        shapes=tuple(excess.values()),
+        stated=np.sum([*parts.values()], axis=0),
+        shapes=tuple(shapes.values()),
     )
     variances, state = _excess_variances(rows)
-    freedom = [_degrees(_product(state.projector, shape)) for shape in rows.shapes]
+    freedom = [_degrees(state.projector @ shape) for shape in rows.shapes]
     gains = state.gains / length[:, None]
-    parts = {name: _matrix(part) for name, part in sources.items()}
-    for (kind, shape), variance, nu in zip(excess.items(), variances, freedom, strict=True):
+    for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
-        parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * _matrix(shape)
+        parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * shape
     budget = {name: carried(gains, part) for name, part in parts.items()}
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
@@ -135,8 +136,8 @@ def solve(
         theta=state.theta / length,
         covariance=np.sum([*budget.values()], axis=0),
         budget=budget,
-        excess=dict(zip(excess, variances.tolist(), strict=True)),
-        freedom=dict(zip(excess, freedom, strict=True)),
+        excess=dict(zip(shapes, variances.tolist(), strict=True)),
+        freedom=dict(zip(shapes, freedom, strict=True)),
         residuals=state.residuals,
         gains=gains,
         sources=parts,
@@ -204,13 +205,8 @@ def _root(precision: FloatArray) -> FloatArray:
 
 
 def carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the parameters that a covariance (E, E) of the rows, or its diagonal (E,), makes."""
-    return _product(gains, covariance) @ gains.T
-
-
-def _product(matrix: FloatArray, shape: FloatArray) -> FloatArray:
-    """Return a matrix or vector (.., E) times a shape (E, E), or times its diagonal (E,)."""
-    return np.asarray(matrix * shape if shape.ndim == 1 else matrix @ shape)
+    """Return the covariance (P, P) of the parameters that a covariance (E, E) of the rows makes."""
+    return np.asarray(gains @ covariance @ gains.T)
 
 
 # ---- solution for one covariance
@@ -246,7 +242,7 @@ class _Rows:
 
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
-            covariance += variance * _matrix(shape)
+            covariance += variance * shape
         # noise may be less than the rounding of a source in common: the sum is then singular
         covariance[np.diag_indices_from(covariance)] *= 1.0 + ROUNDING
         factor = np.linalg.cholesky(covariance)
@@ -287,8 +283,8 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
-    kept = [(_trace(start[1].projector, shape), _trace(start[1].inverse, shape)) for shape in rows.shapes]
-    shown = np.array([k for k, (projected, whole) in enumerate(kept) if projected > SHOWN * whole], int)
+    shares = [((start[1].projector * shape).sum(), SHOWN * (start[1].inverse * shape).sum()) for shape in rows.shapes]
+    shown = np.array([k for k, (kept, least) in enumerate(shares) if kept > least], int)
     if len(shown) > 1:
         alone = (_climb(rows, *start, shown[[n]], FIRST_STEPS) for n in range(len(shown)))
         start = min(alone, key=lambda found: found[1].deviance)
@@ -299,8 +295,8 @@ def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, st
     """Improve the variances of the free shapes by at most ``steps`` steps of Fisher scoring; return them and their solution."""
     shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
-        products = [_product(state.projector, shape) for shape in shapes]
-        square = [float(state.weighted @ _product(state.weighted, shape)) for shape in shapes]
+        products = [state.projector @ shape for shape in shapes]
+        square = [float(state.weighted @ shape @ state.weighted) for shape in shapes]
         score = np.array(square) - [np.trace(product) for product in products]
         information = np.array([[float((a * b.T).sum()) for b in products] for a in products])
         step = np.zeros(len(variances))
@@ -315,11 +311,6 @@ def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, st
             break  # the likelihood rises by less than its rounding
         variances, state = ahead, reached
     return variances, state
-
-
-def _trace(matrix: FloatArray, shape: FloatArray) -> float:
-    """Return the trace of a symmetric matrix (E, E) times a shape."""
-    return float(np.diag(matrix) @ shape if shape.ndim == 1 else (matrix * shape).sum())
 
 
 def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
