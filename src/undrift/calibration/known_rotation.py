@@ -297,7 +297,7 @@ def _with_moves(
     if away @ np.linalg.solve(spread, away) <= CONTRADICTION:
         return joined, []
     percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moves.matrix, 2))
-    what = f"the matrix of the turns is {percent:.2g} % off that of {moves.count} moves, beyond its uncertainty"
+    what = f"the matrix of the turns is {percent:.2g} % off that of {moves.moves} moves, beyond its uncertainty"
     return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
 
 

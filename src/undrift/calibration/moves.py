@@ -317,7 +317,7 @@ class MatrixOfMoves(NamedTuple):
     matrix: FloatArray  # (3, 3)
     covariance: FloatArray  # (9, 9), row by row
     warmth: FloatArray  # (9, 3), change by the slope of the scale of each sensor over temperature, one standard deviation each
-    count: int  # moves
+    moves: int
 
 
 def matrix_of_moves(

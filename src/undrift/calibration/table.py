@@ -225,7 +225,9 @@ def table_axes(
     ``turns`` (N,) are those of the dwells, and ``mounting`` (N,) is the number of the mounting of each.
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
-    up, azimuths = np.broadcast_to(dwells.up, count), _azimuths(records, turns, dwells)
+    up = np.broadcast_to(dwells.up, count)
+    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
+    azimuths = _azimuths(records, turns, stretches, dwells)
     direction: FloatArray = np.eye(3)[axis]
     by_accel: FloatArray = np.zeros((count, 3, 12))
     wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
@@ -262,53 +264,57 @@ def table_axes(
     return TableAxes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
-        ripple=_ripples(records, turns, mounting, azimuths, settle_s),
+        ripple=_ripples(records, turns, stretches, azimuths, settle_s),
         rate=table.rate_uncertainty,
         wobble=wobble,
     )
 
 
-def _azimuths(records: Sequence[Record], turns: Sequence[Turn], dwells: DwellMeans) -> list[FloatArray]:
-    """Return the angle about the axis of each dwell at the samples of its recording, NaN if the gyroscope does not show it.
+def _azimuths(
+    records: Sequence[Record], turns: Sequence[Turn], stretches: list[tuple[int, int]], dwells: DwellMeans
+) -> list[FloatArray]:
+    """Return the angle of the table at the samples of each dwell's recording, NaN if the gyroscope does not show it.
 
-    It is the integral of the gyroscope of that axis. As long as a device is not mounted anew, it is the azimuth of the table.
+    It is the integral of the gyroscope of the dwell's axis, over all dwells of one mounting in one recording.
     """
     from scipy.integrate import cumulative_trapezoid
 
-    azimuths = dict[tuple[int, Axis], FloatArray]()
-    for turn, axis in zip(turns, dwells.axis, strict=True):
-        record, k = records[turn.recording], AXES.index(axis)
+    azimuths = [np.full(len(records[turn.recording]), np.nan) for turn in turns]
+    for stretch in set(stretches):
+        rows = [n for n, other in enumerate(stretches) if other == stretch]
+        record, axis = records[stretch[0]], dwells.axis[rows[0]]
         about = [n for n, other in enumerate(dwells.axis) if other == axis]
-        if (turn.recording, axis) in azimuths or record.gyro is None:
+        if record.gyro is None or len(np.unique(dwells.turn_rate[about])) < 2:
             continue
-        angle = np.full(len(record), np.nan)
-        if len(np.unique(dwells.turn_rate[about])) > 1:
-            scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
-            rate = np.nan_to_num((record.gyro[:, k] - offset) / scale)
-            angle = cumulative_trapezoid(rate, record.time, initial=0)
-        azimuths[turn.recording, axis] = angle
-    return [azimuths[turn.recording, axis] for turn, axis in zip(turns, dwells.axis, strict=True)]
+        k, whole = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
+        scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
+        angle = cumulative_trapezoid((record.gyro[whole, k] - offset) / scale, record.time[whole], initial=0)
+        for n in rows:
+            azimuths[n][whole] = angle
+    return azimuths
 
 
 def _ripples(
     records: Sequence[Record],
     turns: Sequence[Turn],
-    mounting: IntArray,
+    stretches: list[tuple[int, int]],
     azimuths: list[FloatArray],
     settle_s: float,
 ) -> FloatArray:
-    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each mounting in a recording.
+    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch in which it is known.
 
     The rate ripples once a turn, by a cos psi + b sin psi. Over whole turns this averages out. Shorter dwells of one mounting start
     where the ones before ended, and err alike.
     """
-    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
-    columns = np.zeros((len(turns), len(set(stretches)), 2))
-    for n, turn in enumerate(turns):
-        psi = azimuths[n][steady(records[turn.recording], turn, settle_s)]
-        if np.ptp(psi) < WHOLE_TURN:
-            columns[n, sorted(set(stretches)).index(stretches[n])] = np.cos(psi).mean(), np.sin(psi).mean()
-    return columns.reshape(len(turns), -1)
+    columns = np.zeros((len(turns), 0))
+    for stretch in sorted(set(stretches)):
+        pair = np.zeros((len(turns), 2))
+        for n, turn in enumerate(turns):
+            psi = azimuths[n][steady(records[turn.recording], turn, settle_s)]
+            if stretches[n] == stretch and np.ptp(psi) < WHOLE_TURN:
+                pair[n] = np.cos(psi).mean(), np.sin(psi).mean()
+        columns = np.hstack((columns, pair))
+    return columns
 
 
 def _felt(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
