@@ -1,4 +1,4 @@
-"""Arrays as values: checked once at birth, read-only from then on. Time is always axis 0."""
+"""Arrays as values: checked once when they are created, and read-only from then on. Time is always axis 0."""
 
 from dataclasses import dataclass, fields
 from functools import cache
@@ -15,7 +15,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 
 def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only array of a stated shape: a copy, unless it is one already that nothing else writes to."""
+    """Return a read-only array of the given shape. The input is copied unless it is read-only and owns its data."""
     own = isinstance(x, np.ndarray) and x.flags.owndata and not x.flags.writeable
     try:
         array = np.array(x, dtype=kind, order="C", copy=None if own else True)
@@ -34,20 +34,23 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = n
 
 
 def bridged(time: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return columns (N, c) whose gaps (NaN) are bridged by lines, held at their ends; one reading or more is there."""
+    """Return columns (N, c) with gaps (NaN) filled by linear interpolation and the end values extended.
+
+    A row counts as a gap if any of its columns is NaN. At least one row must be complete.
+    """
     seen = np.isfinite(columns).all(axis=1)
     return np.column_stack([np.interp(time, time[seen], column) for column in columns[seen].T])
 
 
 def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values (n, ...) over nodes (n,) at points x (N,) or one point: straight lines between, held at the ends."""
+    """Interpolate values (n, ...) over nodes (n,) linearly at points x, (N,) or scalar. Beyond the nodes, the end values apply."""
     points = np.asarray(x, dtype=np.float64)
     columns = [np.interp(points, nodes, column) for column in values.reshape(len(nodes), -1).T]
     return np.stack(columns, axis=-1).reshape(*points.shape, *values.shape[1:])
 
 
 def runs(flag: BoolArray) -> IntArray:
-    """Return the stretches [start, stop), (R, 2), where a flag (N,) is set."""
+    """Return the ranges [start, stop), (R, 2), in which a flag (N,) is set."""
     change = np.flatnonzero(np.diff(np.concatenate(([False], flag, [False])).astype(np.int8)))
     return change.reshape(-1, 2)
 
@@ -61,18 +64,18 @@ def window_sums(values: FloatArray, width: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, init=False)
 class Shape:
-    """Mark of an array field: ``Annotated[FloatArray, Shape("n", 3)]``; a letter is one length within one value."""
+    """Shape of an array field: ``Annotated[FloatArray, Shape("n", 3)]``. Within one value, equal letters mean equal lengths."""
 
     dims: tuple[int | str, ...]
-    rising: bool  # Two nodes or more, increasing
-    gaps: bool  # Whether a file may have null in it, for NaN
+    rising: bool  # True if the array has two or more increasing nodes
+    gaps: bool  # True if a file may contain null, for NaN
 
     def __init__(self, *dims: int | str, rising: bool = False, gaps: bool = True) -> None:
         for name, value in (("dims", dims), ("rising", rising), ("gaps", gaps and not rising)):
             object.__setattr__(self, name, value)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return pydantic's schema of the nested lists of a file: null for a gap."""
+        """Return the pydantic schema of the nested lists in a file. Null marks a gap."""
         from pydantic_core import core_schema as cs
 
         kind = _kind_of(source)
@@ -85,7 +88,7 @@ class Shape:
 
 
 def freeze(value: Any, **lengths: int) -> None:
-    """Check the arrays of a dataclass by their shapes and make them read-only; known lengths by their letters."""
+    """Check the shapes of a dataclass's arrays and make the arrays read-only. ``lengths`` sets known lengths by letter."""
     cls: Any = type(value)
     for name, shape, kind in _shaped(cls):
         given = getattr(value, name)
@@ -95,7 +98,7 @@ def freeze(value: Any, **lengths: int) -> None:
         wanted = tuple(lengths.get(d) if isinstance(d, str) else d for d in shape.dims)
         if (
             isinstance(given, list) and not given and not wanted[0]
-        ):  # no rows, of a file: a list does not say how long they are
+        ):  # an empty list from a file does not contain the row length
             given = np.zeros((0, *(n or 0 for n in wanted[1:])))
         array = frozen(given, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}
@@ -106,7 +109,7 @@ def freeze(value: Any, **lengths: int) -> None:
 
 @cache
 def _shaped(cls: Any) -> tuple[tuple[str, Shape, type], ...]:
-    """Return the array fields of a dataclass, their shapes and what their elements are."""
+    """Return name, shape and element type of each array field of a dataclass."""
     hints = get_type_hints(cls, include_extras=True)
     marks = (
         (f.name, next((m for m in get_args(hints[f.name])[1:] if isinstance(m, Shape)), None)) for f in fields(cls)

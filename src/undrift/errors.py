@@ -1,14 +1,14 @@
-"""The error tree. Every message states what was wanted, what came, and what to do; its numbers are attributes.
+"""The error tree. Every message names the problem, the value that caused it and a remedy. Its numbers are attributes.
 
 UndriftError
   InputError(ValueError)       the call or the data is wrong
-    FileFormatError            a file is not what it should be
+    FileFormatError            a file has the wrong format or is damaged
   CalibrationError             a fit cannot be trusted
     NotObservable              the data do not determine a parameter
-    PoorFit                    they do, and the model does not describe them
-    Implausible                they do, and the answer cannot be this device
+    PoorFit                    the model does not describe the data
+    Implausible                the fit is precise, but its result is impossible for this device
   DriftRangeError              a temperature outside the tuning table
-  AlignmentError               two recordings cannot be brought together
+  AlignmentError               two recordings cannot be aligned
   RigError                     a rate table or device failed
     LinkError, RigTimeout, RigFault, LimitError
 """
@@ -26,9 +26,9 @@ class UndriftError(Exception):
     Parameters
     ----------
     message : str
-        What was wanted, what came, what to do: one line.
+        One line: the problem, the value that caused it and a remedy.
     **numbers : object
-        The figures in the message, kept as attributes of the error.
+        The numbers in the message, stored as attributes of the error.
     """
 
     def __init__(self, message: str, **numbers: object) -> None:
@@ -47,7 +47,7 @@ class InputError(UndriftError, ValueError):
 
 
 class FileFormatError(InputError):
-    """A file is not what it should be."""
+    """A file has the wrong format or is damaged."""
 
 
 class CalibrationError(UndriftError):
@@ -55,7 +55,7 @@ class CalibrationError(UndriftError):
 
 
 class NotObservable(CalibrationError):
-    """The data do not determine a parameter; the message names it, and the recording that would."""
+    """The data do not determine a parameter. The message names the parameter and a recording that determines it."""
 
 
 class PoorFit(CalibrationError):
@@ -63,15 +63,15 @@ class PoorFit(CalibrationError):
 
 
 class Implausible(CalibrationError):
-    """The fit is sharp and its answer cannot be this device."""
+    """The fit is precise, but its result is impossible for this device."""
 
 
 class DriftRangeError(UndriftError):
-    """A temperature outside the tuning table."""
+    """A temperature is outside the tuning table."""
 
 
 class AlignmentError(UndriftError):
-    """Two recordings cannot be brought together in time or in space."""
+    """Two recordings cannot be aligned in time or in space."""
 
 
 class RigError(UndriftError):
@@ -91,11 +91,11 @@ class RigFault(RigError):
 
 
 class LimitError(RigError):
-    """A move outside the rig's limits, refused before a byte is sent."""
+    """A move exceeds the limits of the rig. It is refused before a byte is sent."""
 
 
 def check_positive(settings: object, what: str, advice: str, *names: str) -> None:
-    """Refuse settings of which a named number is not above 0 and finite; one that is None is left out."""
+    """Raise InputError if a named number of the settings is not positive and finite. None is accepted."""
     for name in names:
         value = getattr(settings, name)
         if value is not None and not 0.0 < value < float("inf"):
@@ -103,13 +103,13 @@ def check_positive(settings: object, what: str, advice: str, *names: str) -> Non
 
 
 def check_choices(settings: Any, what: str) -> None:
-    """Refuse settings with a field of a Literal type whose value is not one of its choices."""
+    """Raise InputError if a field of a Literal type has a value outside its choices."""
     for name, choices in _choices_of(settings.__class__):
         check_choice(getattr(settings, name), choices, what, name)
 
 
 def check_choice(value: object, choices: object, what: str, name: str) -> None:
-    """Refuse a value that is not among choices: a Literal type, optional or not, or a tuple of values."""
+    """Raise InputError if a value is not among the choices, given as a Literal type (optional or not) or a tuple of values."""
     allowed = choices if isinstance(choices, tuple) else _values_of(choices)
     if not any(value is each or (type(value) is type(each) and value == each) for each in allowed):
         words = ", ".join("None" if each is None else repr(each) for each in allowed)
@@ -118,12 +118,12 @@ def check_choice(value: object, choices: object, what: str, name: str) -> None:
 
 @cache
 def _choices_of(cls: type) -> tuple[tuple[str, tuple[object, ...]], ...]:
-    """Return the fields of a settings class that are choices, with their values."""
+    """Return name and allowed values of each field of a settings class that has a Literal type."""
     return tuple((name, values) for name, hint in get_type_hints(cls).items() if (values := _values_of(hint)))
 
 
 def _values_of(hint: object) -> tuple[object, ...]:
-    """Return the values of a Literal type, with None if it is optional; nothing of any other type."""
+    """Return the values of a Literal type, including None if it is optional. Other types give an empty tuple."""
     if get_origin(hint) is Literal:
         return get_args(hint)
     values: tuple[object, ...] = ()
@@ -133,5 +133,5 @@ def _values_of(hint: object) -> tuple[object, ...]:
         elif part_values := _values_of(part):
             values += part_values
         else:
-            return ()  # free values are allowed too
+            return ()  # the union also allows values outside the Literal
     return values

@@ -1,4 +1,4 @@
-"""Files as bytes, and writing: a file appears whole or not at all. It is written beside its place, then moved into it."""
+"""Read files as bytes and write them atomically: a new file is written under a hidden name in the same folder, then renamed."""
 
 import errno
 import gzip
@@ -19,18 +19,18 @@ from undrift.errors import FileFormatError, InputError, UndriftError
 
 _HIDDEN, _STALE_S = ".undrift-", 86_400.0
 _GZIP = b"\x1f\x8b"
-_RATIO = 200  # A gzip that unpacks to more than so many times its size ...
-_SMALL = 10**8  # ... and to more bytes than these is no recording
+_RATIO = 200  # a gzip file is refused if it unpacks to more than this many times its size ...
+_SMALL = 10**8  # ... and to more than this many bytes
 _BLOCK = 1 << 20
-MOST_BYTES = 8 * 10**9  # of a file once it is unpacked
-MOST_TREE = 10**8  # bytes of a JSON or TOML file, which takes up to 32 times as much once it is parsed
+MOST_BYTES = 8 * 10**9  # largest unpacked file, bytes
+MOST_TREE = 10**8  # largest JSON or TOML file, bytes; parsing needs up to 32 times as much memory
 
 
-WATCH: ContextVar[Callable[[Path, float], None]] = ContextVar("WATCH")  # who is to hear how far a file is read
+WATCH: ContextVar[Callable[[Path, float], None]] = ContextVar("WATCH")  # callback for reading progress
 
 
 def read_so_far(path: Path, share: float) -> None:
-    """Say which share of a file is read, 0 to 1, to whoever waits for it."""
+    """Report the share of a file that has been read, 0 to 1, to the callback in ``WATCH``, if there is one."""
     if watch := WATCH.get(None):
         watch(path, share)
 
@@ -56,13 +56,13 @@ def checked_file(path: str | Path) -> Path:
 
 
 def is_gzip(path: str | Path) -> bool:
-    """Tell whether a file is gzip by its first bytes."""
+    """Return True if the first bytes of a file are the gzip signature."""
     with Path(path).open("rb") as handle:
         return handle.read(2) == _GZIP
 
 
 def read_bytes(path: str | Path, limit: int = -1) -> bytes:
-    """Return the content of a file, unpacked where it is gzip."""
+    """Return the content of a file, unpacked if the file is gzip."""
     path = checked_file(path)
     try:
         if not is_gzip(path):
@@ -86,7 +86,7 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
 
 
 def read_tree(path: str | Path) -> bytes:
-    """Return the content of a file of JSON or TOML, unless it may take too much memory once it is parsed."""
+    """Return the content of a JSON or TOML file. A file that could need too much memory when parsed is refused."""
     content = read_bytes(path)
     if len(content) > MOST_TREE:
         raise too_large(Path(path))
@@ -94,7 +94,7 @@ def read_tree(path: str | Path) -> bytes:
 
 
 def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
-    """Return what a gzip file holds, unless it is far more than a recording would unpack to."""
+    """Return the unpacked content of a gzip file. A file that unpacks to far more than a recording is refused."""
     content, size = bytearray(), path.stat().st_size
     while block := packed.read(_BLOCK):
         content += block
@@ -117,7 +117,7 @@ def too_large(path: Path) -> FileFormatError:
 
 @contextmanager
 def sound(path: Path, kind: str = "") -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one line."""
+    """Convert any exception that a library raises on a damaged file into a one-line error."""
     try:
         yield
     except MemoryError as error:
@@ -157,18 +157,18 @@ def sha256_of(path: str | Path) -> str:
 # ---- writing
 
 
-Content = bytes | str | Callable[[Path], object] | None  # Of a file, or what writes it; None: there shall be none
+Content = bytes | str | Callable[[Path], object] | None  # content of a file, or its writer; None deletes the file
 
 
 def write_whole(path: Path | str, content: Content) -> None:
-    """Write a file whole or not at all; one of that name is replaced."""
+    """Write a file completely or not at all. An existing file of that name is replaced."""
     write_together({Path(path): content})
 
 
 def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
-    """Write files that belong together, all of them whole before the first takes its name; those of these names are replaced.
+    """Write files that belong together. All are complete before the first is renamed. Existing files are replaced.
 
-    A function writes into the file that it is given; `size` is then about how many bytes it writes, for the error.
+    A function as content receives the path to write to. `size` is then its approximate size in bytes, for the error message.
     """
     parts: dict[Path, Path | None] = dict.fromkeys(files)
     try:
@@ -193,9 +193,9 @@ def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
 
 
 def new_part(path: Path) -> Path:
-    """Make an empty file next to a path, which takes the path's name once it is whole.
+    """Create an empty temporary file next to a path. The caller renames it to the path when it is complete.
 
-    Its mode is the mode of the file that it replaces, or what the umask gives.
+    Its mode is copied from the file that it replaces. Without such a file, the umask determines the mode.
     """
     part = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
     try:
@@ -208,7 +208,7 @@ def new_part(path: Path) -> Path:
 
 
 def call_writer(write: Callable[[Path], object], path: Path) -> None:
-    """Let a function write a file; the error of the disk is left to the caller to put into words."""
+    """Call a function that writes a file. An InputError caused by an OSError is replaced by the OSError."""
     try:
         write(path)
     except InputError as error:
@@ -216,7 +216,7 @@ def call_writer(write: Callable[[Path], object], path: Path) -> None:
 
 
 def take_names(parts: Mapping[Path, Path | None]) -> None:
-    """Move finished files to their names (name: file). A name without a file is deleted; a name that a folder has is refused."""
+    """Rename finished files (name: file). A name without a file is deleted. If a name is a folder, IsADirectoryError is raised."""
     for path in parts:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -228,25 +228,25 @@ def take_names(parts: Mapping[Path, Path | None]) -> None:
 
 
 def errno_of(error: OSError) -> int | None:
-    """Return the number of an error, which Arrow states in its text alone."""
+    """Return the errno of an error. Errors of Arrow have it in their text only."""
     stated = re.search(r"\[errno (\d+)\]", str(error))
     return int(stated[1]) if stated and error.errno is None else error.errno
 
 
 def is_full(error: OSError) -> bool:
-    """Tell a full disk, or a quota that is spent, from other errors."""
+    """Return True if the disk is full or a quota is used up."""
     return errno_of(error) in (errno.ENOSPC, errno.EDQUOT)
 
 
 def no_folder(path: Path, error: OSError) -> InputError:
-    """Return what to say where nothing can be made in a folder."""
+    """Return the error for a folder in which no file can be created."""
     if is_full(error):
         return unwritten(path, error)
     return InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another")
 
 
 def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
-    """Return what to say when `size` bytes more of a file could not be written; 0: it is not known how many."""
+    """Return the error for a file of which `size` more bytes could not be written. 0 means that the size is unknown."""
     path = path.parent.parent / path.name if path.parent.name.startswith(_HIDDEN) else path
     if not is_full(error):
         number = errno_of(error)
@@ -264,12 +264,14 @@ def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
 
 @contextmanager
 def hidden_folder(beside: Path) -> Iterator[Path]:
-    """Make a folder for files that appear together when they are whole; those that a killed run left a day ago are deleted."""
+    """Create a temporary folder for files that appear together once complete. Folders of killed runs are deleted after a day."""
     for stale in beside.glob(f"{_HIDDEN}*"):
-        with suppress(FileNotFoundError):  # another process deletes its own
+        with suppress(FileNotFoundError):  # another process may delete its folder at the same time
             if stale.stat().st_mtime < time.time() - _STALE_S:
                 shutil.rmtree(stale, ignore_errors=True)
-    folder = beside / f"{_HIDDEN}{secrets.token_hex(8)}"  # named before it is made: a signal between leaves nothing
+    folder = (
+        beside / f"{_HIDDEN}{secrets.token_hex(8)}"
+    )  # named before it is created, so that a signal in between leaves nothing
     try:
         folder.mkdir(mode=0o700)
         yield folder
@@ -278,10 +280,9 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
-    """Lock an open file for this process (POSIX); OSError where another holds it.
+    """Lock an open file for this process (POSIX). OSError if another process still has the lock after ``wait_s`` seconds.
 
-    A process that was forked a moment ago, to become another program or a box, holds the locks of its parent until it has closed
-    them: that is waited for.
+    The wait is needed because a newly forked process keeps the locks of its parent until it has closed the files.
     """
     import fcntl
 

@@ -1,13 +1,13 @@
-"""Findings: what a fit noticed, as a code with numbers; ``findings.toml`` alone holds the sentences.
+"""Findings: the remarks of a fit, each a code with numbers. All sentences are in ``findings.toml``.
 
 A fit returns ``finding("six_face.tilt", "warn", tilt_deg=0.6)``. Its text has three parts: a headline, one line of detail,
 and one action. A verdict shows the most consequential findings first: by level (fail, warn, info), then by the rank of the code::
 
-    1  numbers may be wrong          2  uncertainty is larger, or not complete
-    3  something was not observable  4  what was done, for the record
+    1  numbers may be wrong             2  the uncertainty is larger, or incomplete
+    3  a parameter was not observable   4  a note on the procedure, for the record
 
-Templates are ``str.format`` strings over the finding's values; a tuple prints element by element: (0.1, 0.2) as "0.1, 0.2".
-``{span_k:.1f|{limit_k}}`` has as many digits more as show on which side of the limit it is: 2.04 K beside 2 K, not 2.0 K.
+Templates are ``str.format`` strings over the finding's values. A tuple prints element by element: (0.1, 0.2) as "0.1, 0.2".
+``{span_k:.1f|{limit_k}}`` adds digits until the number differs visibly from its limit: 2.04 K next to 2 K, not 2.0 K.
 """
 
 import math
@@ -33,7 +33,7 @@ _LEVELS = ("fail", "warn", "info")
 
 
 class FindingText(NamedTuple):
-    """The sentences of one code."""
+    """Headline, detail and action of one code."""
 
     rank: int  # 1 to 4, see the module
     headline: str
@@ -42,7 +42,7 @@ class FindingText(NamedTuple):
 
 
 class _Template(string.Formatter):
-    """``str.format`` that prints tuples element by element, and a number beside its limit."""
+    """``str.format`` that prints tuples element by element, and adds digits to a number close to its limit."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, tuple):
@@ -87,16 +87,16 @@ def _filled(held: Any) -> Any:
 @stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read)
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a fit noticed: a code, how much it matters, and its numbers.
+    """Remark of a fit: a code, its level and its numbers.
 
     Parameters
     ----------
     code : str
-        Stage and matter, "six_face.tilt".
+        Stage and subject, "six_face.tilt".
     level : str
         info, warn or fail.
     values : mapping
-        Numbers and names that the sentences need; the unit stands in the key ("tilt_deg") unless SI.
+        Numbers and names that the sentences need. A unit that is not SI is part of the key ("tilt_deg").
 
     Examples
     --------
@@ -115,17 +115,17 @@ class Finding:
 
     @property
     def headline(self) -> str:
-        """What it is, in a few words."""
+        """Subject of the finding in a few words."""
         return self._filled(catalogue()[self.code].headline)
 
     @property
     def detail(self) -> str:
-        """One line with the numbers; may be empty."""
+        """One line with the numbers. It may be empty."""
         return self._filled(catalogue()[self.code].detail)
 
     @property
     def action(self) -> str:
-        """What to do about it; may be empty."""
+        """Recommended action. It may be empty."""
         return self._filled(catalogue()[self.code].action)
 
     @property
@@ -139,7 +139,7 @@ class Finding:
 
 
 def finding(code: str, level: Level, /, **values: Any) -> Finding:
-    """Return a finding; arrays become tuples, numpy scalars become numbers."""
+    """Return a finding. Arrays become tuples, and numpy scalars become numbers."""
     return Finding(code, level, {name: _plain(value) for name, value in values.items()})
 
 
@@ -157,14 +157,14 @@ def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]
 @stored(whole=True, keys=("status", "reasons", "findings"))
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
-    """What a fit is worth: good, marginal or bad, and the findings that say why.
+    """Quality of a fit: good, marginal or bad, with the findings that explain it.
 
     Parameters
     ----------
     status : str
         good, marginal or bad.
     findings : tuple of Finding
-        Why; also what was not observable and which recording would show it.
+        Reasons for the status, parameters that were not observable, and the recordings that determine them.
 
     Examples
     --------
@@ -186,12 +186,12 @@ class Verdict:
 
     @classmethod
     def of(cls, *findings: Finding) -> "Verdict":
-        """Return the verdict that follows from findings: bad with a fail, marginal with a warn, else good."""
+        """Return the verdict of findings: bad if any is a fail, otherwise marginal if any is a warn, otherwise good."""
         levels = {item.level for item in findings}
         return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
 
     def also(self, other: "Verdict") -> "Verdict":
-        """Return both verdicts as one: the worse status, all findings, each once."""
+        """Return the combined verdict: the worse status, and the findings of both without repetition."""
         worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
         known = {item.text for item in self.findings}
         others = (item for item in other.findings if item.text not in known)
@@ -199,17 +199,17 @@ class Verdict:
 
 
 def level_of(value: float, limits: tuple[float, float]) -> Level:
-    """Return warn above the first of two limits, fail above the second, else info."""
+    """Return fail above the second of two limits, warn above the first, and info otherwise."""
     return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
 
 
 def above(code: str, value: float, limits: tuple[float, float], **shown: Any) -> tuple[Finding, ...]:
-    """Return the finding of a value above the first of two limits, ``wanted``; none below it."""
+    """Return a finding if a value exceeds the first of two limits, passed on as ``wanted``. Otherwise the tuple is empty."""
     level = level_of(value, limits)
     return () if level == "info" else (finding(code, level, wanted=limits[0], **shown),)
 
 
 @cache
 def catalogue() -> dict[str, FindingText]:
-    """Return the sentences of every code."""
+    """Return the sentences of all codes."""
     return {code: FindingText(**entry) for code, entry in tomllib.loads(_SENTENCES.read_text(encoding="utf-8")).items()}

@@ -4,10 +4,10 @@
     m  optical body (markers)           n  level, z up
     a  segment of a body: x forward, y left, z up, upright
 
-``R_bs`` maps a vector from s to b; ``q_nb`` is its quaternion (b to n), scalar first (w, x, y, z). A gyroscope reads the
-rate of b against n, seen in b. An accelerometer reads specific force: at rest the axis that points up reads +g.
+``R_bs`` maps a vector from s to b. ``q_nb`` is the quaternion from b to n, scalar first (w, x, y, z). A gyroscope measures
+the rate of b relative to n, in axes b. An accelerometer measures specific force: at rest the axis that points up reads +g.
 
-Strapdown carries q_nb over such a rate, exactly where it is constant on (k-1, k]::
+Strapdown integration updates q_nb from this rate. It is exact if the rate is constant on (k-1, k]::
 
     q_nb[k] = q_nb[k-1] (x) exp(w_b[k] (t[k] - t[k-1]))
 """
@@ -49,7 +49,7 @@ def quaternion_conjugate(q: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return vector products, a third of the time that numpy's take. a (..., 3), b (..., 3) -> (..., 3)."""
+    """Return vector products, three times as fast as numpy. a (..., 3), b (..., 3) -> (..., 3)."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
         np.subtract(a[..., k - 2] * b[..., k - 1], a[..., k - 1] * b[..., k - 2], out=product[..., k])
@@ -97,7 +97,7 @@ def integrate_strapdown(
     q_nb : array, shape (4,)
         Orientation at the first sample, w-x-y-z.
     out : array, shape (N, 4), optional
-        Where to write, float64 in C order; saves a fresh array.
+        Buffer for the result, float64 in C order. Without it, a new array is allocated.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def integrate_strapdown(
     Raises
     ------
     InputError
-        Shapes that disagree, or gaps in the rate.
+        If shapes disagree, or if the rate has gaps.
 
     References
     ----------
@@ -136,7 +136,7 @@ def integrate_strapdown(
         )
     gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
     strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
-    if not np.isfinite(q[-1]).all():  # a gap never leaves the product: the last sample shows any
+    if not np.isfinite(q[-1]).all():  # NaN propagates through the product, so the last sample reveals any gap
         raise InputError(
             "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
         )

@@ -1,9 +1,9 @@
-"""Calibration: the one object that owns the correction model, and the values it is made of.
+"""Calibration: the one object that contains the correction model, and the values that it consists of.
 
 In symbols, for a reading u (3,) at temperature T::
 
-    u1 = u + rounding(u)          adc      half an LSB back for truncated codes, or what a fit found of them
-    u2 = u1 - offset(T) - o(t)    static   table of absolute offsets, else the constant offset; warm-up over time since power-on
+    u1 = u + rounding(u)          adc      plus half an LSB for truncated codes, or the fitted code offset
+    u2 = u1 - offset(T) - o(t)    static   table of absolute offsets or the constant offset; warm-up over time since power-on
     w  = M(T) u2                  matrix   constant, or a table over temperature
     w  = w - G a                  g-sensitivity, gyroscopes only
     w  = w - e(w, T)              dynamic  table over measured rate and temperature
@@ -37,12 +37,12 @@ Sensor = Literal["gyro", "accel"]
 
 AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 SENSORS: tuple[Sensor, Sensor] = ("gyro", "accel")
-BEYOND_SEEN_C = 3.0  # tables reach so far beyond the temperatures seen without being asked, degC
+BEYOND_SEEN_C = 3.0  # range by which tables extend beyond the measured temperatures by default, degC
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
 MOVING_NAMES, CODE_NAMES = tuple(f"moving_{axis}" for axis in AXES), tuple(f"code_{axis}" for axis in AXES)
-SOURCES = (  # of uncertainty, in the order of a budget
+SOURCES = (  # sources of uncertainty, in the order of a budget
     "rate", "angle", "axis", "ripple", "mounting", "level", "nonlinearity", "temperature", "noise", "adc", "instability",
     "repeatability", "prior", "fit",
 )  # fmt: skip
@@ -53,7 +53,7 @@ Matrices = Annotated[FloatArray | None, Shape("n", 3, 3)]
 Marks = Annotated[BoolArray | None, Shape("n")]
 Nodes = Annotated[FloatArray, Shape("n", rising=True)]
 LATER = Key(later=True)
-_EXCEEDS = 1e-3  # of a variance: what linear parts may exceed a whole that was averaged over a grid
+_EXCEEDS = 1e-3  # largest relative excess of the summed linear parts over a variance that was averaged over a grid
 
 
 @stored(
@@ -63,19 +63,20 @@ _EXCEEDS = 1e-3  # of a variance: what linear parts may exceed a whole that was 
 )
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Budget:
-    """Standard uncertainty of each parameter by source: the squares of a parameter sum to its variance."""
+    """Standard uncertainty of each parameter by source. The squares of the sources sum to the variance of the parameter."""
 
     sources: tuple[str, ...]  # names of ``SOURCES``
-    uncertainty: Annotated[FloatArray, Shape("s", "p")]  # One row a source, unit of the parameter
+    uncertainty: Annotated[FloatArray, Shape("s", "p")]  # one row per source, unit of the parameter
 
     def __post_init__(self) -> None:
         freeze(self, s=len(self.sources))
 
     @classmethod
     def of(cls, covariance: FloatArray, parts: Mapping[str, FloatArray], rest: str) -> "Budget":
-        """Return the budget of a covariance (P, P): variances (P,) of separable sources, and the rest under its name.
+        """Return the budget of a covariance (P, P): the variances (P,) of separable sources, and the remainder named ``rest``.
 
-        A negative part is what the rest counts twice. Parts that exceed the whole are not separable: one line, ``fit``.
+        Negative variances count as zero. If the sources sum to more than the total, they are not separable, and the
+        budget has the single source ``fit``.
         """
         whole = np.diag(covariance)
         shares = {name: np.maximum(part, 0.0) for name, part in parts.items()}
@@ -99,28 +100,30 @@ class Budget:
 class TriadModel:
     """Inverse model of three sensors: corrected = matrix @ (raw + code_offset sign(raw) - offset) - g_sensitivity @ accel.
 
-    While the device turns, ``moving_offset`` is subtracted as well.
+    While the device turns, ``moving_offset`` is also subtracted.
     """
 
-    method: str  # six-face, rate-table, known-rotation, multi-position, reference, motion; mode behind a slash
-    unit_in: str  # of the raw reading
-    unit_out: str  # of the corrected value
-    matrix: Annotated[FloatArray, Shape(3, 3)]  # unit_out per unit_in; sensor axes s to case b
+    method: (
+        str  # six-face, rate-table, known-rotation, multi-position, reference or motion, with the mode after a slash
+    )
+    unit_in: str  # unit of the raw reading
+    unit_out: str  # unit of the corrected value
+    matrix: Annotated[FloatArray, Shape(3, 3)]  # sensor axes s to case b, unit_out per unit_in
     offset: Triple  # reading at zero input and reference temperature, unit_in
-    # apparent rate per specific force, unit_out per m/s2; gyroscopes only
+    # apparent rate per specific force, unit_out per m/s2 (gyroscopes only)
     g_sensitivity: Annotated[FloatArray | None, Shape(3, 3)] = None
     # names of the rows of ``covariance``: m_xx to m_zz row by row, offset_x.., g_xx.., moving_x.., code_x..
     parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
-    covariance: Annotated[FloatArray, Shape("p", "p")]  # in their units; zeros for a parameter that was held fixed
-    rms_residual: AnyNumber  # of the fit, unit_out
+    covariance: Annotated[FloatArray, Shape("p", "p")]  # in the units of the parameters, 0 for a fixed parameter
+    rms_residual: AnyNumber  # root mean square residual of the fit, unit_out
     count: int  # equations in the fit
-    rank: int  # of the normal matrix; full if every parameter was observable
-    condition: AnyNumber  # of the design after its columns were scaled to one
-    valid_range: tuple[AnyNumber, AnyNumber]  # least and greatest corrected value per axis in the fit, unit_out
+    rank: int  # rank of the normal matrix, full if every parameter was observable
+    condition: AnyNumber  # condition number of the design matrix with columns scaled to one
+    valid_range: tuple[AnyNumber, AnyNumber]  # smallest and largest corrected value per axis in the fit, unit_out
     budget: Annotated[Budget | None, LATER] = None  # None if the fit does not separate sources
-    # offset while the device turns minus that at rest, unit_out, axes of the result; None if it was not fitted
+    # offset while the device turns minus offset at rest, unit_out, axes of the result, or None if not fitted
     moving_offset: Annotated[Vector, LATER] = None
-    # added to a reading with its sign, unit_in: half a step of codes cut off toward zero; None if not fitted: ``adc`` is used
+    # added to a reading with the sign of the reading, unit_in, for codes truncated toward zero; if None, ``adc`` applies
     code_offset: Annotated[Vector, LATER] = None
 
     def __post_init__(self) -> None:
@@ -148,7 +151,10 @@ class TriadModel:
 
     @property
     def offset_covariance(self) -> FloatArray:
-        """Covariance of the corrected value at zero input, M C M' with C that of the offset, unit_out squared, shape (3, 3)."""
+        """Covariance of the corrected value at zero input, unit_out squared, shape (3, 3).
+
+        It is M C M', where C is the covariance of the offset.
+        """
         known = [k for k, name in enumerate(OFFSET_NAMES) if name in self.parameters]
         rows = [self.parameters.index(OFFSET_NAMES[k]) for k in known]
         turned = self.matrix[:, known]
@@ -161,35 +167,38 @@ class TriadModel:
 
     @property
     def scale_factor(self) -> FloatArray:
-        """Sensitivity of each sensor along its own axis, unit_in per unit_out, shape (3,): the row lengths of K."""
+        """Sensitivity of each sensor along its axis, unit_in per unit_out, shape (3,). These are the row lengths of K."""
         return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
     def si_per_reading(self, quantity: Quantity) -> FloatArray:
-        """Return the SI units that one raw unit of each sensor is, shape (3,)."""
+        """Return the SI value of one raw unit of each sensor, shape (3,)."""
         return np.asarray(si_factor(self.unit_out, quantity) / self.scale_factor)
 
     @property
     def sensor_axes(self) -> FloatArray:
-        """Unit vector of each sensor's axis in b, one a row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
+        """Unit vectors of the sensor axes in b, one per row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
         return np.asarray(self.forward_matrix / self.scale_factor[:, None])
 
     @property
     def relative_uncertainty(self) -> float:
-        """Largest standard uncertainty of an element of matrix @ K: 0.01 is one per cent of the gain."""
+        """Largest standard uncertainty of an element of matrix @ K. 0.01 means one per cent of the gain."""
         return float((self.standard_uncertainty[:9].reshape(3, 3) @ np.abs(self.forward_matrix)).max())
 
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Magnetometer:
-    """Inverse model of a magnetometer: field = x - lag_s w x x, x = matrix (raw - offset), w the rate, axes of the gyroscopes."""
+    """Inverse model of a magnetometer: field = x - lag_s (w x x), with x = matrix (raw - offset) and w the rate.
 
-    model: TriadModel  # uT to uT; its matrix has determinant 1: the size of the field is as it was read
-    lag_s: float  # By which its readings lag those of the gyroscopes
-    lag_uncertainty_s: float  # Standard uncertainty
+    Axes are those of the gyroscopes.
+    """
+
+    model: TriadModel  # uT to uT; the matrix has determinant 1, so it does not scale the field
+    lag_s: float  # lag of the readings behind the gyroscopes, s
+    lag_uncertainty_s: float  # standard uncertainty of the lag, s
 
     def corrected(self, mag_ut: FloatArray, rate: FloatArray | None) -> FloatArray:
-        """Return the field (N, 3), uT, of readings (N, 3) at corrected rates (N, 3), rad/s; without rates its lag stays."""
+        """Return the field (N, 3), uT, of readings (N, 3) at corrected rates (N, 3), rad/s. Without rates, the lag remains."""
         x = (mag_ut - self.model.offset) @ self.model.matrix.T
         return np.asarray(x if rate is None else x - self.lag_s * np.cross(rate, x))
 
@@ -197,10 +206,10 @@ class Magnetometer:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WarmUp:
-    """Extra offset of a device after power-on; it decays to zero."""
+    """Additional offset of a device after power-on, which decays to zero."""
 
-    power_on_s: Nodes  # Of the time since power-on, s, from 0
-    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # Added to the settled offset, raw unit; the last row is zero
+    power_on_s: Nodes  # time since power-on, s, starting at 0
+    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # added to the settled offset, raw unit; the last row is zero
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -212,14 +221,14 @@ class WarmUp:
 
 
 def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float, float]:
-    """Return the first and last node (n,) that data were near, degC; without marks, or where all are marked, of all."""
+    """Return the first and last node that is supported by data, degC. Without marks, or if all nodes are marked, all count."""
     nodes = temp_c if extrapolated is None or extrapolated.all() else temp_c[~extrapolated]
     return float(nodes[0]), float(nodes[-1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OverTemperature:
-    """One sensor's part of a table over temperature, n nodes."""
+    """Table over temperature of one sensor, n nodes."""
 
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n, 3) offsets or (n, 3, 3) matrices
@@ -238,11 +247,11 @@ class StaticDrift:
     # standard uncertainty of each node for a future visit to its temperature, raw unit
     gyro_uncertainty: Annotated[Rows3, LATER] = None
     accel_uncertainty: Annotated[Rows3, LATER] = None
-    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if no data were near the node
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # true if no data were near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
-    # half-width: offset while cooling minus offset while warming, over two, raw unit; the table is their mean
+    # half the difference of the offsets while cooling and while warming, raw unit; the table is the mean of both
     gyro_hysteresis: Annotated[Vector, LATER] = None
-    # standard deviation, raw unit, of what one visit to a temperature adds and the next does not; part of the uncertainty
+    # standard deviation of the offset from visit to visit at the same temperature, raw unit; included in the uncertainty
     gyro_visit: Annotated[Vector, LATER] = None
     accel_visit: Annotated[Vector, LATER] = None
     warm_up: Annotated[WarmUp | None, LATER] = None
@@ -259,7 +268,7 @@ class ScaleDrift:
     temp_c: Nodes  # degC
     gyro_matrix: Matrices = None  # unit_out per unit_in
     accel_matrix: Matrices = None
-    gyro_uncertainty: Annotated[Matrices, LATER] = None  # Standard uncertainty of each element
+    gyro_uncertainty: Annotated[Matrices, LATER] = None  # standard uncertainty of each element
     accel_uncertainty: Annotated[Matrices, LATER] = None
     gyro_extrapolated: Annotated[Marks, LATER] = None  # True if no data were near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
@@ -274,9 +283,11 @@ class DynamicDrift:
     """Rate error that remains after static and matrix correction: e(measured rate, T), bilinear."""
 
     temp_c: Annotated[FloatArray, Shape("m", rising=True)]  # degC
-    turn_rate: Annotated[FloatArray, Shape("k", rising=True)]  # Nodes of the measured rate, rad/s
-    error: Annotated[FloatArray, Shape("m", "k", 3)]  # Measured minus true rate per axis, rad/s
-    uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = None  # Of each node, standard, rad/s
+    turn_rate: Annotated[FloatArray, Shape("k", rising=True)]  # nodes of the measured rate, rad/s
+    error: Annotated[FloatArray, Shape("m", "k", 3)]  # measured minus true rate per axis, rad/s
+    uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = (
+        None  # standard uncertainty of each node, rad/s
+    )
     extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True if no data were near the node
 
     def __post_init__(self) -> None:
@@ -286,13 +297,13 @@ class DynamicDrift:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
-    """The tuning tables of one device: offsets, matrices and rate-dependent error over the temperature of the sensors."""
+    """Tuning tables of one device: offsets, matrices and rate-dependent error over the temperature of the sensors."""
 
     static: StaticDrift | None = None
     scale: ScaleDrift | None = None
     dynamic: DynamicDrift | None = None
-    lag_s: Annotated[float, Ge(0.0), LATER] = 0.0  # time constant by which the thermometer lags the sensors, s
-    # time constant of the smoothing that removing the lag needs, s; above 0 if there is a lag
+    lag_s: Annotated[float, Ge(0.0), LATER] = 0.0  # time constant of the lag of the thermometer behind the sensors, s
+    # time constant of the smoothing applied when the lag is removed, s; above 0 if there is a lag
     lag_smooth_s: Annotated[float, Ge(0.0), LATER] = 0.0
 
     def __post_init__(self) -> None:
@@ -307,7 +318,7 @@ class DriftTables:
 @stored(whole=True, keys=("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding"))
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcModel:
-    """Step of the codes of each triad, (3,), raw unit, None if it was not identified; and how they are rounded."""
+    """Code step of each triad, (3,), raw unit, or None if not identified, and the rounding of the codes."""
 
     gyro_lsb: Annotated[Vector, Key("lsb")] = None
     accel_lsb: Vector = None
@@ -318,13 +329,13 @@ class AdcModel:
         freeze(self)
 
 
-NO_TABLES, _NO_CODES = DriftTables(), AdcModel()  # of a calibration without: made once
+NO_TABLES, _NO_CODES = DriftTables(), AdcModel()  # shared by all calibrations without tables or codes
 
 
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseModel:
-    """Noise coefficients of both triads at rest, as IEEE Std 952 names them, (3,) each; NaN where not observable."""
+    """Noise coefficients of both triads at rest, named as in IEEE Std 952, (3,) each. NaN means not observable."""
 
     angle_random_walk: Triple  # rad/s/sqrt(Hz)
     bias_instability: Triple  # rad/s
@@ -340,12 +351,12 @@ class NoiseModel:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyMounting:
-    """How a device is worn: from case axes b to the segment's axes a, x forward, y left, z up when the wearer stands upright."""
+    """Mounting of a device on the body: the rotation from case axes b to segment axes a (x forward, y left, z up, upright)."""
 
-    place: str  # On the body: lower-back, thigh, shank, wrist, foot
-    matrix: Annotated[FloatArray, Shape(3, 3)]  # R_ab: its rows are forward, left and up, seen in b
-    covariance: Annotated[FloatArray, Shape(3, 3)]  # Of a small rotation about the axes a, rad^2
-    basis: str  # What showed it
+    place: str  # body segment: lower-back, thigh, shank, wrist, foot
+    matrix: Annotated[FloatArray, Shape(3, 3)]  # R_ab, with the rows forward, left and up in axes b
+    covariance: Annotated[FloatArray, Shape(3, 3)]  # covariance of a small rotation about the axes a, rad^2
+    basis: str  # data from which the mounting was determined
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -354,11 +365,11 @@ class BodyMounting:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty of the rotation, all axes together, rad."""
+        """Standard uncertainty of the rotation, all axes combined, rad."""
         return float(np.sqrt(np.trace(self.covariance)))
 
     def of_body(self, q_nb: FloatArray) -> FloatArray:
-        """Return the orientations of the segment, a to n, by those of the device's case. q_nb (..., 4) -> (..., 4)."""
+        """Return segment orientations (a to n) from case orientations (b to n). q_nb (..., 4) -> (..., 4)."""
         from scipy.spatial.transform import Rotation
 
         return quaternion_product(q_nb, Rotation.from_matrix(self.matrix.T).as_quat(scalar_first=True))
@@ -367,7 +378,7 @@ class BodyMounting:
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
-    """Where a calibration came from: input files with their sha256, settings, packages with their versions, time."""
+    """Origin of a calibration: input files with their sha256, settings, packages with their versions, and time."""
 
     inputs: Annotated[tuple[tuple[str, str], ...], TableRows(("file", "sha256"))] = ()
     settings: Annotated[tuple[tuple[str, str], ...], Named("settings")] = ()
@@ -375,20 +386,20 @@ class Provenance:
     created: Annotated[str, Key("time")] = ""  # ISO 8601, UTC
 
     def text(self, name: str) -> str:
-        """Return a setting, empty where it was not made."""
+        """Return a setting, or an empty string if it was not set."""
         return dict(self.settings).get(name, "")
 
     def count(self, name: str, usual: int) -> int:
-        """Return a setting that counts something, or the usual number if it was not made."""
+        """Return an integer setting, or ``usual`` if it was not set."""
         return int(self.text(name)) if self.text(name).isdigit() else usual
 
     def number(self, name: str, usual: float) -> float:
-        """Return a setting that is a number, or the usual one where it was not made."""
+        """Return a numeric setting, or ``usual`` if it was not set."""
         return float(self.text(name) or usual)
 
 
 def versions_used() -> tuple[tuple[str, str], ...]:
-    """Return the packages that a fit rests on, with their versions."""
+    """Return the packages that a fit depends on, with their versions."""
     from importlib.metadata import version
 
     return tuple((name, version(name)) for name in ("undrift", "numpy", "scipy"))
@@ -397,28 +408,28 @@ def versions_used() -> tuple[tuple[str, str], ...]:
 @stored(kind="undrift.calibration", whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration(Shown):
-    """Everything that is needed to turn one device's readings into rad/s and m/s2.
+    """Everything that is needed to convert the readings of one device to rad/s and m/s2.
 
     Parameters
     ----------
     device : str
         Serial number.
     reference_temp_c : float
-        Temperature at which the constant offsets hold, degC; NaN if no temperature was recorded.
+        Temperature at which the constant offsets are valid, degC. NaN if no temperature was recorded.
     gravity_m_s2 : float
         Local gravity that the accelerometer fit used, m/s2.
     gyro, accel : TriadModel or None
         None if the session did not determine it.
     drift, adc, noise : DriftTables, AdcModel, NoiseModel or None
-        Tuning tables; rounding of the codes; noise at rest. None for constant offsets, unknown rounding, noise not measured.
+        Tuning tables, rounding of the codes, and noise at rest. None means constant offsets, unknown rounding, noise not measured.
     verdict, provenance : Verdict, Provenance
-        Whether its numbers can be trusted; where it came from.
+        Quality of the fit, and origin of the calibration.
     file_map : FileMap or None
-        How the recordings of the device are read, if they need a map.
+        Column map for the recordings of the device, if they need one.
     magnetometer : Magnetometer or None
-        None if it was not fitted: its readings are then carried along as they are.
+        None if it was not fitted. Its readings then pass through unchanged.
     mounting : BodyMounting or None
-        How the device is worn, if that was determined.
+        Mounting of the device on the body, if it was determined.
 
     Examples
     --------
@@ -444,7 +455,7 @@ class Calibration(Shown):
     mounting: Annotated[BodyMounting | None, LATER] = None
 
     def triad(self, sensor: Sensor) -> "Triad":
-        """Return all that is known of one sensor: model, tables, codes."""
+        """Return model, tables and code properties of one sensor."""
         drift, adc, gyro = self.drift or NO_TABLES, self.adc or _NO_CODES, sensor == "gyro"
         static = drift.static
         return Triad(
@@ -481,21 +492,21 @@ class Calibration(Shown):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Triad:
-    """All that a calibration knows of one sensor; None for what it does not have."""
+    """The parts of a calibration that belong to one sensor. Missing parts are None."""
 
     sensor: Sensor
     quantity: Quantity
     model: TriadModel | None
     offsets: OverTemperature | None  # raw unit
     matrices: OverTemperature | None  # unit_out per unit_in
-    errors: DynamicDrift | None  # gyroscopes only, and so is the next
-    warm_up: WarmUp | None
-    lsb: FloatArray | None  # (3,), one code step, raw unit
+    errors: DynamicDrift | None  # gyroscopes only
+    warm_up: WarmUp | None  # gyroscopes only
+    lsb: FloatArray | None  # (3,), code step, raw unit
     rounding: Rounding
 
     @property
     def si(self) -> float:
-        """SI units per unit that the model gives; 1 without a model."""
+        """SI units per output unit of the model, or 1 without a model."""
         return 1.0 if self.model is None else si_factor(self.model.unit_out, self.quantity)
 
 
@@ -516,7 +527,7 @@ def _tables_in_a_line(drift: DriftTables) -> str:
 
 
 def _part_of(table: StaticDrift | ScaleDrift | None, sensor: Sensor, what: str) -> OverTemperature | None:
-    """Return one sensor's part of a table, None where there is none."""
+    """Return the table of one sensor, or None if there is none."""
     if table is None:
         return None
     value, uncertainty, marks = (getattr(table, f"{sensor}_{name}") for name in (what, "uncertainty", "extrapolated"))

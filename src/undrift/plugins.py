@@ -1,11 +1,11 @@
-"""Registries: plain tables from a name to the place of an object, "package.module:object", imported when it is asked for.
+"""Registries: plain tables from a name to the location of an object, "package.module:object", which is imported on demand.
 
-Another package adds a row by an entry point, without a change here::
+Another package adds a row with an entry point, without a change here::
 
     [project.entry-points."undrift.rigs"]
     lathe = "my_package.lathe:open_from"
 
-The package's own rows come first, so that no other package can replace them.
+The rows of undrift come first, so that no other package can replace them.
 """
 
 import importlib
@@ -20,12 +20,12 @@ Options = tuple[tuple[str, str], ...]
 
 
 def names_in(table: Mapping[str, object], group: str) -> tuple[str, ...]:
-    """Return all names of a table and of the group of entry points that extends it."""
+    """Return all names of a table and of the entry-point group that extends it."""
     return (*table, *(point.name for point in entry_points(group=group) if point.name not in table))
 
 
 def load_named(name: str, table: Mapping[str, str], group: str, kind: type = object) -> Any:
-    """Return the object of a name, of a kind; KeyError where neither table nor entry points have it."""
+    """Import and return the object with the given name and type. KeyError if neither table nor entry points contain the name."""
     place = table.get(name) or {point.name: point.value for point in entry_points(group=group)}[name]
     module, _, attribute = place.partition(":")
     try:
@@ -41,7 +41,7 @@ def load_named(name: str, table: Mapping[str, str], group: str, kind: type = obj
 
 
 def split_address(text: str, what: str, table: Mapping[str, str], group: str, advice: str) -> tuple[str, str, Options]:
-    """Take ``kind:place?name=value&name=value`` apart; the kind is a row of the table or of the group."""
+    """Split ``kind:place?name=value&name=value``. The kind must be in the table or in the entry-point group."""
     kind, colon, rest = text.partition(":")
     if not colon or (kind not in table and kind not in names_in(table, group)):
         known = ", ".join(f"{name}:..." for name in names_in(table, group))

@@ -1,9 +1,9 @@
-"""Record: the readings of a device, sample by sample; Reference: poses from optics; Session: recordings and labels.
+"""Values of a recording. Record: readings of a device. Reference: poses from optics. Session: recordings with labels.
 
-A Record keeps the readings in the device's own unit, and the name of the unit. NaN means a gap and nothing else. Time strictly
-increases; this is checked here, once. There is no default sample rate.
+A Record contains the readings in the unit of the device, and the name of the unit. NaN always means a gap. Time strictly
+increases. This is checked here, once. There is no default sample rate.
 
-Ranges are sample numbers, half-open [start, stop). A face names the sensor axis that points up: it reads +g.
+Ranges are sample numbers, half-open [start, stop). A face is named after the sensor axis that points up and reads +g.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,21 +26,23 @@ if TYPE_CHECKING:
 
 State = Literal["raw", "corrected"]
 CHANNELS = ("time", "gyro", "accel", "temp_c", "mag_ut")  # of a record
-LARGEST_SPAN_M = 50.0  # m, of what optics see
+LARGEST_SPAN_M = 50.0  # largest extent of positions from optics, m
 
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceUncertainty:
-    """Uncertainty of a corrected record's accelerometers; the error of a specific force f is E f + d."""
+    """Uncertainty of the accelerometers of a corrected record. The error of a specific force f is E f + d."""
 
-    covariance: Annotated[FloatArray, Shape(12, 12)]  # of E row by row, and of d, m/s2
-    # least and greatest temperature for which offsets and matrix were determined, degC; NaN: not known
+    covariance: Annotated[FloatArray, Shape(12, 12)]  # covariance of the elements of E, row by row, and of d, m/s2
+    # lowest and highest temperature for which offsets and matrix were determined, degC, NaN if unknown
     offset_temp_c: Annotated[FloatArray, Shape(2)]
     matrix_temp_c: Annotated[FloatArray, Shape(2)]
-    per_k: Annotated[FloatArray, Shape(2)]  # standard deviation per kelvin beyond them: offset, m/s2; scale, relative
-    step: Annotated[FloatArray, Shape(3)]  # one code, m/s2; 0 if it is not known
-    calibrated: str = ""  # ISO 8601 time, UTC; "" if it is not stated
+    per_k: Annotated[
+        FloatArray, Shape(2)
+    ]  # standard deviation per kelvin outside this range: offset (m/s2), scale (relative)
+    step: Annotated[FloatArray, Shape(3)]  # code step, m/s2, 0 if unknown
+    calibrated: str = ""  # time of the calibration, ISO 8601, UTC, "" if unknown
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -51,7 +53,7 @@ class ForceUncertainty:
 
 
 class ArrowTable(Protocol):
-    """A table that speaks Arrow: a DataFrame of polars, a table of pyarrow."""
+    """A table with the Arrow C stream interface, such as a polars DataFrame or a pyarrow Table."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
 
@@ -65,25 +67,25 @@ class Record(Shown):
     time : array, shape (N,)
         s, strictly increasing.
     gyro, accel : array, shape (N, 3), or None
-        Readings of rate and of specific force; None if the file has no such triad.
+        Readings of angular rate and specific force. None if the file has no such triad.
     temp_c : array, shape (N,), or None
         Temperature at the sensor, degC.
     mag_ut : array, shape (N, 3), or None
         Magnetic field, uT.
     gyro_unit, accel_unit : str
-        rad/s, dps, count or v; m/s2, g, mg, count or v.
+        Unit of the gyroscopes: rad/s, dps, count or v. Unit of the accelerometers: m/s2, g, mg, count or v.
     frame, state : str
-        "s" for sensor axes, "b" for the device case; "raw" or "corrected".
+        Frame: "s" for sensor axes, "b" for the device case. State: "raw" or "corrected".
     device : str
-        Serial number or name; "" if the file does not state it.
+        Serial number or name, or "" if the file does not contain it.
     accel_uncertainty, offset_uncertainty : ForceUncertainty or None, float or None
-        Of a corrected record: the uncertainty of its accelerometers, and the standard uncertainty in motion, rad/s, of an offset
-        that was subtracted.
+        For a corrected record only: the uncertainty of the accelerometers, and the standard uncertainty in motion, rad/s, of a
+        subtracted offset.
 
     Raises
     ------
     InputError
-        Shapes that disagree, time that does not increase, a unit that is not one.
+        If shapes disagree, time does not increase, or a unit is unknown.
 
     Examples
     --------
@@ -119,7 +121,7 @@ class Record(Shown):
 
     @property
     def sample_rate_hz(self) -> float:
-        """Samples per second, drop-outs left out of the mean."""
+        """Samples per second. Drop-outs are excluded from the mean."""
         return sample_rate_of(self.time)
 
     @property
@@ -140,11 +142,11 @@ class Record(Shown):
         temp_c: ArrayLike | None = None,
         device: str = "",
     ) -> "Record":
-        """Make a raw record in sensor axes from arrays.
+        """Create a raw record in sensor axes from arrays.
 
-        Readings are (N, 3) in ``gyro_unit`` (rad/s, dps, count or v) and ``accel_unit`` (m/s2, g, mg, count or v), ``temp_c`` is
-        (N,), degC. Give ``time`` (N,), s, or the ``sample_rate_hz`` of an even clock. Units and clock are never assumed: without
-        them InputError is raised.
+        Readings are (N, 3) in ``gyro_unit`` (rad/s, dps, count or v) and ``accel_unit`` (m/s2, g, mg, count or v). ``temp_c`` is
+        (N,), degC. Give ``time`` (N,), s, or the ``sample_rate_hz`` of an even clock. Units and clock are never assumed:
+        InputError is raised if one is missing.
 
         Examples
         --------
@@ -169,12 +171,13 @@ class Record(Shown):
         gaps: Literal["raise", "keep"] = "raise",
         device: str = "",
     ) -> "Record":
-        """Make a record from a DataFrame of pandas or polars, or from a table of Arrow.
+        """Create a record from a pandas or polars DataFrame, or from an Arrow table.
 
         undrift's own column names (gyro_x_dps, accel_z_g, temp_c, time_s) need no other argument. ``columns`` maps channels to
-        columns, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}; without it time, gyro_x, accel_x, temp, mag_x and the like are
-        used. ``units`` are those of the channels. Time may be the index, in s or dates. ``gaps`` "raise" refuses NaN, "keep" makes
-        a gap of it. InputError: a column, unit or clock that is not stated, or gaps. FileFormatError: cells that are not numbers.
+        columns, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}. Without it, columns named time, gyro_x, accel_x, temp, mag_x
+        and so on are used. ``units`` maps channels to units. Time may be the index, in s or as dates. With ``gaps="raise"``, NaN
+        is refused. With "keep", it becomes a gap. InputError is raised if a column, unit or clock is missing, or for gaps.
+        FileFormatError is raised if cells are not numbers.
 
         Examples
         --------
@@ -190,7 +193,7 @@ class Record(Shown):
         return made
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return the record as a pandas DataFrame with undrift's own column names, which ``from_frame`` reads back.
+        """Return the record as a pandas DataFrame with undrift's own column names. ``from_frame`` reads it back.
 
         Examples
         --------
@@ -222,12 +225,12 @@ class Record(Shown):
         return replace(self, **{name: values[start:stop] for name, values in channels.items() if values is not None})
 
     def between(self, start_s: float, stop_s: float) -> "Record":
-        """Return the samples with start_s <= time < stop_s, on the record's own clock."""
+        """Return the samples with start_s <= time < stop_s, on the clock of the record."""
         start, stop = np.searchsorted(self.time, (start_s, stop_s))
         return self.part(int(start), int(stop))
 
     def computed(self, **fields: Any) -> "Record":
-        """Return the record with other fields, unchecked: readings that were computed from its own, sample by sample."""
+        """Return a copy with other fields, without checks. Use it for readings computed from the record, sample by sample."""
         record = copy(self)
         for name, value in fields.items():
             if isinstance(value, np.ndarray):
@@ -237,11 +240,11 @@ class Record(Shown):
         return record
 
     def in_si(self) -> "Record":
-        """Return the record in rad/s and m/s2; InputError if its readings are counts or volts."""
+        """Return the record in rad/s and m/s2. InputError if its readings are counts or volts."""
         return self.in_units("rad/s", "m/s2")
 
     def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
-        """Return the record in other physical units; InputError if only one of two units is physical."""
+        """Return the record in other physical units. InputError if only one of the old and new unit is physical."""
         gyro, gyro_unit = _converted(self.gyro, self.gyro_unit, gyro_unit, "rate")
         accel, accel_unit = _converted(self.accel, self.accel_unit, accel_unit, "accel")
         if gyro is self.gyro and accel is self.accel:
@@ -251,20 +254,20 @@ class Record(Shown):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reference:
-    """Poses of a rigid body as an independent instrument saw them.
+    """Poses of a rigid body, measured with an independent instrument.
 
     Parameters
     ----------
     time : array, shape (N,)
-        s, strictly increasing, on the reference's own clock.
+        s, strictly increasing, on the clock of the reference.
     q_nb : array, shape (N, 4)
-        Orientation, body to level frame, w-x-y-z; NaN rows are gaps.
+        Orientation, body to level frame, w-x-y-z. NaN rows are gaps.
     position : array, shape (N, 3), or None
-        Position of the body's origin in n, m; NaN rows are gaps.
+        Position of the body's origin in n, m. NaN rows are gaps.
     moving : array, shape (N,), or None
-        1 where the recording's author marked motion, else 0.
+        1 during motion marked by the author of the recording, otherwise 0.
     name : str
-        Where it came from.
+        Source of the poses, such as a file name.
 
     Examples
     --------
@@ -304,17 +307,17 @@ class Reference:
 
     @property
     def sample_rate_hz(self) -> float:
-        """Poses per second, drop-outs left out of the mean."""
+        """Poses per second. Drop-outs are excluded from the mean."""
         return sample_rate_of(self.time)
 
     @property
     def valid(self) -> BoolArray:
-        """True where the orientation was seen, shape (N,)."""
+        """True for samples with an orientation, shape (N,)."""
         return np.isfinite(self.q_nb[:, 0])
 
 
 def check_time(time: FloatArray) -> None:
-    """Raise unless time strictly increases, without gaps, over two samples or more."""
+    """Raise InputError unless time strictly increases, without gaps, over two or more samples."""
     if len(time) < 2:
         raise InputError(
             f"time: wanted two samples or more, got {len(time)}; the file holds no recording", samples=len(time)
@@ -333,13 +336,13 @@ def check_time(time: FloatArray) -> None:
 
 
 def sample_rate_of(time: FloatArray) -> float:
-    """Return samples per second, drop-outs (steps over 1.5 medians) left out of the mean."""
+    """Return samples per second. Drop-outs (steps over 1.5 medians) are excluded from the mean."""
     steps = np.diff(time)
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
 def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str) -> int:
-    """Return the samples of a triad that from_arrays was given, 0 for none; refuse one without a unit or on its side."""
+    """Return the number of samples of a triad passed to from_arrays. Raise InputError if it has no unit or is transposed."""
     shape = () if values is None else np.shape(values)
     if len(shape) == 2 and shape[0] == 3 and shape[1] != 3:
         raise InputError(f"from_arrays: wanted {name} of shape (N, 3), got {shape}; time is axis 0: give {name}.T")
@@ -351,7 +354,7 @@ def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str)
 
 
 def _clock_of(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: float | None) -> ArrayLike:
-    """Return the time of from_arrays, s: the given one, or an even one."""
+    """Return the time for from_arrays, s: the given time, or an even clock."""
     if (time is None) == (sample_rate_hz is None) or not (sample_rate_hz is None or sample_rate_hz > 0.0):
         got = "both" if time is not None else "neither" if sample_rate_hz is None else f"{sample_rate_hz:g} Hz"
         raise InputError(f"from_arrays: wanted time in s or a sample_rate_hz above 0, got {got}; state one of them")
@@ -377,16 +380,16 @@ FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Still:
-    """A stretch in which the device did not move.
+    """A range of samples in which the device did not move.
 
     Parameters
     ----------
     start, stop : int
         Samples [start, stop).
     face : str or None
-        Axis that points up; None for a free pose.
+        Axis that points up. None for a free pose.
     recording, temp_c : int, float or None
-        Number of the record in the session; chamber set-point, degC, if there is no temperature column.
+        Number of the record in the session. Chamber set-point, degC, if there is no temperature column.
 
     Examples
     --------
@@ -407,18 +410,18 @@ class Still:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turn:
-    """A stretch in which the device turned: at a steady rate, through a known angle, or freely.
+    """A range of samples in which the device turned: at a steady rate, through a known angle, or freely.
 
     Parameters
     ----------
     start, stop : int
         Samples [start, stop).
     axis : str or None
-        Case axis of the turn; None for a free rotation.
+        Case axis of the turn. None for a free rotation.
     turn_rate, angle : float or None
-        Achieved steady rate about +axis, rad/s (rate table); angle turned about +axis, rad (known rotation).
+        Steady rate achieved about +axis, rad/s (rate table). Angle turned about +axis, rad (known rotation).
     recording, temp_c : int, float or None
-        Number of the record in the session; chamber set-point, degC.
+        Number of the record in the session. Chamber set-point, degC.
 
     Examples
     --------
@@ -441,29 +444,30 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class FileMap:
-    """How the files of a device are read: the keys of a map, as docs/maps.md has them."""
+    """Column map for the files of a device, with the keys described in docs/maps.md."""
 
-    text: str  # One JSON object
+    text: str  # one JSON object
 
 
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemperatureSensitivity:
-    """How far a device may follow temperature: standard deviations of its sensitivities, from data sheets.
+    """Sensitivity of a device to temperature: standard deviations of its coefficients, from data sheets.
 
-    The defaults are those of consumer parts: MPU-6050, ICM-20948 and BMI160 state +-0.05 deg/s/K and +-0.8 to 1 mg/K of offset,
-    and +-0.02 to 0.05 %/K of sensitivity; of accelerometers and scale factors the bound counts as two standard deviations.
+    The defaults suit consumer parts. The data sheets of MPU-6050, ICM-20948 and BMI160 specify offset changes of +-0.05 deg/s/K
+    and +-0.8 to 1 mg/K, and sensitivity changes of +-0.02 to 0.05 %/K. For accelerometers and scale factors, these bounds count
+    as two standard deviations.
     """
 
-    gyro_offset_dps_per_k: float = 0.05  # Of the zero-rate output, deg/s/K
-    accel_offset_mg_per_k: float = 0.5  # Of the zero-g offset, mg/K
-    gyro_scale_percent_per_k: float = 0.02  # Of the gyroscopes' scale factor, %/K
-    accel_scale_percent_per_k: float = 0.02  # Of the accelerometers' scale factor, %/K
-    # Change of temperature in a session that records none, nor rests in deg/s that would show it, K
+    gyro_offset_dps_per_k: float = 0.05  # change of the zero-rate output, deg/s/K
+    accel_offset_mg_per_k: float = 0.5  # change of the zero-g offset, mg/K
+    gyro_scale_percent_per_k: float = 0.02  # change of the gyroscope scale factor, %/K
+    accel_scale_percent_per_k: float = 0.02  # change of the accelerometer scale factor, %/K
+    # assumed temperature change, K, if neither a thermometer nor rests in deg/s can show it
     unrecorded_span_k: float = 1.0
-    # Lag of the thermometer behind the sensors, s: 0 on one die with them [assumed]; LM335 in still air: 80
+    # lag of the thermometer behind the sensors, s: assumed 0 on the same die, 80 for an LM335 in still air
     thermometer_lag_s: float = 0.0
-    span_limit_k: float = 2.0  # A larger change within a session is a finding, K
+    span_limit_k: float = 2.0  # temperature change within a session above which a finding is reported, K
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -475,12 +479,12 @@ class TemperatureSensitivity:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateTable:
-    """Standard uncertainties of a rate table and of the mounting on it; an axis that gravity shows is measured instead."""
+    """Standard uncertainties of a rate table and of the mounting on it. An axis that gravity determines is measured instead."""
 
-    table_level_deg: float = 0.1  # Of the table's axis against the vertical, about each horizontal axis, deg
-    mount_tilt_deg: float = 0.1  # Of the device against the table's axis, about each axis across it, deg
-    rate_uncertainty: float = 1e-4  # Of all stated rates in common, relative: a crystal and a gear
-    wobble_deg: float = 0.01  # Of the table's axis from dwell to dwell, about each axis across it, deg
+    table_level_deg: float = 0.1  # tilt of the table axis from the vertical, about each horizontal axis, deg
+    mount_tilt_deg: float = 0.1  # tilt of the device from the table axis, about each perpendicular axis, deg
+    rate_uncertainty: float = 1e-4  # common relative error of all rates, from crystal and gear
+    wobble_deg: float = 0.01  # tilt of the table axis from dwell to dwell, about each perpendicular axis, deg
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -491,10 +495,10 @@ class RateTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SetPointMeans:
-    """Properties of means over set-points: each row of the record is a mean, not a sample; N rows."""
+    """Properties of means over set-points. Each of the N rows of the record is a mean, not a sample."""
 
-    rate_b: Annotated[FloatArray, Shape("n", 3)]  # imposed rate, rad/s; 0 at rest
-    # standard uncertainty of the mean, in the unit of the record; NaN if unknown
+    rate_b: Annotated[FloatArray, Shape("n", 3)]  # imposed rate, rad/s, 0 at rest
+    # standard uncertainty of the mean, in the unit of the record, NaN if unknown
     gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
     accel_uncertainty: Annotated[FloatArray, Shape("n", 3)]
 
@@ -504,31 +508,31 @@ class SetPointMeans:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
-    """The recordings of one device and what was done to it.
+    """The recordings of one device, with labels for rests and turns.
 
     Parameters
     ----------
     kind : str
-        calibration, thermal or static; set-points if each row of the records is a mean over a set-point.
+        calibration, thermal, static, or set-points (each row of the records is a mean over a set-point).
     serial, gravity_m_s2 : str, float
-        Device serial number; local gravity, m/s2.
+        Serial number of the device, and local gravity, m/s2.
     records : tuple of Record
         One or more recordings.
     stills, turns : tuple of Still, tuple of Turn
-        As stated in the file; empty if they are to be found in the data.
+        Rests and turns listed in the file. If empty, they are detected in the data.
     inputs : tuple of (str, str)
         File name and sha256 of every file that was read.
     file_map : FileMap or None
-        How its files are read, if they need a map.
+        Column map for the files, if they need one.
     gravity_source : str
-        "stated", from "latitude and height" (WGS 84), or "standard" gravity, assumed.
+        "stated", "latitude and height" (computed with WGS 84), or "standard" (standard gravity, assumed).
     sensitivity, rate_table : TemperatureSensitivity, RateTable
-        How far the device may follow temperature; how good the rate table and the mounting on it are.
+        Sensitivity to temperature, and uncertainties of the rate table and of the mounting on it.
     mounting : str or None
-        Of a fit to references: "one" if device and reference body were mounted once for all recordings, "each" if a small rotation
-        is fitted for each; None if it is not stated.
+        For a fit to references: "one" if device and reference body were mounted once for all recordings, "each" if a small
+        rotation is fitted for each recording. None if unknown.
     means : tuple of SetPointMeans
-        Of a session of set-points: what the rows of each record state; otherwise empty.
+        Properties of the rows of each record in a session of set-points, otherwise empty.
 
     Examples
     --------
@@ -574,12 +578,12 @@ class Session:
 
     @property
     def begins_s(self) -> FloatArray:
-        """When each recording begins on the clock of the session, (R,), s: recordings follow each other without a pause."""
+        """Start time of each recording on the clock of the session, (R,), s. Recordings follow each other without a pause."""
         return np.cumsum([0.0, *(record.duration_s for record in self.records[:-1])])
 
 
 def check_serial(serial: str, what: str, least: int = 0) -> None:
-    """Refuse a serial number that no page, file name or registry can show."""
+    """Raise InputError for a serial number that is too long, too short or not printable."""
     if not least <= len(serial) <= 200 or not serial.isprintable():
         raise InputError(
             f"{what}: wanted a serial number of {least} to 200 printable characters, got {len(serial)}; correct it"
@@ -587,7 +591,7 @@ def check_serial(serial: str, what: str, least: int = 0) -> None:
 
 
 def check_local_gravity(gravity_m_s2: float, what: str) -> None:
-    """Raise where a value cannot be gravity on Earth."""
+    """Raise InputError if a value cannot be gravity on Earth."""
     if not 9.7 < gravity_m_s2 < 9.9:
         raise InputError(
             f"{what}: wanted local gravity between 9.7 and 9.9 m/s2, got {gravity_m_s2:g}; "
@@ -596,7 +600,7 @@ def check_local_gravity(gravity_m_s2: float, what: str) -> None:
 
 
 def joined(records: Sequence[Record]) -> Record:
-    """Return records of one device that follow each other as one; a channel that one of them lacks is left out."""
+    """Return consecutive records of one device as one record. A channel that is missing in one of them is dropped."""
     first, *others = records
     if not others:
         return first

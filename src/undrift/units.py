@@ -1,8 +1,8 @@
 """Units: one table of names, one constant of gravity, and the only conversions in the package.
 
-A quantity is one of ``rate``, ``accel``, ``temp``, ``time``, ``mag``, ``length``. Inside the package values are SI
-(rad/s, m/s2, s, m) and degC, uT; raw readings keep the device's unit. ``count`` and ``v`` are device units: they have
-no SI value until a calibration gives them one. ``lm335_v`` is the voltage of an LM335 thermometer, 10 mV/K from 0 K.
+A quantity is one of ``rate``, ``accel``, ``temp``, ``time``, ``mag``, ``length``. Inside the package, values are SI
+(rad/s, m/s2, s, m), degC and uT. Raw readings keep the unit of the device. ``count`` and ``v`` are device units: they have
+no SI value without a calibration. ``lm335_v`` is the voltage of an LM335 thermometer, 10 mV/K from 0 K.
 """
 
 import math
@@ -13,13 +13,16 @@ from undrift.errors import InputError
 # ---- the Earth: rotation rate and local gravity
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS 84
-_LOWEST, _HIGHEST = -5000.0, 100e3  # m: the deepest mine; where aircraft and the series in height end
+_LOWEST, _HIGHEST = (
+    -5000.0,
+    100e3,
+)  # m; below the deepest mine, above all aircraft and the range of the series in height
 
 
 def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
-    """Return local gravity on and near the ellipsoid.
+    """Return local gravity, m/s2, on and near the ellipsoid.
 
-    Somigliana's formula with the free-air correction to second order in height, WGS 84 [1]_::
+    It uses Somigliana's formula with the free-air correction to second order in height, WGS 84 [1]_::
 
         g0 = 9.7803253359 (1 + 0.00193185265241 s) / sqrt(1 - 0.00669437999014 s),   s = sin^2(latitude)
         g  = g0 (1 - 2/a (1 + f + m - 2 f s) h + 3 h^2 / a^2)
@@ -46,18 +49,18 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
 STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
-INHABITED_GRAVITY = (9.780, 9.832)  # m/s2, equator to pole: standard uncertainty of an assumed one, uniform, is 0.15 %
+INHABITED_GRAVITY = (9.780, 9.832)  # m/s2, equator to pole; a uniform distribution has a standard uncertainty of 0.15 %
 RADIAN_PER_DEGREE = math.pi / 180.0
 ZERO_CELSIUS_K = 273.15  # K, of 0 degC
 
 DEVICE_UNITS = ("count", "v")
 
-# SI value = factor * value, and for temperatures + offset; the first of a quantity is its SI unit. Names are lower case.
+# SI value = factor * value (+ offset for temperatures). The first unit of a quantity is SI. Names are in lower case.
 _TO_SI: dict[Quantity, dict[str, float]] = {
     "rate": {"rad/s": 1.0, "dps": RADIAN_PER_DEGREE},
     "accel": {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
     "temp": {"degc": 1.0},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "date": 1.0},  # date: from the first
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "date": 1.0},  # date: s from the first date
     "mag": {"ut": 1.0, "gauss": 100.0, "mgauss": 0.1, "t": 1e6},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
 }
@@ -73,7 +76,7 @@ SI_UNIT = {quantity: next(iter(units)) for quantity, units in _TO_SI.items()}
 
 
 def canonical_unit(unit: str, quantity: Quantity) -> str:
-    """Return the one spelling of a unit."""
+    """Return the canonical spelling of a unit."""
     name = unit.strip().lower()
     name = _SPELLINGS.get(name, name)
     if name in _TO_SI[quantity] or (name in DEVICE_UNITS and quantity in ("rate", "accel", "temp", "mag")):
@@ -83,7 +86,7 @@ def canonical_unit(unit: str, quantity: Quantity) -> str:
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
-    """Return the factor that turns a value in ``unit`` into SI (degC for temp, uT for mag)."""
+    """Return the factor that converts a value in ``unit`` to SI (degC for temp, uT for mag)."""
     name = canonical_unit(unit, quantity)
     if name in DEVICE_UNITS:
         raise InputError(
@@ -93,11 +96,11 @@ def si_factor(unit: str, quantity: Quantity) -> float:
 
 
 def temp_offset(unit: str) -> float:
-    """Return what is added to a temperature in ``unit`` once its factor is applied."""
+    """Return the offset to add to a temperature in ``unit`` after its factor, degC."""
     si_factor(unit, "temp")
     return _TEMP_OFFSET[canonical_unit(unit, "temp")]
 
 
 def is_physical(unit: str) -> bool:
-    """Tell whether a unit has an SI value by itself (counts and volts do not)."""
+    """Return True if a unit has an SI value without a calibration. Counts and volts do not."""
     return unit not in DEVICE_UNITS
