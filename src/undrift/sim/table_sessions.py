@@ -281,8 +281,8 @@ def code_means(covariance: FloatArray, samples: float) -> tuple[FloatArray, Floa
 
 
 @lru_cache(maxsize=4096)  # a unit's filters have the same noise whatever else of it is switched off
-def _code_means(held: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
-    covariance = np.frombuffer(held)
+def _code_means(covariance_bytes: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
+    covariance = np.frombuffer(covariance_bytes)
     weights, variance = _weights(covariance, samples), float(covariance[0])
     near = float(covariance[1] / variance) if len(covariance) > 1 else 0.0
     terms = min(max(math.ceil(0.64 / math.sqrt(variance * max(1.0 - near, 1e-6))), 4), MOST_TERMS)
@@ -290,15 +290,15 @@ def _code_means(held: bytes, samples: float) -> tuple[FloatArray, FloatArray]:
     saw, shrink = (-1.0) ** k / (math.pi * k), np.exp(-2.0 * math.pi**2 * variance * k**2)
     sine, cosine = np.sin(np.outer(phase, k)), np.cos(np.outer(phase, k))
     bias, slope = sine @ (saw * shrink), cosine @ (2.0 * math.pi * k * saw * shrink)
-    own = 1.0 / 12.0 + cosine @ ((-1.0) ** k / (math.pi * k) ** 2 * shrink) - bias**2
-    total = (weights @ covariance) * (1.0 + 2.0 * slope) + weights[0] * own
-    (one, two), after = k[np.array(np.triu_indices(terms))], covariance[1:]  # pairs, each once
-    square, product = 2.0 * math.pi**2 * variance * (one**2 + two**2), 4.0 * math.pi**2 * one * two
-    pair = np.where(one == two, 0.5, 1.0) * saw[one - 1] * saw[two - 1]
-    for sign, order in ((1.0, two - one), (-1.0, one + two)):
+    rounding_variance = 1.0 / 12.0 + cosine @ ((-1.0) ** k / (math.pi * k) ** 2 * shrink) - bias**2
+    total = (weights @ covariance) * (1.0 + 2.0 * slope) + weights[0] * rounding_variance
+    (first, two), after = k[np.array(np.triu_indices(terms))], covariance[1:]  # pairs, each once
+    square, product = 2.0 * math.pi**2 * variance * (first**2 + two**2), 4.0 * math.pi**2 * first * two
+    pair = np.where(first == two, 0.5, 1.0) * saw[first - 1] * saw[two - 1]
+    for sign, order in ((1.0, two - first), (-1.0, first + two)):
         counts = square - (sign * after).max(initial=0.0) * product < 60.0  # others vanish: exp(-60)
-        kept, joint = square[counts], sign * np.multiply.outer(after, product[counts])
-        shared = weights[1:] @ np.exp(joint - kept) - weights[1:].sum() * np.exp(-kept)
+        exponent, joint = square[counts], sign * np.multiply.outer(after, product[counts])
+        shared = weights[1:] @ np.exp(joint - exponent) - weights[1:].sum() * np.exp(-exponent)
         size = np.bincount(order[counts], sign * pair[counts] * shared, 1)
         total = total + np.cos(np.outer(phase, np.arange(len(size)))) @ size
     return bias, np.sqrt(np.maximum(total, 0.0))

@@ -125,12 +125,12 @@ class Profile:
 
     def turns_before(self, time_s: float) -> FloatArray:
         """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""
-        seen: FloatArray = self.board_c[self.time < time_s]
-        if not len(seen):
-            return seen
-        seen = seen[np.concatenate(([True], np.diff(seen) != 0.0))]
-        slope = np.sign(np.diff(seen))
-        return np.asarray(seen[np.concatenate(([0], np.flatnonzero(slope[1:] != slope[:-1]) + 1)).astype(int)])
+        temps: FloatArray = self.board_c[self.time < time_s]
+        if not len(temps):
+            return temps
+        temps = temps[np.concatenate(([True], np.diff(temps) != 0.0))]
+        slope = np.sign(np.diff(temps))
+        return np.asarray(temps[np.concatenate(([0], np.flatnonzero(slope[1:] != slope[:-1]) + 1)).astype(int)])
 
 
 def soak_profile(
@@ -224,9 +224,9 @@ class _Chamber:
             calm = calm + 1 if abs(self.board_rate) < limit else 0
 
     def profile(self, soaks: tuple[SetPointVisit, ...]) -> Profile:
-        held = np.array(self.states)
-        time = np.arange(len(held)) * self.settings.step_s
-        return Profile(time=time, set_point_c=held[:, 3], air_c=held[:, 0], board_c=held[:, 2], soaks=soaks)
+        states = np.array(self.states)
+        time = np.arange(len(states)) * self.settings.step_s
+        return Profile(time=time, set_point_c=states[:, 3], air_c=states[:, 0], board_c=states[:, 2], soaks=soaks)
 
 
 # ---- ThermalSettings: how a thermal session is performed, and what of it is written down.
@@ -392,7 +392,7 @@ def _read(
         warmth=profile.board_c,
         age_s=profile.time + settings.power_on_s,
     )
-    felt = thermometer.felt(scene, Past(rng))
+    sensor_temp_c = thermometer.felt(scene, Past(rng))
     walked: Walks = (np.zeros(3), np.zeros(3))
     ended_s = 0.0
     for leg in legs:
@@ -402,14 +402,18 @@ def _read(
             chain.shifted(by) if chain.random_walk else chain
             for chain, by in zip((device.gyro, device.accel), walked, strict=True)
         )
-        made, first = _simulated(leg[0], profile, replace(device, gyro=gyro, accel=accel), settings.power_on_s, rng)
-        walked = (walked[0] + made.gyro.of("random_walk")[-1], walked[1] + made.accel.of("random_walk")[-1])
+        simulated, first = _simulated(
+            leg[0], profile, replace(device, gyro=gyro, accel=accel), settings.power_on_s, rng
+        )
+        walked = (walked[0] + simulated.gyro.of("random_walk")[-1], walked[1] + simulated.accel.of("random_walk")[-1])
         ended_s = float(time[-1])
-        shown = thermometer.shown(np.interp(made.true_time, profile.time, felt), draw_streams(rng).of("thermometer"))
-        record = replace(made.record, temp_c=None if settings.drop_temperature else shown)
+        temp_readings = thermometer.shown(
+            np.interp(simulated.true_time, profile.time, sensor_temp_c), draw_streams(rng).of("thermometer")
+        )
+        record = replace(simulated.record, temp_c=None if settings.drop_temperature else temp_readings)
         recording, offset = (0, sum(map(len, records))) if settings.one_record else (len(records), 0)
-        for labels, found in ((leg[0].stills, stills), (leg[0].turns, turns)):
-            found += _labels(labels, leg, made.true_time[first:], recording, offset, settings)
+        for labels, entries in ((leg[0].stills, stills), (leg[0].turns, turns)):
+            entries += _labels(labels, leg, simulated.true_time[first:], recording, offset, settings)
         records.append(record.part(first, len(record)))
     if not settings.one_record:
         return tuple(records), tuple(stills), tuple(turns)
@@ -428,8 +432,8 @@ def _simulated(
         motion = after_rest(motion, np.arange(count, 0, -1) * step_s)
         temp_c = np.concatenate((turns, np.full(count - len(turns), temp_c[0]), temp_c))
     age_s = power_on_s + float(motion.time[0])
-    made = simulate_device(replace(device, thermometer=PLAIN), motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
-    return made, int(np.searchsorted(made.true_time, start_s - 1e-3 * step_s))
+    simulated = simulate_device(replace(device, thermometer=PLAIN), motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
+    return simulated, int(np.searchsorted(simulated.true_time, start_s - 1e-3 * step_s))
 
 
 def _walked_on(device: DeviceModel, walked: Walks, gap_s: float, rng: np.random.Generator) -> Walks:

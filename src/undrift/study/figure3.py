@@ -115,7 +115,7 @@ def figure3(
     unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = False
 ) -> Figure3:
     """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks."""
-    held = unit or preset("enc03j_3031")
+    chosen_unit = unit or preset("enc03j_3031")
     person = np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     worn = performed, see(performed, rng=person, settings=OPTICS)
@@ -124,7 +124,7 @@ def figure3(
         rngs = (np.random.default_rng([seed, stream, part]) for part in range(2))
         return _judged(device, worn, *rngs, excursion_k=excursion_k, back=back)
 
-    return _figure(judged(actual_device(held, ()), 1), judged(actual_device(held), 2), excursion_k)
+    return _figure(judged(actual_device(chosen_unit, ()), 1), judged(actual_device(chosen_unit), 2), excursion_k)
 
 
 def _judged(
@@ -161,19 +161,19 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
         name: np.array([trial.error.pitch[inside] for trial in trials]) / RADIAN_PER_DEGREE
         for name, trials in (("simulated", simulated), ("actual", actual))
     }
-    apart = {"simulated_actual": errors["actual"] - errors["simulated"]}
-    seen = np.isfinite(apart["simulated_actual"]).all(axis=0)
+    difference = {"simulated_actual": errors["actual"] - errors["simulated"]}
+    valid = np.isfinite(difference["simulated_actual"]).all(axis=0)
     return Figure3(
         time=full.time[inside] - start_s,
         reference_pitch=full.reference_pitch[inside] / RADIAN_PER_DEGREE,
         lag_ms=(1e3 * model.lag.seconds, 1e3 * full.lag.seconds),
         excursion_k=excursion_k,
         correlation=np.array(
-            [np.corrcoef(*pair)[0, 1] for pair in zip(*(x[:, seen] for x in errors.values()), strict=True)]
+            [np.corrcoef(*pair)[0, 1] for pair in zip(*(x[:, valid] for x in errors.values()), strict=True)]
         ),
         **errors,
         **{f"{name}_rms_deg": np.sqrt(np.nanmean(x**2, axis=-1)) for name, x in errors.items()},
-        **{f"{name}_max_deg": np.nanmax(np.abs(x), axis=-1) for name, x in (errors | apart).items()},
+        **{f"{name}_max_deg": np.nanmax(np.abs(x), axis=-1) for name, x in (errors | difference).items()},
     )
 
 
@@ -224,11 +224,13 @@ def drawn_cohort(
 
 
 def _drawn_row(
-    name: str, simulated: FloatArray, actual: FloatArray, apart: FloatArray, correlation: FloatArray
+    name: str, simulated: FloatArray, actual: FloatArray, difference: FloatArray, correlation: FloatArray
 ) -> DrawnRow:
     """Summarise a level of ``COMPARED`` over U units, from arrays (U,)."""
     count = len(actual)
-    of_errors, of_actual, of_apart = (_quartiles(x) for x in (simulated, actual, apart))
+    simulated_quartiles, actual_quartiles, difference_quartiles = (
+        _quartiles(x) for x in (simulated, actual, difference)
+    )
     (middle, (low, high)), largest = mean_interval(np.arctanh(correlation)), float(np.corrcoef(simulated, actual)[0, 1])
     ends = np.full(2, np.nan)  # not defined for two or three units
     if count > 3:
@@ -236,12 +238,12 @@ def _drawn_row(
     return DrawnRow(
         correction=name,
         units=count,
-        lower_deg=of_actual[0],
-        median_deg=of_actual[1],
-        upper_deg=of_actual[2],
-        simulated_deg=of_errors,
-        apart_deg=of_apart,
-        within=int((apart <= NOTE_DIFFERENCE_DEG).sum()),
+        lower_deg=actual_quartiles[0],
+        median_deg=actual_quartiles[1],
+        upper_deg=actual_quartiles[2],
+        simulated_deg=simulated_quartiles,
+        apart_deg=difference_quartiles,
+        within=int((difference <= NOTE_DIFFERENCE_DEG).sum()),
         correlation=float(np.tanh(middle)),
         correlation_interval=(float(np.tanh(low)), float(np.tanh(high))),
         largest_correlation=largest,
@@ -263,8 +265,10 @@ def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> Float
     worn = performed, see(performed, rng=person, settings=OPTICS)
     actual = _judged(actual_device(unit), worn, *noise[:2], excursion_k=excursion_k)
     simulated = _judged(actual_device(unit, ()), worn, *noise[2:], excursion_k=excursion_k)
-    found = _figure(simulated, actual, excursion_k)
-    return np.array((found.simulated_max_deg, found.actual_max_deg, found.simulated_actual_max_deg, found.correlation))
+    figure = _figure(simulated, actual, excursion_k)
+    return np.array(
+        (figure.simulated_max_deg, figure.actual_max_deg, figure.simulated_actual_max_deg, figure.correlation)
+    )
 
 
 # ---- what calibrates and wears a device

@@ -107,10 +107,10 @@ class StudyOutcome:
 
 def errors_of(runs: Sequence[Run], task: str, session: str, timing: Timing, role: str = "session") -> FloatArray:
     """Return the rms error of each subject, (n,) deg, NaN for a device that was not calibrated."""
-    own = sorted(
+    task_runs = sorted(
         (run for run in runs if (run.task, run.session, run.role) == (task, session, role)), key=lambda run: run.subject
     )
-    return np.array([run.rms_deg if timing == "aligned" else run.real_time_deg for run in own])
+    return np.array([run.rms_deg if timing == "aligned" else run.real_time_deg for run in task_runs])
 
 
 def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[SessionErrors, ...]:
@@ -148,8 +148,8 @@ def find_answers(study: Study, rows: Sequence[Sequence[SessionErrors]]) -> tuple
     for target in study.target_deg:
         name = ""
         for row in rows[0]:
-            others = [other for task in rows for other in task if other.session.name == row.session.name]
-            if all(other.quantile_deg <= target for other in others):
+            session_rows = [other for task in rows for other in task if other.session.name == row.session.name]
+            if all(other.quantile_deg <= target for other in session_rows):
                 name = row.session.name
                 break
         answers.append(Answer(target_deg=target, session=name))
@@ -177,8 +177,8 @@ def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tupl
                 anova = repeated_measures_anova(table)
             except InputError:
                 anova = None
-        own = getattr(task.around, parameter)
-        place = [value for value, _ in values].index(own)
+        default = getattr(task.around, parameter)
+        place = [value for value, _ in values].index(default)
         differences = tuple(
             decide_between(table[:, k], table[:, place], margin=study.margin_deg, tests=len(values) - 1)
             for k in range(len(values))
@@ -187,7 +187,7 @@ def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tupl
         effects.append(
             ParameterEffect(
                 parameter=parameter, values=tuple(value for value, _ in values), means_deg=tuple(table.mean(axis=0).tolist()),
-                own=own, anova=anova, p_holm=float("nan"), differences=differences,
+                own=default, anova=anova, p_holm=float("nan"), differences=differences,
             )
         )  # fmt: skip
     tested = [effect for effect in effects if effect.anova is not None]
@@ -212,14 +212,14 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
         rows = judge_sessions(study, runs, task)
         effects = judge_parameters(study, runs, task)
         tasks.append(TaskOutcome(task=task, sessions=rows, answers=find_answers(study, [rows]), effects=effects))
-    by_rise = dict[tuple[float, str, str], list[float]]()
+    results_by_rise = dict[tuple[float, str, str], list[float]]()
     for run in runs:
         if run.role == "sensitivity":
             rise = run.excursion_k if run.excursion_k in _STATED_RISES else float("inf")
-            by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
+            results_by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
     sensitivity = tuple(
         (rise, offset, name, float(np.quantile(errors, QUANTILE, method="weibull")))
-        for (rise, offset, name), errors in sorted(by_rise.items())
+        for (rise, offset, name), errors in sorted(results_by_rise.items())
     )
     return StudyOutcome(
         study=study,
@@ -265,9 +265,9 @@ def _breakdown(outcome: StudyOutcome, effects: Sequence[Run], task: TaskOutcome)
     rows = []
     for effect in EFFECTS:
         without = errors_of(effects, key, name, timing, effect)
-        whole = errors_of(outcome.runs, key, name, timing)[: len(without)]
-        both = np.isfinite(without) & np.isfinite(whole)
+        complete = errors_of(outcome.runs, key, name, timing)[: len(without)]
+        both = np.isfinite(without) & np.isfinite(complete)
         if both.any():
-            mean_square = float((whole[both] ** 2).mean())
+            mean_square = float((complete[both] ** 2).mean())
             rows.append((effect, 1.0 - float((without[both] ** 2).mean()) / mean_square))
     return tuple(rows)

@@ -103,8 +103,8 @@ class StudyTask:
         if self.around is None:
             return
         for parameter, values in self.values:
-            own = getattr(self.around, parameter)
-            for value in sorted({own, *values}):
+            default = getattr(self.around, parameter)
+            for value in sorted({default, *values}):
                 yield parameter, value, replace(self.around, **{parameter: value})
 
 
@@ -180,8 +180,8 @@ def with_categories(study: Study, categories: Sequence[str]) -> Study:
         )
     tasks = list[StudyTask]()
     for task in {task.name: task for task in study.tasks}.values():
-        drawn = task.motion is None and task.name != "free"
-        tasks += [replace(task, category=category) for category in categories] if drawn else [task]
+        is_simulated = task.motion is None and task.name != "free"
+        tasks += [replace(task, category=category) for category in categories] if is_simulated else [task]
     return replace(study, tasks=tuple(tasks))
 
 
@@ -276,8 +276,8 @@ def _complete(tree: dict[str, Any]) -> dict[str, Any]:
     if isinstance(lab, dict) and all(isinstance(table, dict) for table in lab.values()):
         tree = tree | {"category": {name: category_tree(name, table) for name, table in lab.items()}}
     if isinstance(study, dict):
-        stated: Any = study.get("bench", {})
-        bench = tree_of(NOTE_BENCH) | stated if isinstance(stated, dict) else stated
+        bench_table: Any = study.get("bench", {})
+        bench = tree_of(NOTE_BENCH) | bench_table if isinstance(bench_table, dict) else bench_table
         tree = tree | {"study": study | {"bench": bench}}
     return tree
 
@@ -306,7 +306,7 @@ def read_study(path: str | Path) -> Study:
                 raise InputError(f"device: expected one of {known}, or a device.json, got '{head.device}'.")
             text = json.dumps(device_json(read_device(folder / head.device)), sort_keys=True)
             frame |= {"device": Path(head.device).stem, "worn": text}
-        own = [
+        custom_sessions = [
             CalibrationSession(name=entry.name, kind="table", protocol=read_protocol(folder / entry.protocol))
             for entry in file.session
         ]
@@ -315,7 +315,7 @@ def read_study(path: str | Path) -> Study:
             raise InputError(
                 f"sessions: expected some of {', '.join(SESSIONS)}, got '{unknown[0]}'. Name a protocol in [[session]]."
             )
-        sessions = (*(SESSIONS[name] for name in head.sessions), *own)
+        sessions = (*(SESSIONS[name] for name in head.sessions), *custom_sessions)
         plain = [_task(entry, folder) for entry in file.task]
         lab = tuple(file.category.items())
         study = Study(**frame, tasks=tuple(plain), sessions=sessions, lab=lab)

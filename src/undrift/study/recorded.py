@@ -152,12 +152,12 @@ class RecordedTask:
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
         if self.held_s == 0.0:
             return motion
-        held = rest_of(motion, self.spline.at(np.array([start]), gravity_m_s2).q_nb)
-        held |= {"moving": np.zeros(1), "valid": np.ones(1)}
-        kept: dict[str, Any] = {name: np.array(getattr(motion, name)) for name in held}
-        for name, row in held.items():
-            kept[name][time < self.held_s] = row
-        return replace(motion, **kept)
+        rest_values = rest_of(motion, self.spline.at(np.array([start]), gravity_m_s2).q_nb)
+        rest_values |= {"moving": np.zeros(1), "valid": np.ones(1)}
+        values: dict[str, Any] = {name: np.array(getattr(motion, name)) for name in rest_values}
+        for name, row in rest_values.items():
+            values[name][time < self.held_s] = row
+        return replace(motion, **values)
 
 
 def rest_of(motion: Motion, q_nb: FloatArray) -> dict[str, FloatArray]:

@@ -100,7 +100,7 @@ class Run:
 def perform(study: Study, task: StudyTask, number: int) -> list[Task | RecordedTask]:
     """Return the trials that a subject performs: one drawn, or all recordings of a person."""
     if task.motion is not None:
-        return [read_motion(own) for own in task.motion.of(number)]
+        return [read_motion(motion) for motion in task.motion.of(number)]
     people = cohort(
         study.group, rng=stream(study.seed, "cohort", study.group, number // 30), category=study.kind(task.category)
     )
@@ -136,10 +136,10 @@ class _Device:
         how: dict[str, Any] = {"errors": study.bench, "streams": streams, "fit": study.fit}
         if session.by_means and session.protocol:
             return calibrate_by_means(session.protocol, device, **how)
-        part = session.at_one_temperature
-        if part not in self._before_soaks:
-            self._before_soaks[part] = calibrate_before_soaks(part, device, **how)
-        return add_tables(session, self._before_soaks[part], device, **how)
+        stage = session.at_one_temperature
+        if stage not in self._before_soaks:
+            self._before_soaks[stage] = calibrate_before_soaks(stage, device, **how)
+        return add_tables(session, self._before_soaks[stage], device, **how)
 
     def perform(self, task: StudyTask) -> list[Task | RecordedTask]:
         """Return the trials of the device's person."""
@@ -207,22 +207,22 @@ def run_device(study: Study, number: int) -> list[Run]:
 def run_effects(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
     """Run one device again with one kind of error switched off at a time, for chosen pairs of task and session."""
     runs = list[Run]()
-    by_name = {session.name: session for session in study.sessions}
+    sessions_by_name = {session.name: session for session in study.sessions}
     for effect in EFFECTS:
         device = _Device(study, number, effect)
         for task in study.tasks:
             for key, name in chosen:
                 if key == task.key:
-                    runs += device.runs(task, (by_name[name],), effect)
+                    runs += device.runs(task, (sessions_by_name[name],), effect)
     return runs
 
 
 def run_chosen(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
     """Run one device of the other group by chosen sessions only."""
     device, runs = _Device(study, number), list[Run]()
-    by_name = {session.name: session for session in study.sessions}
+    sessions_by_name = {session.name: session for session in study.sessions}
     for task in study.tasks:
-        sessions = [by_name[name] for key, name in dict.fromkeys(chosen) if key == task.key]
+        sessions = [sessions_by_name[name] for key, name in dict.fromkeys(chosen) if key == task.key]
         runs += device.runs(task, sessions, "testing")
     return runs
 
@@ -252,10 +252,10 @@ def run_study(
 
 
 def _is_narrow(study: Study, runs: list[Run]) -> bool:
-    by_cell = dict[tuple[str, str], list[float]]()
+    cells = dict[tuple[str, str], list[float]]()
     for run in runs:
         if run.role == "session" and np.isfinite(run.rms_deg):
-            by_cell.setdefault((run.task, run.session), []).append(run.rms_deg)
-    best = [min((v for k, v in by_cell.items() if k[0] == task.key), key=np.mean, default=[]) for task in study.tasks]
+            cells.setdefault((run.task, run.session), []).append(run.rms_deg)
+    best = [min((v for k, v in cells.items() if k[0] == task.key), key=np.mean, default=[]) for task in study.tasks]
     ends = [mean_interval(np.array(values))[1] for values in best]
     return all(high - low <= 0.5 * study.margin_deg for low, high in ends)

@@ -239,8 +239,8 @@ def calibrate_by_means(
     protocol: Protocol, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
 ) -> Calibration:
     """Fit a session at room temperature with dwells simulated as means (sim/table_sessions.py). Dwells share their errors."""
-    laid = lay_out(protocol)
-    faces, turns = laid.chosen(FACE), laid.chosen(REST, RATE)
+    layout = lay_out(protocol)
+    faces, turns = layout.chosen(FACE), layout.chosen(REST, RATE)
     size = np.round(np.abs(turns.rate) / KEY_STEP)
     keys = np.unique(size[size > 0.0])
     second = turns.rate < 0.0
@@ -262,8 +262,8 @@ def calibrate_by_means(
     )
     gyro = fit_rate_table(means, mode="paper" if fit == "paper" else "affine").model
     face_normals = streams("faces").standard_normal((6, 3, numbers_of_dwell(device.accel)))
-    at_rest = mean_readings(device, "accel", impose_faces(faces, errors, draws), face_normals, faces.face)
-    face_means = FaceMeans(reading=at_rest, faces=tuple(FACES[face] for face in faces.face), unit=device.accel.unit)
+    rest_mask = mean_readings(device, "accel", impose_faces(faces, errors, draws), face_normals, faces.face)
+    face_means = FaceMeans(reading=rest_mask, faces=tuple(FACES[face] for face in faces.face), unit=device.accel.unit)
     return Calibration(
         device=device.serial,
         reference_temp_c=ROOM_TEMP_C,

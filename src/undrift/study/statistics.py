@@ -36,9 +36,9 @@ def repeated_measures_anova(errors: ArrayLike) -> Anova:
             f"anova: expected three subjects or more in two conditions or more without gaps, got shape {y.shape}."
         )
     n, k = y.shape
-    by_condition, by_subject, grand = y.mean(axis=0), y.mean(axis=1, keepdims=True), y.mean()
-    between = n * float(((by_condition - grand) ** 2).sum())
-    error = float(((y - by_condition - by_subject + grand) ** 2).sum())
+    condition_means, subject_means, grand = y.mean(axis=0), y.mean(axis=1, keepdims=True), y.mean()
+    between = n * float(((condition_means - grand) ** 2).sum())
+    error = float(((y - condition_means - subject_means + grand) ** 2).sum())
     d1, d2 = float(k - 1), float((n - 1) * (k - 1))
     if error <= 1e-24 * max(float(((y - grand) ** 2).sum()), 1e-300):
         raise InputError("anova: the subjects respond all alike. The differences between the conditions are exact.")

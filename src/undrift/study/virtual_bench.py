@@ -189,29 +189,31 @@ class Check(NamedTuple):
 
 def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
     """Compare the fits with the hidden truth, and the errors of the trial with each other."""
-    found, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
+    estimate, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
     tables, summary = fit.drift.calibration.drift, fit.drift.gyro_summary
     if tables is None or tables.static is None or summary is None:
         raise InputError("tables: no offsets over temperature. Run the thermal programme.")
     nodes = tables.static.temp_c
-    seen = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
-    felt = device.thermometer  # settled: from its reading to the temperature of the board
-    board = (nodes[seen] - felt.trim_error_c + 25.0 * felt.slope_error) / (1.0 + felt.slope_error) - felt.self_heating_c
+    covered = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
+    thermometer = device.thermometer  # settled: from its reading to the temperature of the board
+    board = (nodes[covered] - thermometer.trim_error_c + 25.0 * thermometer.slope_error) / (
+        1.0 + thermometer.slope_error
+    ) - thermometer.self_heating_c
     warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
     rows = []
-    for name, one, other in (("accelerometers", found.accel, true.accel), ("gyroscopes", found.gyro, true.gyro)):
+    for name, one, other in (("accelerometers", estimate.accel, true.accel), ("gyroscopes", estimate.gyro, true.gyro)):
         if one is None or other is None:
             raise InputError("matrix: the matrix of a triad is missing. Record faces and rates.")
         text = f"{name}: matrix against the true one, largest element (1)"
         rows.append(Check(text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
-    gyro = _offset_apart(found.gyro, tables, warm, seen) / RADIAN_PER_DEGREE
-    accel = _offset_apart(found.accel, tables, warm, seen) / STANDARD_GRAVITY * 1e3
+    gyro = _offset_apart(estimate.gyro, tables, warm, covered) / RADIAN_PER_DEGREE
+    accel = _offset_apart(estimate.accel, tables, warm, covered) / STANDARD_GRAVITY * 1e3
     rows.append(Check("gyroscopes: offset over temperature, largest error (deg/s)", gyro, GYRO_LIMIT_DPS))
     rows.append(Check("accelerometers: offset over temperature, largest error (mg)", accel, ACCEL_LIMIT_MG))
     scale, hidden = tables.scale, None if warm.scale is None else warm.scale.gyro_matrix
     if scale is not None and scale.gyro_matrix is not None and hidden is not None:
-        apart = max(_apart(one, other) for one, other in zip(scale.gyro_matrix[seen], hidden, strict=True))
-        rows.append(Check("gyroscopes: matrix over temperature, largest element (1)", apart, WARM_MATRIX_LIMIT))
+        difference = max(_apart(one, other) for one, other in zip(scale.gyro_matrix[covered], hidden, strict=True))
+        rows.append(Check("gyroscopes: matrix over temperature, largest element (1)", difference, WARM_MATRIX_LIMIT))
     none, static, full = (trial.figures for trial in trials[:3])
     largest, what = none.max_abs_pitch_deg, "worn sit-to-stand, pitch against the optics"
     rows.append(Check(f"{what}, largest error, static table (deg)", static.max_abs_pitch_deg, STATIC_SHARE * largest))
@@ -220,15 +222,15 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     return tuple(rows)
 
 
-def _offset_apart(triad: TriadModel | None, found: DriftTables, true: DriftTables, seen: BoolArray) -> float:
+def _offset_apart(triad: TriadModel | None, estimate: DriftTables, true: DriftTables, covered: BoolArray) -> float:
     """Return the largest error of an offset table, in the unit of the triad's output."""
     name = "gyro_offset" if triad is not None and triad.unit_out == "rad/s" else "accel_offset"
-    table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (found, true))
+    table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (estimate, true))
     if triad is None or table is None or hidden is None:
         raise InputError(f"tables: no {name} over temperature. Run the thermal programme.")
-    return float(np.abs((table[seen] - hidden) @ triad.matrix.T).max())
+    return float(np.abs((table[covered] - hidden) @ triad.matrix.T).max())
 
 
-def _apart(found: FloatArray, true: FloatArray) -> float:
+def _apart(estimate: FloatArray, true: FloatArray) -> float:
     """Return the largest element of M_found M_true^-1 - I."""
-    return float(np.abs(found @ np.linalg.inv(true) - np.eye(3)).max())
+    return float(np.abs(estimate @ np.linalg.inv(true) - np.eye(3)).max())

@@ -171,9 +171,9 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
             np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
             np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
         )
-        table, kept = low_passed(np.concatenate(columns, axis=2).reshape(-1, 51), cutoff_hz, rate)
-        tables.append(table.reshape(len(kept), 3, 17))
-        times.append(match.record.time[rows][kept])
+        table, keep_mask = low_passed(np.concatenate(columns, axis=2).reshape(-1, 51), cutoff_hz, rate)
+        tables.append(table.reshape(len(keep_mask), 3, 17))
+        times.append(match.record.time[rows][keep_mask])
     if not tables:
         raise NotObservable("accel fit: no second of motion has poses throughout. Record longer motion.")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)

@@ -338,8 +338,8 @@ def _adc_parameters(record: Record, adc: AdcModel | None) -> tuple[dict[str, flo
             continue
         steps[name] = float(codes.lsb.mean())
         rows.append(known(f"{name}_lsb", steps[name], float(codes.lsb.std()), unit))
-        of_device = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
-        rounding = of_device or codes.rounding
+        adc_rounding = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
+        rounding = adc_rounding or codes.rounding
         word = f"{name}_rounding"
         rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", codes.reason))
     return steps, rows

@@ -144,7 +144,7 @@ def _window(tracks: Sequence[FloatArray], q_nb: FloatArray, first: int, points: 
         for q in tracks
     )
     vertical = rotate(quaternion_conjugate(simulated), np.array([0.0, 0.0, 1.0]))
-    in_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
-    pitch = np.abs(wrapped(sagittal_pitch(real) - sagittal_pitch(simulated)))[in_plane]
+    near_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
+    pitch = np.abs(wrapped(sagittal_pitch(real) - sagittal_pitch(simulated)))[near_plane]
     turn = rotation_vector(quaternion_product(quaternion_conjugate(simulated[-1]), real[-1]))
     return np.concatenate(([np.nanmax(pitch) if np.isfinite(pitch).any() else np.nan], np.abs(turn)))

@@ -105,11 +105,11 @@ def _table(ratings: FloatArray) -> FloatArray:
 def _mean_squares(table: FloatArray) -> tuple[float, float, float]:
     n, k = table.shape
     mean = table.mean()
-    of_rows, of_columns = table.mean(axis=1), table.mean(axis=0)
-    rest = table - of_rows[:, None] - of_columns + mean
+    row_effects, column_effects = table.mean(axis=1), table.mean(axis=0)
+    rest = table - row_effects[:, None] - column_effects + mean
     return (
-        float(k * ((of_rows - mean) ** 2).sum() / (n - 1)),
-        float(n * ((of_columns - mean) ** 2).sum() / (k - 1)),
+        float(k * ((row_effects - mean) ** 2).sum() / (n - 1)),
+        float(n * ((column_effects - mean) ** 2).sum() / (k - 1)),
         float((rest**2).sum() / ((n - 1) * (k - 1))),
     )
 
@@ -187,7 +187,7 @@ def decide_between(
     better, equivalent, worse = (
         min(tests * p, 1.0) for p in three_sided(mean, uncertainty, len(errors) - 1, margin=margin)
     )
-    by_verdict: dict[Verdict95, float] = {"better": better, "equivalent": equivalent, "worse": worse}
+    verdicts: dict[Verdict95, float] = {"better": better, "equivalent": equivalent, "worse": worse}
     return PairedDifference(
         difference=mean,
         interval=interval,
@@ -195,7 +195,7 @@ def decide_between(
         p_better=better,
         p_equivalent=equivalent,
         p_worse=worse,
-        verdict=next((name for name, p in by_verdict.items() if p <= level), "not decidable"),
+        verdict=next((name for name, p in verdicts.items() if p <= level), "not decidable"),
     )
 
 
@@ -235,11 +235,11 @@ class Validation(Shown):
         pairs = [(t.expected, t.figures) for t in self.trials if t.expected is not None]
         if not pairs:
             return None
-        ends = [s.end_total_deg <= made.end_at_most_deg for made, s in pairs if np.isfinite(s.end_total_deg)]
-        totals = [seen.rmse_total_deg <= made.rmse_at_most_deg for made, seen in pairs]
-        of_rmse = {"rmse_inside": sum(totals), "rmse_above": len(totals) - sum(totals)}
-        of_ends = {"ends": len(ends), "end_inside": sum(ends), "end_above": len(ends) - sum(ends)}
-        return Coverage(trials=len(pairs), **of_rmse, **of_ends)
+        ends = [s.end_total_deg <= expected.end_at_most_deg for expected, s in pairs if np.isfinite(s.end_total_deg)]
+        totals = [figures.rmse_total_deg <= expected.rmse_at_most_deg for expected, figures in pairs]
+        rmse_counts = {"rmse_inside": sum(totals), "rmse_above": len(totals) - sum(totals)}
+        end_counts = {"ends": len(ends), "end_inside": sum(ends), "end_above": len(ends) - sum(ends)}
+        return Coverage(trials=len(pairs), **rmse_counts, **end_counts)
 
     def _rows(self) -> dict[str, str]:
         each = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
@@ -348,18 +348,18 @@ def validate_leave_one_out(
         pairs, settings=settings, fit_settings=fit_settings, progress=lambda what, share: progress(what, _FITS * share)
     )
     progress("integrating each recording by the fit to the others", _FITS)
-    of_each = replace(settings, offset="motion" if settings.offset == "motion" else "none")
+    fit_settings = replace(settings, offset="motion" if settings.offset == "motion" else "none")
     if fit_settings.mounting == "each":
-        of_each = replace(of_each, align_above=min(settings.align_above, MOUNTING_ABOVE))
+        fit_settings = replace(fit_settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     called = list(names) or [""] * len(pairs)
     source = OffsetSource(
-        rest="shown" if of_each.offset == "motion" else "own",
+        rest="shown" if fit_settings.offset == "motion" else "own",
         in_motion=True,
         recordings=len(pairs) - 1,
     )
     apart, trials = _told_apart(fits), list[Trial]()
-    for pair, made, name in zip(pairs, calibrations, called, strict=True):
-        trial = validate_trial(*pair, calibration=made, settings=of_each, name=name, source=source)
+    for pair, calibration, name in zip(pairs, calibrations, called, strict=True):
+        trial = validate_trial(*pair, calibration=calibration, settings=fit_settings, name=name, source=source)
         trials.append(replace(trial, findings=(*trial.findings, *([apart] if apart else []))))
     return replace(summed(tuple(trials)), held_out=fits)
 
@@ -402,10 +402,10 @@ def _check_different(records: Sequence[Record]) -> None:
             )
 
 
-def _told_apart(held: tuple[HeldOut, ...]) -> Finding | None:
+def _told_apart(folds: tuple[HeldOut, ...]) -> Finding | None:
     """Return a finding where the recordings do not look like one device, by what each reads at rest."""
-    rest = np.array([h.model.offset - h.fit.motion_offset * (h.model.moving_offset is None) for h in held])
-    spread = float(np.linalg.norm(held[0].model.matrix @ (rest.max(axis=0) - rest.min(axis=0)))) / RADIAN_PER_DEGREE
+    rest = np.array([h.model.offset - h.fit.motion_offset * (h.model.moving_offset is None) for h in folds])
+    spread = float(np.linalg.norm(folds[0].model.matrix @ (rest.max(axis=0) - rest.min(axis=0)))) / RADIAN_PER_DEGREE
     return finding("validate.devices_apart", "warn", spread_dps=spread) if spread > ONE_DEVICE_DPS else None
 
 

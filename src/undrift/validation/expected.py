@@ -126,11 +126,11 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.asarray(run.record.gyro), run.record.time, run.q_nb
-    turned = si_factor(model.unit_out, "rate") * run.turned
-    matrix = turned @ model.matrix
+    scaled_rotation = si_factor(model.unit_out, "rate") * run.turned
+    matrix = scaled_rotation @ model.matrix
     force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
-    u, shown = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
-    sign = np.sign(u + model.offset) - np.sign(model.offset) * shown  # subtracting an offset also removes c at rest
+    u, is_shown = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
+    sign = np.sign(u + model.offset) - np.sign(model.offset) * is_shown  # subtracting an offset also removes c at rest
     moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown" or model.moving_offset is not None)
     columns_of = (u, np.ones((len(gyro), 1)), force @ run.turned, moving, sign)
     regressors = np.concatenate(columns_of, axis=1)
@@ -152,12 +152,12 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
         kind, _, where = name.partition("_")
         row, last = "xyz".index(where[0]), "xyz".index(where[-1])
         if kind == "offset":
-            columns.append(-steady @ matrix[:, row] * (not shown))
+            columns.append(-steady @ matrix[:, row] * (not is_shown))
         elif kind == "code":
             columns.append(sums[..., 8 + row] @ matrix[:, row])
         else:
             place = {"m": last, "g": 4 + last, "moving": 7}[kind]
-            columns.append(sums[..., place] @ turned[:, row] * (1.0 if kind == "m" else -1.0))
+            columns.append(sums[..., place] @ scaled_rotation[:, row] * (1.0 if kind == "m" else -1.0))
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
     gain = np.concatenate((np.stack(columns, axis=2), steady, start, moved), axis=2)
@@ -173,8 +173,8 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
     day = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
     if moving and source.rest == "shown":  # the prior's share of d is among the model's own
-        kept = day / run.offset_prior * axis_moved_by(model) / run.offset_prior
-        day = day - kept @ kept.T
+        reduction = day / run.offset_prior * axis_moved_by(model) / run.offset_prior
+        day = day - reduction @ reduction.T
     extra = (
         np.full(3, change * (not moving and source.rest != "shown")),
         np.array([run.tilt**2, run.tilt**2, prior.pose**2]),

@@ -228,16 +228,16 @@ def judge_levels(
         progress(f"level of correction: {level.name}", number / len(steps))
         actual, simulated = list[Trial | str](), list[Trial | str]()
         for trial in trials:
-            own = replace(
+            trial_settings = replace(
                 settings,
                 method=method,
                 mounting=trial.mounting,
                 align="level" if trial.cluster else settings.align,
             )
             step = replace(level, offset="none") if trial.left_out and level.offset == "rest" else level
-            actual.append(judge_level(step, trial.record, trial.reference, trial.calibration, own))
+            actual.append(judge_level(step, trial.record, trial.reference, trial.calibration, trial_settings))
             pair = trial.simulated
-            simulated.append("" if pair is None else judge_level(step, *pair, trial.calibration, own))
+            simulated.append("" if pair is None else judge_level(step, *pair, trial.calibration, trial_settings))
         judged.append((level, method, actual, simulated))
     figures = [trial.figures for *_, actual, _ in judged for trial in actual if isinstance(trial, Trial)]
     if not figures:
@@ -319,8 +319,8 @@ def _difference_deg(actual: Trial | str, simulated: Trial | str, quantity: str) 
     if isinstance(actual, str) or isinstance(simulated, str):
         return float("nan")
     other = np.interp(actual.time, simulated.time, getattr(simulated.error, quantity))
-    apart = np.abs(getattr(actual.error, quantity) - other)[actual.moving > 0.0]
-    return float(np.nanmax(apart)) / RADIAN_PER_DEGREE
+    difference = np.abs(getattr(actual.error, quantity) - other)[actual.moving > 0.0]
+    return float(np.nanmax(difference)) / RADIAN_PER_DEGREE
 
 
 # ---- summaries over people
@@ -356,8 +356,8 @@ def _summary(
 ) -> LevelSummary:
     people = np.array([trial.person or f"\0{number}" for number, trial in enumerate(trials)])
     judged = inside & np.isfinite(row.error_deg)
-    by_person = _means_by_person(row.error_deg, judged, people)
-    mean, interval = mean_interval(by_person)
+    person_means = _means_by_person(row.error_deg, judged, people)
+    mean, interval = mean_interval(person_means)
     decision = None
     if previous is not None:
         both = judged & np.isfinite(previous.error_deg)
@@ -374,7 +374,7 @@ def _summary(
         level=row.level,
         method=row.method,
         trials=int(judged.sum()),
-        people=len(by_person),
+        people=len(person_means),
         mean_deg=mean,
         interval_deg=interval,
         median_deg=float(np.median(row.error_deg[judged])) if judged.any() else float("nan"),
@@ -417,9 +417,9 @@ def simulate_trial_of(
     shifted = time - (done.lag.seconds - 0.5 / done.record.sample_rate_hz)
     motion = fit_pose_spline(poses, cutoffs).at(shifted, calibration.gravity_m_s2)
     inside = (time >= span.start_s) & (time < span.stop_s)
-    seen = motion.valid > 0.0
-    first = int(np.argmax(seen & inside))
-    rate = np.nan_to_num(np.where(seen[:, None], motion.mean_rate_b, done.gyro @ mounting.T)) * inside[:, None]
+    is_known = motion.valid > 0.0
+    first = int(np.argmax(is_known & inside))
+    rate = np.nan_to_num(np.where(is_known[:, None], motion.mean_rate_b, done.gyro @ mounting.T)) * inside[:, None]
     rate[: first + 1] = 0.0
     q_nb = integrate_strapdown(rate, time, motion.q_nb[first])
     force_n = rotate(motion.q_nb, motion.force_b)

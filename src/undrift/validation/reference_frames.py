@@ -42,8 +42,8 @@ def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatA
 def rate_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
     """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3)."""
     u, w = common_rates(record, poses, lag_s)
-    left, _, right = np.linalg.svd(w.T @ u)
-    rotation = left @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right)))) @ right
+    left_vectors, _, right = np.linalg.svd(w.T @ u)
+    rotation = left_vectors @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left_vectors @ right)))) @ right
     total = float((w**2).sum() + (u**2).sum()) / 2.0
     if not len(w) or math.sqrt(total / len(w)) < LEAST_RATE:
         raise AlignmentError("reference: too little motion to compare rates. Record more motion.")
@@ -59,12 +59,12 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     except AlignmentError:
         return ()
     if share > LEFT_OVER:
-        others = {
+        candidates = {
             "its quaternions turn level to body, not body to level": quaternion_conjugate(poses.q_nb),
             "its quaternions are x-y-z-w, not w-x-y-z": np.roll(poses.q_nb, 1, axis=1),
         }
         shares = {
-            text: rate_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0] for text, q in others.items()
+            text: rate_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0] for text, q in candidates.items()
         }
         texts = [text for text in sorted(shares, key=lambda one: shares[one]) if shares[text] < EXPLAINED]
         if texts:
@@ -77,11 +77,11 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
     """Check that the mean specific force in n is gravity, up."""
     if record.accel is None:
         return ()
-    seen = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
-    times = poses.time[seen] + lag_s
+    visible = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
+    times = poses.time[visible] + lag_s
     force = interpolated(times, record.time, record.accel)
     sound = np.isfinite(force).all(axis=1)
-    up = rotate(poses.q_nb[seen][sound], force[sound] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
+    up = rotate(poses.q_nb[visible][sound], force[sound] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
     length = float(np.linalg.norm(up))
     angle = math.acos(float(np.clip(up[2] / max(length, 1e-9), -1.0, 1.0)))
     if not LENGTH[0] < length < LENGTH[1] or angle < TILTED:

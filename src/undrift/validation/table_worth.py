@@ -82,7 +82,7 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> T
     if drift.scale is not None and drift.scale.gyro_matrix is not None:
         matrix = interpolated(temp_c, drift.scale.temp_c, drift.scale.gyro_matrix)
     moved = interpolated(temp_c, static.temp_c, static.gyro_offset) - offset
-    at_rest = si_factor(gyro.unit_out, "rate") * gyro.matrix @ moved
+    rest_rate = si_factor(gyro.unit_out, "rate") * gyro.matrix @ moved
     gain, rate = np.diag(gyro.matrix @ np.linalg.inv(matrix)), _rate()
     constant, rest = 0.0, 0.0
     for axis in range(3):
@@ -91,7 +91,7 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> T
             errors = interpolated(temp_c, drift.dynamic.temp_c, drift.dynamic.error)[:, axis]
             dynamic = np.interp(rate, drift.dynamic.turn_rate, errors) - np.interp(0.0, drift.dynamic.turn_rate, errors)
         turning = gain[axis] * (rate + dynamic) - rate
-        constant, rest = max(constant, _largest(turning + at_rest[axis])), max(rest, _largest(turning))
+        constant, rest = max(constant, _largest(turning + rest_rate[axis])), max(rest, _largest(turning))
     tables, both = _uncertainty(calibration, temp_c, rest_variance)
     return TableWorth(
         temp_c=temp_c,
@@ -135,8 +135,11 @@ def _uncertainty(calibration: Calibration, temp_c: float, rest_variance: FloatAr
         )
         turning = turning + (LEAN * share) ** 2
     if dynamic is not None and dynamic.uncertainty is not None:
-        of_rate = interpolated(temp_c, dynamic.temp_c, dynamic.uncertainty)
+        dynamic_uncertainty = interpolated(temp_c, dynamic.temp_c, dynamic.uncertainty)
         inside = np.abs(dynamic.turn_rate) <= np.abs(_rate()).max()
-        turning = turning + (MOTION_S * np.median(of_rate[inside] if inside.any() else of_rate, axis=0)) ** 2
+        turning = (
+            turning
+            + (MOTION_S * np.median(dynamic_uncertainty[inside] if inside.any() else dynamic_uncertainty, axis=0)) ** 2
+        )
     noise = np.nan_to_num(rest_variance) * per_raw**2 * MOTION_S**2
     return (NORMAL_95 * float(np.sqrt(offset**2 + turning).max()), NORMAL_95 * float(np.sqrt(noise + turning).max()))

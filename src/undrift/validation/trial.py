@@ -128,9 +128,9 @@ def track_from_reference(
     check_gaps(gyro, time, "validate")
     q = orientation_at(time, integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0])), reference.time + shift_s)
     start = quaternion_product(reference.q_nb, quaternion_conjugate(q))
-    known: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
-    known &= reference.time < reference.time[int(np.argmax(known))] + START_S
-    return time, integrate_strapdown(gyro, time, _mean_of(start[known]))
+    finite: BoolArray = np.asarray(np.isfinite(start).all(axis=1))
+    finite &= reference.time < reference.time[int(np.argmax(finite))] + START_S
+    return time, integrate_strapdown(gyro, time, _mean_of(start[finite]))
 
 
 def track_filtered(
@@ -299,13 +299,13 @@ def wrapped(angle: FloatArray) -> FloatArray:
 
 def of_known(summary: Callable[[FloatArray], Any], values: FloatArray) -> float:
     """Return a summary of the finite values, or NaN if there are only gaps."""
-    known = values[np.isfinite(values)]
-    return float(summary(known)) if len(known) else float("nan")
+    finite = values[np.isfinite(values)]
+    return float(summary(finite)) if len(finite) else float("nan")
 
 
 def rms(values: FloatArray) -> float:
     """Return the root-mean-square of the finite values."""
-    return of_known(lambda known: np.sqrt((known**2).mean()), values)
+    return of_known(lambda finite: np.sqrt((finite**2).mean()), values)
 
 
 def slope(time: FloatArray, values: FloatArray, chosen: BoolArray) -> float:
@@ -697,8 +697,8 @@ def _start_uncertainty(rest: Record | None, calibration: Calibration, settings: 
         return settings.prior.tilt
     parts = dict(initial_tilt(rest, Still(start=0, stop=len(rest))).parts)
     # recordings that a calibration is judged by share its temperature and time
-    of_start = math.hypot(parts["scatter"], parts.get("calibration", 0.0))
-    return math.hypot(of_start / math.sqrt(2.0), settings.prior.pose)
+    start_error = math.hypot(parts["scatter"], parts.get("calibration", 0.0))
+    return math.hypot(start_error / math.sqrt(2.0), settings.prior.pose)
 
 
 def _in_step(

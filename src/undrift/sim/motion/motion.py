@@ -264,11 +264,11 @@ class UnevenAngle:
     def __call__(self, s: FloatArray) -> FloatArray:
         """Return the angle, or the derivative, at s."""
         w, late = self.turn_rate, np.exp(-np.asarray(s) * self.duration_s / self.settle_s)
-        turned = w * self.duration_s * np.asarray(s)
-        wave_at = self.azimuth + turned
+        angle_turned = w * self.duration_s * np.asarray(s)
+        wave_at = self.azimuth + angle_turned
         if self.order == 0:
             ripple = self.ripple * (math.cos(self.azimuth) - np.cos(wave_at))
-            return np.asarray(turned + ripple + w * self.excess * self.settle_s * (1.0 - late))
+            return np.asarray(angle_turned + ripple + w * self.excess * self.settle_s * (1.0 - late))
         if self.order == 1:
             return np.asarray(w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late))
         slope = self.ripple * w * np.cos(wave_at) - self.excess / self.settle_s * late

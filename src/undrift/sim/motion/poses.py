@@ -65,12 +65,12 @@ FEWEST = 12  # smallest number of poses in a stretch, twice the minimum for a qu
 
 
 def find_stretches(
-    time: FloatArray, seen: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
+    time: FloatArray, visible: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
 ) -> list[tuple[IntArray, float, float]]:
     """Return the stretches between long gaps: rows (K,) that were seen, from where to where the motion is known, s."""
-    rows = np.flatnonzero(seen)
+    rows = np.flatnonzero(visible)
     breaks = np.flatnonzero(np.diff(time[rows]) > gap_s * (1.0 + 1e-9)) + 1
-    found = []
+    spans = []
     for piece in np.split(rows, breaks):
         if len(piece) < FEWEST:
             continue
@@ -78,13 +78,13 @@ def find_stretches(
         after = end_trim_s if piece[-1] == len(time) - 1 else trim_s
         start, stop = float(time[piece[0]]) + before, float(time[piece[-1]]) - after
         if stop > start:
-            found.append((piece, start, stop))
-    if not found:
+            spans.append((piece, start, stop))
+    if not spans:
         raise InputError(
             f"poses: no stretch of at least {FEWEST} poses without a gap over {gap_s:g} s is longer than the trimmed part, "
             f"got {len(rows)} valid poses of {len(time)}. Trim less, or record without gaps."
         )
-    return found
+    return spans
 
 
 # ---- Low-pass
@@ -97,14 +97,14 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
     """Return the columns of x low-pass filtered without delay."""
     from scipy.signal import butter, sosfiltfilt
 
-    each = cutoff_hz / (math.sqrt(2.0) - 1.0) ** (0.5 / order)
-    if not 0.0 < each < 0.5 * sample_rate_hz:
-        highest = 0.5 * sample_rate_hz * cutoff_hz / each if cutoff_hz > 0.0 else 0.5 * sample_rate_hz
+    design_hz = cutoff_hz / (math.sqrt(2.0) - 1.0) ** (0.5 / order)
+    if not 0.0 < design_hz < 0.5 * sample_rate_hz:
+        highest = 0.5 * sample_rate_hz * cutoff_hz / design_hz if cutoff_hz > 0.0 else 0.5 * sample_rate_hz
         raise InputError(
             f"low-pass: cut-off must be between 0 and {highest:.3g} Hz at {sample_rate_hz:.6g} samples/s, got {cutoff_hz:g} "
             "Hz. Reduce it, or set None for no filter."
         )
-    sections = butter(order, each, fs=sample_rate_hz, output="sos")
+    sections = butter(order, design_hz, fs=sample_rate_hz, output="sos")
     pad = min(len(x) - 1, math.ceil(_PAD * sample_rate_hz / cutoff_hz))
     return np.ascontiguousarray(sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=pad))
 
@@ -186,12 +186,12 @@ class PoseSpline:
 
 def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings()) -> PoseSpline:
     """Return splines through the poses of a body."""
-    time, seen = reference.time, reference.valid
+    time, visible = reference.time, reference.valid
     if reference.position is not None:
-        seen = seen & np.isfinite(reference.position).all(axis=1)
+        visible = visible & np.isfinite(reference.position).all(axis=1)
     trims = {name: getattr(settings, name) for name in ("gap_s", "trim_s", "end_trim_s")}
     step, pieces = 1.0 / reference.sample_rate_hz, []
-    for rows, start, stop in find_stretches(time, seen, **trims):
+    for rows, start, stop in find_stretches(time, visible, **trims):
         t, position = time[rows], None
         if reference.position is not None:
             position = _smooth(t, reference.position[rows], step, settings.position_cutoff_hz, settings.order)
@@ -259,18 +259,18 @@ def disturbed(
     mount = _small_turn(streams.of("mount").normal(0.0, settings.mount_sd, 3))
     off = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
     noise = _small_turn(off + _slow(streams.of("slow"), len(q_nb), settings) if settings.slow_sd else off)
-    seen = position + streams.of("position").normal(0.0, settings.position_sd, position.shape)
-    return quaternion_product(quaternion_product(q_nb, mount), noise), seen
+    shifted = position + streams.of("position").normal(0.0, settings.position_sd, position.shape)
+    return quaternion_product(quaternion_product(q_nb, mount), noise), shifted
 
 
 def _slow(draw: np.random.Generator, count: int, settings: OpticsSettings) -> FloatArray:
     """Return a first-order Gauss-Markov error, (count, 3) rad."""
     from scipy.signal import lfilter
 
-    kept = np.exp(-1.0 / (settings.slow_s * settings.sample_rate_hz))
+    decay = np.exp(-1.0 / (settings.slow_s * settings.sample_rate_hz))
     drawn = draw.normal(0.0, settings.slow_sd, (count, 3))
-    drawn[1:] *= np.sqrt(1.0 - kept**2)
-    return np.asarray(lfilter([1.0], [1.0, -kept], drawn, axis=0))
+    drawn[1:] *= np.sqrt(1.0 - decay**2)
+    return np.asarray(lfilter([1.0], [1.0, -decay], drawn, axis=0))
 
 
 def _small_turn(rotation_vector: np.ndarray) -> np.ndarray:

@@ -331,17 +331,17 @@ TYPICAL_HEIGHT = 1.665  # between the two groups' means, for performances withou
 
 def table_row(group: Group, category: Kind = DEFAULT) -> TableRow:
     """Return the ages and heights that a cohort is to have."""
-    held = numbers_of(category)
-    if held.age_years is None or held.height is None:
+    numbers = numbers_of(category)
+    if numbers.age_years is None or numbers.height is None:
         return TABLE_2[group]
-    return TableRow(age_years=held.age_years, height=held.height)
+    return TableRow(age_years=numbers.age_years, height=numbers.height)
 
 
 def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) -> tuple[Subject, ...]:
     """Draw the thirty subjects of a group. The same generator gives the same habits in every category."""
-    for got, known in ((group, get_args(Group)), (category, get_args(CategoryName))):
-        if got not in known and not isinstance(got, Category):
-            raise InputError(f"cohort: unknown group or category '{got}'. Use one of {', '.join(known)}.")
+    for got, choices in ((group, get_args(Group)), (category, get_args(CategoryName))):
+        if got not in choices and not isinstance(got, Category):
+            raise InputError(f"cohort: unknown group or category '{got}'. Use one of {', '.join(choices)}.")
     streams, row = draw_streams(rng), table_row(group, category)
     ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
     heights = _spread(row.height, streams.of(f"{group} height")).tolist()
@@ -459,12 +459,12 @@ def _slowness(who: Performance) -> float:
 
 
 def _sit_to_stand(who: Performance, rest_s: float) -> Task:
-    own = who.category
-    duration = who.number("sit_to_stand duration", *own.rise_s) * _slowness(who)
-    flexion = duration * who.number("sit_to_stand peak time", *own.turn)
-    lean = who.number("sit_to_stand lean", *own.flexion_deg) * DEGREE
-    sitting = who.number("sit_to_stand first pitch", *own.sitting_deg) * DEGREE
-    standing = who.number("sit_to_stand last pitch", *own.standing_deg) * DEGREE
+    numbers = who.category
+    duration = who.number("sit_to_stand duration", *numbers.rise_s) * _slowness(who)
+    flexion = duration * who.number("sit_to_stand peak time", *numbers.turn)
+    lean = who.number("sit_to_stand lean", *numbers.flexion_deg) * DEGREE
+    sitting = who.number("sit_to_stand first pitch", *numbers.sitting_deg) * DEGREE
+    standing = who.number("sit_to_stand last pitch", *numbers.standing_deg) * DEGREE
     turn, stop = rest_s + flexion, rest_s + duration + who.draw.uniform(0.5, 1.5)
     off = turn - 0.1  # the seat is left a little before the trunk turns back
     return Task(
@@ -494,10 +494,10 @@ def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: fl
 
 
 def _step(who: Performance, rest_s: float) -> Task:
-    own = who.category
-    duration = who.number("step duration", *own.step_s) * _slowness(who)
-    lean = who.number("step lean", *own.lean_deg) * DEGREE
-    shift = who.number("step roll", *own.roll_deg) * DEGREE * who.draw.choice((-1.0, 1.0))
+    numbers = who.category
+    duration = who.number("step duration", *numbers.step_s) * _slowness(who)
+    lean = who.number("step lean", *numbers.lean_deg) * DEGREE
+    shift = who.number("step roll", *numbers.roll_deg) * DEGREE * who.draw.choice((-1.0, 1.0))
     first, second = rest_s + 0.35 * duration, rest_s + 0.95 * duration  # the two feet come down
     stop = rest_s + duration + 1.0
     side = 0.03 * np.sign(shift)
@@ -510,7 +510,7 @@ def _step(who: Performance, rest_s: float) -> Task:
             ViaPoint(rest_s + 0.5 * duration, 0.22 * duration, 0.28 * duration, -0.7 * shift, 0.7 * shift),
         ),
         pitch=(
-            Step(-2.0, 1.0, who.number("step pitch", *own.standing_deg) * DEGREE),
+            Step(-2.0, 1.0, who.number("step pitch", *numbers.standing_deg) * DEGREE),
             ViaPoint(rest_s, 0.4 * duration, 0.6 * duration, lean, -lean),
             *_settling(who, 0.5, rest_s + 0.5 * duration, stop),
         ),
@@ -540,12 +540,12 @@ def _posturography(who: Performance, rest_s: float) -> Task:
     arm = (
         0.54 * who.height
     )  # [assumed] L5 at 0.58 and ankles at 0.04 of the height (the centre of the body is also there)
-    own = who.category
+    numbers = who.category
     older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
-    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *own.stiffness), noise_s=own.noise_s)
+    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *numbers.stiffness), noise_s=numbers.noise_s)
     pitch, roll, yaw = (
         who.number(f"sway {name}", *spread) * older * DEGREE
-        for name, spread in zip(("pitch", "roll", "yaw"), own.sway_deg, strict=True)
+        for name, spread in zip(("pitch", "roll", "yaw"), numbers.sway_deg, strict=True)
     )
     return Task(
         name="posturography",
@@ -553,7 +553,7 @@ def _posturography(who: Performance, rest_s: float) -> Task:
         moving_s=span,
         roll=(draw_sway(who.draw, balance, rms=roll, span=span),),
         pitch=(
-            Step(-2.0, 1.0, who.number("stance pitch", *own.upright_deg) * DEGREE),
+            Step(-2.0, 1.0, who.number("stance pitch", *numbers.upright_deg) * DEGREE),
             draw_sway(who.draw, balance, rms=pitch, span=span),
         ),
         yaw=(draw_sway(who.draw, balance, rms=yaw, span=span),),
