@@ -1,4 +1,4 @@
-"""A session on a rate table that errs, at room temperature: laid out in time, what is truly imposed, what a device reads.
+"""A session on a rate table with errors, at room temperature: schedule, true motion and readings of a device.
 
 For a dwell at the commanded rate w about the axis e of the case::
 
@@ -6,12 +6,12 @@ For a dwell at the commanded rate w about the axis e of the case::
     read rate   counts of the encoder over the dwell, times 1 - table_rate
     force       g (a + level (c a' + s a''))       c, s the means of cosine and sine of the azimuth over the dwell
 
-The device is mounted once for each axis; a table has one level and one clock.
+The device is mounted once for each axis. A table has one tilt and one clock error.
 
-Mean readings are drawn from their distribution. What is steady over a dwell passes every effect of the chain once; the drift of the
-offset is that of the processes themselves (kernels/device.py). The n readings of a dwell are then a stationary normal series,
-filtered white noise with covariance r_l, and a converter makes codes of it, q = u + e(u), with e the sawtooth of rounding, E_k =
-exp(-2 pi^2 k^2 r_0) and a_k = (-1)^k / (pi k)::
+Mean readings are drawn from their distribution. The steady part of a dwell passes every effect of the chain once. The drift of the
+offset is simulated with the actual processes (kernels/device.py). The n readings of a dwell are then a stationary normal series,
+filtered white noise with covariance r_l. A converter rounds it to codes, q = u + e(u), where e is the sawtooth of rounding. With
+E_k = exp(-2 pi^2 k^2 r_0) and a_k = (-1)^k / (pi k)::
 
     e(u)      = sum_k a_k sin(2 pi k u)                          rounding to nearest, u in codes
     E q       = m + b(m),    b(m) = sum_k a_k E_k sin(2 pi k m)
@@ -20,7 +20,7 @@ exp(-2 pi^2 k^2 r_0) and a_k = (-1)^k / (pi k)::
     cov(e, e) = sum_kj a_k a_j / 2 (c_-(k, j) cos 2 pi (k - j) m - c_+(k, j) cos 2 pi (k + j) m),
     c_-+      = exp(-2 pi^2 (r_0 k^2 + r_0 j^2 -+ 2 r_l k j)) - E_k E_j
 
-The low-pass has settled when a dwell begins; a level beyond the rails or the codes is held there, without its noise's share.
+The low-pass is settled at the start of a dwell. A level beyond the rails or the codes is clipped, without the effect of its noise.
 
 References
 ----------
@@ -94,7 +94,7 @@ def lay_out(protocol: Protocol) -> TableSession:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImposedDwells:
-    """What is truly imposed in N dwells, in the order of time."""
+    """True motion of N dwells, in order of time."""
 
     start_s: Annotated[FloatArray, Shape("n")]  # (N,), begin of each, settled, s since power-on
     duration_s: Annotated[FloatArray, Shape("n")]  # (N,), s
@@ -114,7 +114,7 @@ class ImposedDwells:
 def impose_turns(
     session: TableSession, errors: BenchErrors, draws: BenchDraws, row: IntArray
 ) -> tuple[ImposedDwells, FloatArray]:
-    """Return what rests and rates truly impose, and the rates that the encoder reads (N,); row (N,): number of the draws."""
+    """Return the true motion of rests and rates, and the encoder's rates (N,). `row` (N,) is the number of the draws."""
     axis, length = session.axis, session.duration_s
     seat = turned(AXES_B, errors.mount_tilt * draws.mount)
     about = turned(seat[axis], errors.wobble * draws.wobble[row])
@@ -153,7 +153,7 @@ def turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
 # ---- mean readings of a device
 
 SAMPLE_RATE_HZ = 100.0
-BLOCK = 8192  # dwells whose effects a processor keeps at hand
+BLOCK = 8192  # number of dwells per block, which fits into the processor's cache
 
 
 def numbers_of_dwell(chain: SensorChain) -> int:
@@ -204,7 +204,7 @@ def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, refe
             force_b=dwells.force_b[block],
         )
         *_, (_, level[block]) = steady.stages(imposed[block], scene, pasts)
-    if loop := chain.hysteresis:  # the last of them, and the only one that remembers
+    if loop := chain.hysteresis:  # last effect, and the only one with a state
         follower = play(dwells.temp_c, loop.play_k)
         level += np.outer((follower - dwells.temp_c) / loop.play_k, loop.amplitude)
     return level
@@ -227,7 +227,8 @@ def _converted(
     if adc:
         if adc.inl_lsb.any() or (adc.rounding == "toward_zero" and adc.signed):
             raise InputError(
-                f"dwells: wanted a straight converter that rounds to nearest or down, got {adc.rounding}; use simulate_device"
+                f"dwells: a straight converter that rounds to nearest or down is required, got {adc.rounding}. "
+                "Use simulate_device."
             )
         shift = 0.0 if adc.rounding == "nearest" else 0.5
         reading = np.clip(reading / step, *adc.code_limits) - shift

@@ -1,7 +1,7 @@
 """Levels of correction: error of each level against a reference, over trials, people and tasks.
 
     uncalibrated        raw readings
-    constants           offset and matrix at one temperature
+    constants           offset and matrix at a fixed temperature
     static table        constants, with the offset over temperature
     all tables          static table, with matrix and dynamic error over temperature
     rest                constants, minus the offset of the rest before the motion (without a chamber)
