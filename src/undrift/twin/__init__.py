@@ -1,10 +1,10 @@
 """Twin: the device model fitted to a real device, and its accuracy on a motion that was not used in the fit.
 
 Input: raw recordings of a device with an orientation reference (poses of the same body), each of which begins at rest. Output: a
-``Twin``, in which every parameter has its standard error or the reason why these recordings do not identify it. A second output are
-the errors of its simulated readings on other recordings.
+``Twin``, in which every parameter has its standard error or the reason why these recordings do not identify it.
+``held_out`` computes the errors of its simulated readings on other recordings.
 
-    accel      a recording and the ideal motion of its reference; accelerometers, lever arm and delay by specific force
+    accel      a recording and the ideal motion of its reference, with a fit of accelerometers, lever arm and delay to force
     fit        all parameters: gyroscopes by windows (calibration.reference), noise at rest, ADC
     held_out   errors of the twin over windows of a motion that was not used in the fit
 

@@ -46,7 +46,7 @@ class TwinParameter:
     value: float | str  # NaN if it is not identified
     standard_error: float  # same unit
     unit: str  # "1" for a ratio, "" for a word
-    reason: str = ""  # why the recordings do not identify it; empty if they do
+    reason: str = ""  # reason if the recordings do not identify it (otherwise empty)
 
     @property
     def identifiable(self) -> bool:
@@ -137,7 +137,7 @@ class Prepared:
     matches: tuple[Match, ...]
     adc: AdcModel | None  # rounding of the gyroscope codes
     accel: PreparedAccel | None  # equations of the accelerometer
-    accel_refused: str  # reason if there are none
+    accel_refused: str  # reason if no accelerometers were fitted
     settings: TwinSettings  # cut-offs that the slowest recording allows
 
 

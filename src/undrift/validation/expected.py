@@ -73,12 +73,12 @@ OffsetKind = Literal["other", "own", "subtracted", "shown"]
 class OffsetSource:
     """Source of the offset of a recording."""
 
-    # "other": the model's, of another recording. "own": that of the recording's own rest plus the model's change to motion.
-    # "subtracted": the mean of its own rest is subtracted after the correction, and the model's offset with it. "shown": what
-    # its motion shows is
+    # "other": offset of the model, from another recording. "own": offset of the recording's own rest plus the model's change
+    # to motion. "subtracted": the mean of the own rest is subtracted after the correction, which also removes the model's
+    # offset. "shown": offset determined from the motion.
     rest: OffsetKind
-    in_motion: bool  # The change from rest to motion was fitted
-    recordings: int = 1  # That the fit pooled
+    in_motion: bool  # True if the change from rest to motion was fitted
+    recordings: int = 1  # number of recordings in the fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +89,7 @@ class Strapdown:
     q_nb: FloatArray  # (N, 4), its orientation
     stop_s: float  # End of the motion, s, the record's clock
     delay_s: float  # By which the orientation lags the reference in the figures, s
-    turned: FloatArray  # (3, 3), from the model's frame to the one that was integrated
+    turned: FloatArray  # (3, 3), rotation from the frame of the model to the frame of the integration
     offset_covariance: FloatArray  # (3, 3), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
     offset_prior: FloatArray  # (3,), of the offset that motion shows, standard deviation before it, rad/s
     noise_density: float  # noise density of the rate, rad/sqrt(s)
