@@ -1,4 +1,4 @@
-"""Time: the clock of the host, and the clock of a simulation, on which time passes only while someone waits.
+"""Time: the clock of the host, and the clock of a simulation, on which time passes only during a wait.
 
 Drivers, links, benches and runs ask a clock for the time and wait on it. On the simulation's clock, a soak of hours takes only as
 long as its computation.
@@ -17,17 +17,17 @@ from typing import Protocol, TypeVar
 from undrift.errors import InputError
 
 T = TypeVar("T")
-Step = Callable[[], float | None]  # does some work; seconds until the next, None for no more
+Step = Callable[[], float | None]  # does some work and returns the seconds until the next call, or None to end
 POLL_S = 0.02
 
 
 class Port(Protocol):
-    """A way for bytes; OSError or EOFError when it is gone."""
+    """A byte connection. Its methods raise OSError or EOFError if the connection is lost."""
 
-    datagrams: bool  # Whether what is received at once is whole
+    datagrams: bool  # True if each receive returns one complete message
 
     def receive(self, wait_s: float) -> bytes:
-        """Return what has come, b"" where nothing came in time."""
+        """Return the received bytes, or b"" if nothing arrives in time."""
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
@@ -49,7 +49,7 @@ class Repeat:
         self._thread.start()
 
     def end(self, longest_s: float | None = None) -> None:
-        """Take no further step, and wait for the one under way, host s; harmless when called again."""
+        """Start no further step, and wait for the current one, at most ``longest_s`` seconds of the host. Safe to call again."""
         self._ended.set()
         if self._thread is not threading.current_thread():
             self._thread.join(longest_s)
@@ -66,7 +66,7 @@ class Clock:
     def __init__(self, speed: float = 1.0, *, zero_s: float = 0.0) -> None:
         if not 0.0 < speed < 1e6:
             raise InputError(f"clock: wanted a speed above 0, got {speed:g}; hardware runs at 1")
-        self.speed = speed  # seconds of this clock in one of the host's: 1 for hardware, that of a simulation otherwise
+        self.speed = speed  # seconds of this clock per second of the host; 1 for hardware
         self._zero_s = zero_s
 
     @classmethod
@@ -76,11 +76,11 @@ class Clock:
 
     @property
     def host(self) -> "Clock":
-        """The same clock in seconds of the host, for time-outs of links and processes."""
+        """Clock in seconds of the host, for time-outs of links and processes."""
         return self if self.speed == 1.0 else HOST
 
     def now(self) -> float:
-        """Return the time, s; only differences count."""
+        """Return the time, s. Only differences are meaningful."""
         return self.speed * (time.monotonic() - self._zero_s)
 
     def wait(self, duration_s: float) -> None:
@@ -89,7 +89,7 @@ class Clock:
             time.sleep(duration_s / self.speed)
 
     def until(self, ask: Callable[[], T], within_s: float, every_s: float = POLL_S) -> T | None:
-        """Ask until the answer is true, and return it; None where it is not in time."""
+        """Poll until the answer is true, and return it. Return None after ``within_s`` seconds."""
         last = self.now() + within_s
         while not (answer := ask()):
             if self.now() >= last:
@@ -98,7 +98,7 @@ class Clock:
         return answer
 
     def repeat(self, step: Step, name: str) -> Repeat:
-        """Take a step now and whenever it is due again, beside whatever else goes on."""
+        """Run a step now, and again whenever it is due, in a separate thread."""
         return Repeat(step, name, self.speed)
 
     def condition(self) -> threading.Condition:

@@ -43,33 +43,33 @@ _STRICT: Any = {"strict": True, "allow_inf_nan": False}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stored:
-    """How a class stands in a file."""
+    """Representation of a class in a file."""
 
-    kind: str = ""  # Of a whole file, its first key; "" where files of the class state none
-    format: int = 1  # Of a whole file, its second key
-    whole: bool = False  # Every key must be there, but for later ones
-    keys: tuple[str, ...] = ()  # Fields and properties in the order of the file; all fields where empty
-    form: Any = None  # A type that stands in the file in place of the class, with the next two
-    read: Callable[[Any], Any] | None = None  # From the checked keys, or the form, to the value
-    write: Callable[[Any], Any] | None = None  # From the value to its tree
-    complete: Callable[[Tree], Tree] | None = None  # From the tree as stated to one with all that it implies
+    kind: str = ""  # first key of a file of this class, "" if the file has no such key
+    format: int = 1  # second key of such a file
+    whole: bool = False  # True if every key is required, except later ones
+    keys: tuple[str, ...] = ()  # fields and properties in the order of the file, all fields if empty
+    form: Any = None  # type in the file that replaces the class; requires ``read`` and ``write``
+    read: Callable[[Any], Any] | None = None  # converts the checked keys, or the form, to the value
+    write: Callable[[Any], Any] | None = None  # converts the value to its tree
+    complete: Callable[[Tree], Tree] | None = None  # adds the implied keys to the tree of a file
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Where and how a field stands in a file; mark of an annotated field."""
+    """Mark of an annotated field: the key and the type of the field in a file."""
 
-    path: str = ""  # Key, after those of its tables: "units.gyro"; the field's own name where empty
-    unit: float = 1.0  # SI units in one unit of the file
-    optional: bool = False  # May be left out, in a whole class too
-    needed: bool = False  # Required where its table is there
-    later: bool = False  # Likewise, and is written only where it is not the default
-    form: Any = None  # Type in the file, where it is another
+    path: str = ""  # key with its tables, as in "units.gyro", or "" for the name of the field
+    unit: float = 1.0  # SI value of one unit of the file
+    optional: bool = False  # True if the key is optional even in a whole class
+    needed: bool = False  # True if the key is required when its table is present
+    later: bool = False  # True if the key is optional and written only if it differs from the default
+    form: Any = None  # type in the file, if it differs
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """Mark of a float that may be NaN, null in a file; or infinite, "inf" or "-inf"."""
+    """Mark of a float that may be NaN (null in a file) or infinite ("inf" or "-inf" in a file)."""
 
     infinite: bool = True
 
@@ -134,7 +134,7 @@ def _cached(function: Callable[[Any], Result]) -> Callable[[Any], Result]:
 
 
 def stored(**how: Any) -> Callable[[type[Value]], type[Value]]:
-    """Return a decorator that makes a dataclass its own file; the keywords are the fields of ``Stored``."""
+    """Return a decorator that registers a dataclass for reading and writing. The keywords are the fields of ``Stored``."""
 
     def mark(cls: type[Value]) -> type[Value]:
         _STORED[cls] = Stored(**how)
@@ -148,13 +148,13 @@ def stored(**how: Any) -> Callable[[type[Value]], type[Value]]:
 class Slot:
     """One key of a class."""
 
-    name: str  # Of the field or property
-    path: tuple[str, ...]  # Where it stands
-    hint: Any  # Its type in the file
+    name: str  # name of the field or property
+    path: tuple[str, ...]  # keys of its tables, then its key
+    hint: Any  # type in the file
     key: Key
     required: bool
-    default: Any = MISSING  # Of the field; MISSING where there is none
-    given: bool = True  # Handed to the class; a property is written alone
+    default: Any = MISSING  # default of the field, MISSING if there is none
+    given: bool = True  # True if passed to the class; a property is only written
 
 
 @_cached
@@ -196,7 +196,7 @@ def _adapter(cls: Any) -> Any:
     return TypeAdapter(cls)
 
 
-_BEGUN: list[type] = []  # classes whose tables are being made: one that holds itself refers to its own name
+_BEGUN: list[type] = []  # classes under construction; a class that contains itself is referenced by name
 
 
 def _schema_of(cls: type, source: Any, handler: Any) -> Any:
@@ -218,7 +218,7 @@ def _schema_of(cls: type, source: Any, handler: Any) -> Any:
 
 
 def _table_of(cls: type, handler: Any) -> Any:
-    """Return the table of the keys of a class; keys with a dot in their path stand in tables of it."""
+    """Return the table of the keys of a class. Keys with a dot in their path are placed in nested tables."""
     from pydantic_core import core_schema as cs
 
     tables: dict[tuple[str, ...], Tree] = {(): {}}
@@ -233,7 +233,7 @@ def _table_of(cls: type, handler: Any) -> Any:
         )
         for depth in range(1, len(slot.path)):
             tables.setdefault(slot.path[:depth], {})
-            tables[slot.path[: depth - 1]].setdefault(slot.path[depth - 1], None)  # in its place; made below
+            tables[slot.path[: depth - 1]].setdefault(slot.path[depth - 1], None)  # keeps the order; filled in below
         tables[slot.path[:-1]][slot.path[-1]] = field
     for path in sorted(tables, key=len, reverse=True):
         made = cs.typed_dict_schema(tables[path], extra_behavior="forbid", config=_STRICT)
@@ -248,7 +248,7 @@ def _head_of(how: Stored) -> Tree:
 
 
 def default_tree(slot: Slot) -> Any:
-    """Return the default of a key as a file would state it."""
+    """Return the default of a key as it is written in a file."""
     return _in_unit(tree_of(slot.default), slot.key.unit)
 
 
@@ -272,7 +272,7 @@ def _at_unit(held: Any, factor: float) -> Any:
 
 
 def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
-    """Return the value of a tree; messages call it by a name, and by lines where its text in TOML is given."""
+    """Return the value of a tree. Error messages use ``name``, and line numbers if the TOML text is given."""
     how = _STORED[cls]
     if how.kind:
         kind, version = (tree.get("kind"), tree.get("format")) if isinstance(tree, dict) else (None, None)
@@ -295,7 +295,7 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
 
 
 class Refused(ValueError):
-    """What pydantic found: places, kinds of problem, and the names of the keys that it knows."""
+    """Validation error of pydantic: locations, kinds of problem, and the names of the known keys."""
 
     def __init__(self, problems: list[Any], known: frozenset[str] = frozenset()) -> None:
         # a list without its bad item is not too short; unknown keys first: they explain the rest
@@ -362,7 +362,7 @@ def _checked(cls: type[Value], tree: Any) -> Value:
 
 @_cached
 def _names_of(cls: Any) -> frozenset[str]:
-    """Return the names of all keys of a class and of what it holds."""
+    """Return the names of all keys of a class and of the classes that it contains."""
     names, seen, todo = set[str](), set[type](), [cls]
     while todo:
         one = todo.pop()
@@ -389,7 +389,7 @@ def _called(how: Stored) -> str:
 
 
 def _is_branch(part: Any) -> bool:
-    """Tell pydantic's names for the branches of a union from keys of the file."""
+    """Return True for pydantic's name of a union branch, and False for a key of the file."""
     return isinstance(part, str) and (
         part in ("str", "int", "float", "bool", "nullable", "none") or "[" in part or "-" in part or part[:1].isupper()
     )
@@ -415,7 +415,7 @@ def tree_of(value: Any) -> Any:
 
 
 def tree_by_keys(value: Any) -> Tree:
-    """Return a stored value by its keys."""
+    """Return the tree of a stored value, key by key."""
     tree = _head_of(_STORED[type(value)])
     for slot in slots_of(type(value)):
         held = getattr(value, slot.name)
@@ -437,7 +437,7 @@ def _written(held: Any, slot: Slot) -> Any:
 
 
 def _in_unit(held: Any, unit: float) -> Any:
-    """Return numbers in the unit of the file, by the fewest digits that read back the same."""
+    """Convert numbers to the unit of the file, with the fewest digits that read back the same."""
     if unit == 1.0 or held is None:
         return held
     if isinstance(held, list):
@@ -450,7 +450,7 @@ def _in_unit(held: Any, unit: float) -> Any:
 
 
 def _is_json(cls: type, path: Path) -> bool:
-    """Tell JSON from TOML by the ending of a name; by another ending, a class that states its kind is JSON."""
+    """Return True for JSON, False for TOML, from the file extension. With another extension, a class with a kind is JSON."""
     return path.suffix == ".json" or (path.suffix != ".toml" and bool(_STORED[cls].kind))
 
 
@@ -461,7 +461,7 @@ def read(cls: type[Value], path: Path | str) -> Value:
 
 
 def toml_of(path: Path | str) -> tuple[Tree, str]:
-    """Return what a file of TOML holds, and its text."""
+    """Return the tree of a TOML file, and its text."""
     try:
         text = read_tree(path).decode("utf-8")
         return tomllib.loads(text), text
@@ -474,7 +474,7 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
 
 
 def json_of(path: Path, cls: type) -> Any:
-    """Return what a file of JSON holds; NaN and Infinity are no JSON."""
+    """Return the content of a JSON file. NaN and Infinity are refused."""
     if path.is_file() and path.stat().st_size > MOST_TREE:
         raise too_large(path)
     try:
@@ -498,7 +498,7 @@ def write(value: Any, path: Path | str) -> None:
 
 
 def json_text(value: Any, name: str) -> str:
-    """Return the text of a JSON file, once it is sure to read back; the name stands in errors."""
+    """Return the text of a JSON file after a check that it reads back. ``name`` is used in error messages."""
     try:
         tree = tree_of(value)
         _checked(type(value), tree)
@@ -506,13 +506,13 @@ def json_text(value: Any, name: str) -> str:
         called = _called(_STORED[type(value)])
         raise InputError(f"{name}: wanted {called} that reads back, got {refused}; mend the value") from refused
     text = json.dumps(tree, indent=2, allow_nan=False)
-    # lists of plain values on one line: raw line breaks never stand inside a JSON string
+    # put lists of plain values on one line; a JSON string cannot contain a raw line break
     lists = re.compile(r"\[\n\s*([^\[\]{}]*?)\n\s*\]")
     return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text) + "\n"
 
 
 def toml_text(tree: Tree) -> str:
-    """Return the text of a TOML file; what is None is left out, and a list of tables stands as [[name]] ones."""
+    """Return the text of a TOML file. None is omitted, and a list of tables is written as [[name]] tables."""
     import tomli_w
 
     tree = _stated(tree)
@@ -534,7 +534,7 @@ def toml_block(name: str, table: Tree) -> str:
 
 
 def _laid_out(text: str) -> str:
-    """Return TOML with each list on one line: raw line breaks never stand inside its strings."""
+    """Return TOML with each list on one line. Its strings contain no raw line breaks."""
     lists = re.compile(r"\[\n\s*([^\[\]]*?),?\n\s*\]")
     return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text)
 

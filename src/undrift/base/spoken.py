@@ -1,8 +1,8 @@
-"""Arguments in texts: written as Python has them, `gravity_m_s2`, and shown as options where the command line called.
+"""Names of arguments in texts: written as in Python, `gravity_m_s2`, and shown as options on the command line.
 
-Sentences of findings are spoken as templates, before their values go in: a file named `old`.csv stays as it is. Of other texts,
-errors and notes, nobody can tell any more which words are values: there a word in back-ticks is an option only where the running
-command has a parameter of exactly that name. Data in JSON and cells of tables stay as they are.
+Findings are converted as templates, before their values are inserted, so a file named `old`.csv does not change. Errors and
+notes already contain their values. In them, a word in back-ticks becomes an option only if the running command has a parameter
+of exactly that name. Data in JSON and table cells do not change.
 """
 
 import re
@@ -12,8 +12,10 @@ from contextvars import ContextVar
 
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 NAMED: ContextVar[frozenset[str]] = ContextVar("NAMED", default=frozenset())  # parameters of the command that runs
-SHOWING: ContextVar[bool] = ContextVar("SHOWING", default=False)  # to a reader, not as data
-OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # where it is not the argument's name
+SHOWING: ContextVar[bool] = ContextVar(
+    "SHOWING", default=False
+)  # True while text is shown to a person, not written as data
+OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # options whose name differs from the argument
 _ARGUMENT = re.compile(r"`([a-z]\w*)`")
 
 
@@ -23,19 +25,19 @@ def option_of(name: str) -> str:
 
 
 def spoken(text: str) -> str:
-    """Return a text in which the parameters of the running command stand as options; other words in back-ticks stay."""
+    """Replace parameters of the running command in a text by their options. Other words in back-ticks do not change."""
     known = NAMED.get()
     return _ARGUMENT.sub(lambda m: option_of(m[1]) if {m[1], OPTIONS.get(m[1])} & known else m[0], text)
 
 
 def spoken_template(template: str) -> str:
-    """Return a sentence without its values in which all arguments stand as options, if the command line shows it."""
+    """Replace all arguments in a template by their options, if the command line shows it."""
     return _ARGUMENT.sub(lambda m: option_of(m[1]), template) if SHOWING.get() else template
 
 
 @contextmanager
 def showing() -> Iterator[None]:
-    """Let findings of a ``with`` block name options, if the command line called."""
+    """Make findings name options within a ``with`` block, if the command line is running."""
     before = SHOWING.set(bool(CALLED.get()))
     try:
         yield
