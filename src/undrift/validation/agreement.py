@@ -348,18 +348,18 @@ def validate_leave_one_out(
         pairs, settings=settings, fit_settings=fit_settings, progress=lambda what, share: progress(what, _FITS * share)
     )
     progress("integrating each recording by the fit to the others", _FITS)
-    fit_settings = replace(settings, offset="motion" if settings.offset == "motion" else "none")
-    if fit_settings.mounting == "each":
-        fit_settings = replace(fit_settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
+    trial_settings = replace(settings, offset="motion" if settings.offset == "motion" else "none")
+    if trial_settings.mounting == "each":
+        trial_settings = replace(trial_settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     called = list(names) or [""] * len(pairs)
     source = OffsetSource(
-        rest="shown" if fit_settings.offset == "motion" else "own",
+        rest="shown" if trial_settings.offset == "motion" else "own",
         in_motion=True,
         recordings=len(pairs) - 1,
     )
     apart, trials = _told_apart(fits), list[Trial]()
     for pair, calibration, name in zip(pairs, calibrations, called, strict=True):
-        trial = validate_trial(*pair, calibration=calibration, settings=fit_settings, name=name, source=source)
+        trial = validate_trial(*pair, calibration=calibration, settings=trial_settings, name=name, source=source)
         trials.append(replace(trial, findings=(*trial.findings, *([apart] if apart else []))))
     return replace(summed(tuple(trials)), held_out=fits)
 
