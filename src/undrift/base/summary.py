@@ -40,7 +40,7 @@ NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 _SIGNED_ZERO = re.compile(r"(?<![\w.+/-])-(0(?:\.0+)?)(?![\w.])")  # as a small negative value is rounded
 Item = TypeVar("Item")
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
-Cells = Sequence[tuple[str, Callable[[Item], str]]]  # heads of a table, each with what makes its cells
+Cells = Sequence[tuple[str, Callable[[Item], str]]]  # column heads of a table, each with the function for its cells
 
 
 def sentence(text: str) -> str:
@@ -74,7 +74,7 @@ class Drawing:
     """A figure of a page, drawn when a renderer asks for it."""
 
     place: str  # "undrift.report.figures:draw_orientation"
-    of: tuple[Any, ...]  # What it draws
+    of: tuple[Any, ...]  # values to draw
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def draw(self) -> Any:
@@ -83,7 +83,7 @@ class Drawing:
 
 
 def figure_of(name: str, *of: Any) -> Drawing:
-    """Return a figure by its name in the report, "figures:draw_record", and what it draws."""
+    """Return a figure from its drawing function in the report, such as "figures:draw_record", and the values to draw."""
     return Drawing(place=f"undrift.report.{name}", of=of)
 
 
@@ -107,13 +107,13 @@ class Section:
 
 
 class Result(ABC):
-    """What a command returns: values that show their summary, one line as text and tables in a notebook."""
+    """Result of a command. It prints as one line, and as tables in a notebook."""
 
     __slots__ = ()
 
     @abstractmethod
     def summary(self) -> "Summary":
-        """Return what came out, as every renderer shows it."""
+        """Return the summary, which every renderer shows."""
 
     def __repr__(self) -> str:
         summary = self.summary()
@@ -126,20 +126,20 @@ class Result(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Summary(Result):
-    """One result: an answer and what stands behind it. Where that is all, a command returns it as its result."""
+    """One result: an answer with its supporting tables and figures. A command without other values returns it directly."""
 
     title: str
-    answer: str  # A sentence with its numbers
-    data: Mapping[str, Any] = field(default_factory=dict)  # What --json prints, units in the keys
+    answer: str  # one sentence with numbers
+    data: Mapping[str, Any] = field(default_factory=dict)  # output of --json, units in the keys
     pictures: tuple[Drawing | str, ...] = ()
     sections: tuple[Section, ...] = ()
-    page: Callable[[], Iterable[Section]] = tuple  # Sections after those, of a page alone: made when it is written
-    verdict: Verdict | None = None  # A bad one ends a command with code 1
-    judged: str = ""  # What the verdict is about, where it is not the result: "the calibration"
-    findings: tuple[Finding, ...] = ()  # Beside those of the verdict
+    page: Callable[[], Iterable[Section]] = tuple  # further sections for a page only, created when it is written
+    verdict: Verdict | None = None  # a bad verdict sets exit code 1
+    judged: str = ""  # subject of the verdict if it is not the result, such as "the calibration"
+    findings: tuple[Finding, ...] = ()  # in addition to those of the verdict
     notes: tuple[str, ...] = ()
     written: tuple[Path | None, ...] = ()  # Files and folders
-    sources: tuple[Path, ...] = ()  # Files made meanwhile that the page names beside those read
+    sources: tuple[Path, ...] = ()  # files created during the command that the page lists with the inputs
     brief: bool = (
         False  # A terminal shows findings, and a verdict that is not bad, on request: the sections have what matters
     )
@@ -153,13 +153,13 @@ class Summary(Result):
 
     @property
     def headed(self) -> str:
-        """The verdict as a heading: "Verdict: good"; empty where there is none."""
+        """The verdict as a heading, such as "Verdict: good", or an empty string."""
         about = f" of {self.judged}" if self.judged else ""
         return f"Verdict{about}: {self.verdict.status}" if self.verdict else ""
 
     @property
     def stops(self) -> bool:
-        """Whether a script must stop: the exit code of the command is 1."""
+        """True if a script must stop because the exit code of the command is 1."""
         return self.failed or (self.verdict is not None and self.verdict.status == "bad")
 
     def summary(self) -> "Summary":
@@ -168,7 +168,7 @@ class Summary(Result):
 
 
 def today() -> str:
-    """Return the date of a page, ISO 8601, UTC; SOURCE_DATE_EPOCH in the environment sets another, s since 1970."""
+    """Return the date of a page, ISO 8601, UTC. The environment variable SOURCE_DATE_EPOCH (s since 1970) overrides it."""
     stated = os.environ.get("SOURCE_DATE_EPOCH", "")
     made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
     return made.isoformat(timespec="seconds")
@@ -176,7 +176,7 @@ def today() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """What a page was made from and by."""
+    """Command and input files of a page, and its date."""
 
     command: str = ""
     inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
@@ -213,20 +213,20 @@ class Shown:
 
 
 def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
-    """Return a section with a row for each item; each column is a head and the function that makes its cell."""
+    """Return a section with one row per item. Each column has a head and a function that returns its cell."""
     rows = tuple(tuple(cell(item) for _, cell in cells) for item in items)
     return Section(title=title, columns=tuple(head for head, _ in cells), rows=rows, **more)
 
 
 def rows_section(title: str, rows: Sequence[dict[str, str]], **more: Any) -> Section:
-    """Return a section with rows that all have the same heads, and more of its fields; without rows, with nothing."""
+    """Return a section with rows that have the same heads. Without rows, the section has a title only."""
     if not rows:
         return Section(title=title)
     return Section(title=title, columns=tuple(rows[0]), rows=tuple(tuple(row.values()) for row in rows), **more)
 
 
 def number(value: float, form: str = ".2f") -> str:
-    """Return a figure, or a dash where there is none."""
+    """Return a number as text, or a dash if it is not finite."""
     return f"{value:{form.replace('.', 'z.', 1)}}" if math.isfinite(value) else "–"  # z: no zero below zero
 
 

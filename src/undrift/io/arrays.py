@@ -1,4 +1,4 @@
-"""Named arrays of a MATLAB file (extra ``formats``) as a table that a map reads; a field of a struct is ``struct.field``."""
+"""Named arrays of a MATLAB file (extra ``formats``) as a table that a map reads. A struct field is named ``struct.field``."""
 
 import warnings
 from collections.abc import Iterator

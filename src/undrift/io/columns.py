@@ -83,7 +83,7 @@ class TextLayout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnMap:
-    """Where the channels are in a file, and in which units."""
+    """Columns and units of the channels in a file."""
 
     time: Column | None = None  # Time column; without it ``sample_rate_hz`` is required
     gyro: tuple[Column, ...] | None = None  # Three columns x, y, z
@@ -195,7 +195,7 @@ class TempFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadSettings:
-    """What a file may leave unstated."""
+    """Settings for information that a file may lack."""
 
     sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
     sensor: str | None = None  # Which sensor, stream or topic, in a file of several
@@ -270,7 +270,7 @@ def marks_of(record: Record) -> dict[str, Any]:
 
 
 def is_native(names: Names) -> bool:
-    """Tell whether a file uses undrift's own names for a gyroscope or an accelerometer."""
+    """Return True if a file uses undrift's own names for a gyroscope or an accelerometer."""
     return any(
         f"{channel}_{axis}_{suffix}" in names
         for channel in ("gyro", "accel")
@@ -346,7 +346,7 @@ _DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or 
 
 
 def is_date(cell: str) -> bool:
-    """Tell whether a cell is a time of day, with a date (year first) or without."""
+    """Return True if a cell is a time of day, with a date (year first) or without."""
     return _DATE.fullmatch(cell.strip().strip('"')) is not None
 
 
@@ -379,7 +379,7 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
 
 
 def date_of(cell: str) -> np.datetime64:
-    """Return a date; the first of 1970 where a cell is none."""
+    """Return the date in a cell, or 1 January 1970 if the cell is not a date."""
     hit = _DATE.fullmatch(cell.strip())
     return np.datetime64(0 if hit is None else _iso(hit), "ns")
 
@@ -396,7 +396,7 @@ def _text(cell: Any) -> Any:
 
 
 def is_number(cell: Any, *, empty: bool = False) -> bool:
-    """Tell whether a cell reads as a number, or is empty where that will do."""
+    """Return True if a cell is a number, or is empty and ``empty`` is set."""
     try:
         float(cell)
     except (TypeError, ValueError):
@@ -444,7 +444,7 @@ class ReadResult:
 
 
 def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
-    """Return the record that a table holds, every value checked."""
+    """Return the record in a table, with every value checked."""
     if len(table) < 2:
         raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
     if columns.time is not None and columns.unit_of("time") == "date":

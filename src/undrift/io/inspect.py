@@ -218,7 +218,7 @@ _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """What a file holds."""
+    """Description of the content of a file."""
 
     path: str
     # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
@@ -261,7 +261,7 @@ def _told(item: Finding) -> str:
 def describe(
     path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None, up: Up | None = None
 ) -> Description:
-    """Return what a file holds."""
+    """Return a description of the content of a file."""
     path, settings = Path(path), settings or READ_SETTINGS
     if is_imucal(path):
         summary = "calibration of imucal: constants without uncertainty"
@@ -303,7 +303,7 @@ def describe(
 
 
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
-    """Return what a record holds."""
+    """Return a description of a record."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
     left_out = [finding("recording.how_read", "info", what=note) for note in read.notes]
     for count, why in (
@@ -356,7 +356,7 @@ def mean_rate_hz(*records: Record) -> float:
 
 
 def needs_map(path: str | Path) -> bool:
-    """Tell whether a file is a table that only a map can read: neither undrift's own names nor a format that states its units."""
+    """Return True if a file is a table that requires a map: it has neither undrift's own names nor units."""
     path = Path(path)
     name, _ = format_of(path)
     if name not in _TABLES:

@@ -1,6 +1,6 @@
-"""A library's parser in a fresh process: a damaged file may crash it or keep it busy, and then there is one error.
+"""Run the parser of a library in a new process. If a damaged file crashes or blocks the parser, the result is one error.
 
-The process writes what it found, or the error, to its standard output as a pickle, which only its parent reads.
+The process writes its result, or the error, to its standard output as a pickle, which only its parent reads.
 """
 
 import json
@@ -23,7 +23,7 @@ Channels = dict[str, tuple[Any, str]]
 
 @dataclass(kw_only=True)
 class Parsed:
-    """What a library found in a file."""
+    """Result of a library's parser."""
 
     time: Any = None  # (N,), s
     channels: Channels = field(default_factory=dict)  # (N,) or (N, 3), and the unit
@@ -33,7 +33,7 @@ class Parsed:
 
 
 def read_isolated(path: Path, kind: str, settings: ReadSettings | None = None, *, mapped: bool = False) -> Parsed:
-    """Return what a library finds in a file, read in a process of its own."""
+    """Parse a file with a library in a separate process."""
     path = path if path.is_dir() else checked_file(path)
     limit_s = TIMEOUT_S + SECOND_PER_MEGABYTE * path.stat().st_size / 1e6
     sensor, drop = (None, False) if settings is None else (settings.sensor, settings.drop_bad_rows)
@@ -64,7 +64,7 @@ def library(module: str) -> Any:
 
 
 def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError:
-    """Return what a library finds in a file, or the error."""
+    """Parse a file with a library in this process. Return the result or the error."""
     from undrift.io.libraries import KINDS
 
     try:
@@ -78,7 +78,7 @@ def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError
 
 
 def answer() -> None:
-    """Read the file that the command line names, and write what was found to standard output."""
+    """Parse the file named on the command line, and write the result to standard output."""
     stdout = os.dup(1)
     os.dup2(2, 1)  # what libraries print is not the answer
     kind, path, options = sys.argv[1:]

@@ -80,7 +80,7 @@ class ClusterPose:
 
 
 def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Reference:
-    """Return the pose of a rigid cluster of markers; :func:`fit_cluster` also returns how rigid it was."""
+    """Return the pose of a rigid cluster of markers. :func:`fit_cluster` also returns a measure of its rigidity."""
     return fit_cluster(markers, labels).reference
 
 
@@ -142,7 +142,7 @@ def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
 
 
 def stated_up(path: Path, up: Up | None, why: str) -> Up:
-    """Return the axis that points up; an error where nobody stated it."""
+    """Return the axis that points up. InputError if it is not given."""
     if up is None:
         raise InputError(
             f'{path}: wanted the axis that points up, got none; {why} does not say: state up = "y" or "z"', missing="up"
@@ -153,7 +153,7 @@ def stated_up(path: Path, up: Up | None, why: str) -> Up:
 def markers_of(
     path: Path, labels: tuple[str, ...], points: FloatArray, time: FloatArray, *, up: Up | None, why: str = "the file"
 ) -> Markers:
-    """Return marker trajectories in the level frame; an axis that points up must be stated."""
+    """Return marker trajectories in the level frame. The axis that points up must be given."""
     points = level_from(points, stated_up(path, up, why))
     with naming(path):
         return Markers(labels=unique_labels(labels), time=time, points=points, name=path.name)
@@ -241,7 +241,7 @@ def parse_c3d(path: Path, **_: Any) -> Parsed:
 
 
 def is_c3d(head: bytes) -> bool:
-    """Tell a C3D file by its first bytes."""
+    """Return True if the first bytes of a file are those of a C3D file."""
     return len(head) > 512 and head[1] == _MAGIC and 2 <= head[0] < 128
 
 

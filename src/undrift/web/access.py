@@ -27,7 +27,7 @@ HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
 
 
 class Access:
-    """Lets requests through, or refuses them with 400 or 403 and one line; an ASGI application around the bench."""
+    """ASGI application around the bench that accepts requests, or refuses them with status 400 or 403 and one line."""
 
     def __init__(self, app: ASGIApp, token: str | None) -> None:
         self._app, self._token = app, token
@@ -90,7 +90,7 @@ def _for_host(policy: str, scope: Scope) -> str:
 
 
 def _cookie_of(headers: Mapping[str, str]) -> str:
-    """Return the name of the cookie, by the port: a browser sends those of all ports of a host to each."""
+    """Return the name of the cookie. It contains the port, because a browser sends all cookies of a host to every port."""
     return f"{COOKIE}_{found[1]}" if (found := re.search(r":(\d{1,5})$", headers.get("host", ""))) else COOKIE
 
 

@@ -1,4 +1,4 @@
-"""Lists of files and jobs, the newest first, each chosen by a click; and the place where files are dropped."""
+"""Lists of files and jobs, newest first, selected with a click, and the drop area for files."""
 
 import json
 from collections.abc import Callable, Sequence

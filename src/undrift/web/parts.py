@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 REFRESH_S, CANCEL_S = 0.25, 2.0  # the latter: of work that can be cancelled
 PRACTICE = "practice"  # the address of the practice device
-SHOWN_FIRST = 3  # remarks that are open, and every one that is no mere note
+SHOWN_FIRST = 3  # number of remarks that are not folded; failures and warnings never are
 
 Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
 Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
@@ -81,19 +81,19 @@ def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> A
 
 
 def says(name: str) -> None:
-    """Add a sentence that stands in pages.toml."""
+    """Add a sentence from pages.toml."""
     text("p", texts()["says"][name])
 
 
 def set_text(element: Any, words: str) -> None:
-    """Change the text of an element, where it is another one."""
+    """Change the text of an element if it differs."""
     if element._text != words:
         element._text = words
         element.update()
 
 
 def set_prop(element: Any, name: str, value: object) -> None:
-    """Change an attribute of an element where it is another one; None takes it away."""
+    """Change an attribute of an element if it differs. None removes the attribute."""
     if element.props.get(name) != value:
         if value is None:
             element.props.pop(name)
@@ -116,7 +116,7 @@ def shown_if(element: Any, true: Callable[[], bool]) -> Any:
 
 
 def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
-    """Add a part that is drawn anew whenever the state changes, in this browser or another."""
+    """Add a part that is drawn again whenever the state changes, in this browser or another."""
     seen, place = [state()], ui.element("div")
 
     def fill() -> None:
@@ -237,7 +237,7 @@ class Field:
         self.element.client.run_javascript(f"getHtmlElement({self.element.id}).value = {json.dumps(value)}")
 
     def number(self) -> float | None:
-        """Return what was typed as a number; None where it is none."""
+        """Return the input as a number, or None if it is not a number."""
         try:
             return float(self.value.replace(",", "."))
         except ValueError:
@@ -308,7 +308,7 @@ def folded(words: str) -> Iterator[Any]:
 
 
 def remarks_list(remarks: Sequence[Remark]) -> None:
-    """List what a command noticed, each with what to do; notes after the first few are folded."""
+    """List the remarks of a command with the recommended actions. Notes after the first few are folded."""
     count = max(SHOWN_FIRST, sum(one.level != "info" for one in remarks))
     with ui.element("ul").classes("remarks"):
         for one in remarks[:count]:
@@ -371,7 +371,7 @@ def frame(bench: "Bench", title: str) -> tuple[Any, Any]:
 
 
 def device_line(bench: "Bench") -> str:
-    """Return in words what is connected."""
+    """Return a description of the connected device."""
     if bench.connecting:
         return f"Connecting {bench.connecting} ..."
     if bench.source is None:

@@ -1,4 +1,4 @@
-"""Where the bench stands: gravity follows from a town, a latitude, or is stated itself."""
+"""Location of the bench: gravity is computed from a town or a latitude, or entered directly."""
 
 import csv
 from collections.abc import Callable
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Site:
-    """Where the bench stands; gravity follows by WGS 84 where it is not stated itself."""
+    """Location of the bench. Gravity is computed with WGS 84 unless it is given."""
 
     latitude_deg: float | None = None
     height_m: float = 0.0
-    stated_m_s2: float | None = None  # local gravity, before that of the latitude
+    stated_m_s2: float | None = None  # local gravity, which overrides the value from the latitude
 
     def __post_init__(self) -> None:
         if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
@@ -34,7 +34,7 @@ class Site:
 
     @property
     def gravity_m_s2(self) -> float:
-        """Return local gravity, m/s2; standard gravity where the place is not known."""
+        """Return local gravity, m/s2, or standard gravity if the location is unknown."""
         if self.stated_m_s2 is not None or self.latitude_deg is None:
             return self.stated_m_s2 or STANDARD_GRAVITY
         return gravity_at(self.latitude_deg, self.height_m)
@@ -55,7 +55,7 @@ def towns() -> dict[str, tuple[float, float]]:
 
 @dataclass(slots=True, kw_only=True)
 class PlaceForm:
-    """What is typed of a place."""
+    """Input of the location form."""
 
     town: str = asked("--latitude-deg", hint="north is positive", kind="list", options=lambda: list(towns()))
     height: str = asked("--height-m", hint="empty: that of the town")
@@ -63,7 +63,7 @@ class PlaceForm:
 
 
 def place_of(town: str, height: str = "", gravity: str = "") -> Site:
-    """Return the place by what was typed: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
+    """Return the location entered in the form: a town from the list or a latitude in deg, height in m, gravity in m/s2."""
     latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
     if latitude_deg is None and town.strip():
         latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
@@ -80,7 +80,7 @@ def _number(name: str, words: str, wanted: str) -> float:
 
 
 def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:
-    """Ask where the bench stands, as the scale of the accelerometers is known no better than gravity."""
+    """Ask for the location of the bench. The accelerometer scale cannot be more accurate than local gravity."""
     place = bench.place
     values = place.latitude_deg, place.height_m, place.stated_m_s2
     latitude, height, gravity = ("" if value is None else f"{value:g}" for value in values)
