@@ -27,7 +27,7 @@ _BURSTS = 25  # of the longest usual step: samples on either side of a loss that
 _STRETCHES = 100
 _GAP = 1.5  # usual steps between two readings; more is a drop-out
 _ROUNDS, _SLOPES = 12, 3
-_LONGEST_LOSS = 0.5  # of the recording: more lost samples than this are no recording
+_LONGEST_LOSS = 0.5  # largest share of lost samples in a recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -151,7 +151,7 @@ def _losses(own: FloatArray, up: FloatArray, step: float, least: float) -> IntAr
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostStamps:
-    """What shows that time stamps are a host's."""
+    """Evidence that time stamps are from the host."""
 
     low_ms: float  # Nine of ten steps between stamps are longer
     high_ms: float  # Nine of ten are shorter

@@ -34,7 +34,7 @@ CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
 EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
-KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and beside CSV
+KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and next to CSV
 _SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
 EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
 
@@ -48,7 +48,7 @@ NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
 class ChannelScale:
     """A linear conversion of one channel: value = gain * cell + offset."""
 
-    # Unit of the channel per unit of the file; three for axes that differ in scale or sign
+    # unit of the channel per unit of the file, or three values if the axes differ in scale or sign
     gain: float | tuple[float, float, float] = 1.0
     offset: float | tuple[float, float, float] = 0.0  # Added afterwards, in the unit of the channel
 
@@ -61,13 +61,13 @@ class ChannelScale:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextLayout:
-    """How the text of a table is laid out."""
+    """Layout of a text table."""
 
-    delimiter: str = ","  # One character; " " means one or more blanks or tabs
+    delimiter: str = ","  # one character; " " means one or more blanks or tabs
     header: bool = True  # True when the first line after the skipped ones names the columns
-    skip_rows: int = 0  # Lines before the header, or before the first row where there is none
+    skip_rows: int = 0  # lines before the header, or before the first row if there is no header
     decimal: str = "."  # "." or ","
-    # Leave out rows with another number of columns, or with text where a number is wanted. They are counted
+    # drop and count rows with another number of columns, or with text in place of a number
     drop_bad_rows: bool = False
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ class ColumnMap:
     accel: tuple[Column, ...] | None = None
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    counter: Column | None = None  # The device's own counter of samples; may wrap. Used by a regular clock
+    counter: Column | None = None  # sample counter of the device, which may wrap; used by a regular clock
     time_unit: str = ""  # Units after the scale, any spelling of :mod:`undrift.units`; "date": dates, year first
     gyro_unit: str = ""
     accel_unit: str = ""
@@ -100,7 +100,7 @@ class ColumnMap:
     accel_scale: ChannelScale | None = None
     temp_scale: ChannelScale | None = None
     mag_scale: ChannelScale | None = None
-    sample_rate_hz: float | None = None  # Hz. Never defaulted; beside a time column it is checked against it
+    sample_rate_hz: float | None = None  # Hz, without a default; checked against the time column if there is one
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
     gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
     repair_time: bool = False  # Leave out rows whose time does not go forward. They are counted
@@ -108,8 +108,8 @@ class ColumnMap:
     frame: Frame = "s"  # "s" or "b"
     state: State = "raw"  # "raw" or "corrected"
     device: str = ""  # Serial number or name
-    accel_uncertainty: ForceUncertainty | None = None  # Of a corrected recording, as undrift wrote it
-    offset_uncertainty: float | None = None  # rad/s, likewise
+    accel_uncertainty: ForceUncertainty | None = None  # for a corrected recording that undrift wrote
+    offset_uncertainty: float | None = None  # rad/s, for a corrected recording that undrift wrote
 
     def __post_init__(self) -> None:
         if self.gyro is None and self.accel is None:
@@ -182,7 +182,7 @@ class ColumnMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TempFile:
-    """A thermometer's text table of its own, at its own rate: interpolated onto the samples, held at the ends."""
+    """Separate text table of a thermometer. Temperatures are interpolated to the samples. The end values are extended."""
 
     path: Path
     time: Column = "time_s"  # Time column, on the recording's clock after the shift
@@ -205,7 +205,7 @@ class ReadSettings:
     # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
     repair_time: bool = False
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
-    temp_file: TempFile | None = None  # Takes the place of a temperature in the recording
+    temp_file: TempFile | None = None  # replaces a temperature in the recording
     clock: Clock | None = None  # "file" or "regular", overruling a map; None: as the map states, else the file's
     # Stretches, s on the recording's clock: cut off at its ends, gaps between
     leave_out: tuple[tuple[float, float], ...] = ()
@@ -304,7 +304,7 @@ def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tupl
 class RawTable:
     """Columns of one file."""
 
-    source: str  # File, for the errors
+    source: str  # file, for error messages
     names: tuple[str, ...]  # Column names as in the file; positions as text where there is no header
     # One numpy array or Arrow column for each name, all of the same length; text where the cells are no numbers
     columns: tuple[Any, ...]
@@ -323,7 +323,7 @@ class RawTable:
         """Return a column as float64."""
         position, numeric = self.position(column), "fiub"
         values = self.columns[position]
-        if not isinstance(values, np.ndarray):  # of Arrow; one of empty cells only is all NaN
+        if not isinstance(values, np.ndarray):  # Arrow column; a column of empty cells becomes NaN
             values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
         if values.dtype.kind in numeric:
             return np.asarray(values, dtype=np.float64)

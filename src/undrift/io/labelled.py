@@ -43,7 +43,7 @@ _NUMERIC = 0.6  # of the filled cells of a row of readings
 
 
 class Label(NamedTuple):
-    """What a column holds."""
+    """Content of a column."""
 
     sensor: str  # "" where the file names one sensor only
     channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
@@ -157,7 +157,7 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
 
 
 def as_utf8(content: bytes) -> bytes:
-    """Return text as UTF-8 without a byte-order mark; what is not UTF-8 is taken for Latin-1."""
+    """Return text as UTF-8 without a byte-order mark. Text that is not UTF-8 is read as Latin-1."""
     try:
         content.decode("utf-8")
     except UnicodeDecodeError:
@@ -166,7 +166,7 @@ def as_utf8(content: bytes) -> bytes:
 
 
 def marks_of(lines: list[str]) -> tuple[str, str]:
-    """Return delimiter and decimal sign of most lines; a comma is a delimiter only where nothing else can be one."""
+    """Return delimiter and decimal sign of most lines. A comma is a delimiter only if no other character can be."""
     body = lines[-max(2, len(lines) // 4) :][-32:]
     delimiter = next((mark for mark in ";\t," if sum(mark in line for line in body) > 0.8 * len(body)), " ")
     if delimiter == ",":
@@ -263,7 +263,7 @@ def unit_for(text: str, channel: str) -> tuple[str, float] | None:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether a cell is a unit."""
+    """Return True if a cell is a unit."""
     return text.strip().lower() in _OTHER or any(unit_for(text, channel) for channel in QUANTITY)
 
 
@@ -360,7 +360,7 @@ def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag"
 
 
 def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
-    """Return the record of one sensor of a labelled sheet, and how it was read."""
+    """Return the record of one sensor of a labelled sheet, with notes on the reading."""
     triples = triples_of(sheet)
     _check_readings(sheet, triples)
     chosen = _chosen(sheet, triples, settings.sensor)
@@ -527,7 +527,7 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
 
 
 def is_labelled(path: Path, head: bytes) -> bool:
-    """Tell whether a text states a unit for a gyroscope or an accelerometer, and for its time where it has one."""
+    """Return True if a text contains a unit for a gyroscope or an accelerometer, and for its time column, if any."""
     if b"\0" in head or not head or path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".json", ".toml", ".xml"):
         return False
     sheet = sheet_of(path, head if len(head) < 8192 else head[: head.rfind(b"\n") + 1])
@@ -535,7 +535,7 @@ def is_labelled(path: Path, head: bytes) -> bool:
 
 
 def states_units(sheet: Sheet) -> bool:
-    """Tell whether labels state a unit for a gyroscope or an accelerometer, and for the time where there is one."""
+    """Return True if labels contain a unit for a gyroscope or an accelerometer, and for the time column, if any."""
     clocks = [label for label in sheet.labels if label and label.channel == "time"]
     held = triples_of(sheet, ("gyro", "accel", "free"))
     bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}

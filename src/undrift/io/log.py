@@ -82,7 +82,7 @@ class LineReader:
         self._heading, self._day, self._before = "", 0.0, 0.0
 
     def take(self, raw: str) -> LogLine | None:
-        """Return a line that holds numbers, taken apart."""
+        """Return the parts of a line that contains numbers."""
         stamp, line = _stamp(_UNSEEN.sub("", raw).strip())
         if stamp is not None:
             self._day += _DAY_S * (stamp + self._day < self._before - 0.5 * _DAY_S)  # past midnight
@@ -97,7 +97,7 @@ class LineReader:
 
 
 def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
-    """Yield the lines that hold numbers, of a file or its beginning; the last only where it ends."""
+    """Yield the lines of a file, or of its beginning, that contain numbers. The last line counts only if it is complete."""
     text, reader = as_utf8(content).decode("utf-8", "replace"), LineReader()
     lines = text[: text.rfind("\n") + 1].splitlines()
     for number, raw in enumerate(lines, 1):
@@ -127,7 +127,7 @@ def cycle_of(lines: Sequence[LogLine]) -> list[tuple[str, ...]]:
 
 
 def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
-    """Return the readings of a log; None where no shape of a line comes again and again."""
+    """Return the readings of a log, or None if no line shape repeats."""
     every = list(lines_of(content, path))
     cycle = cycle_of(every)
     readings = list(readings_in(every, cycle))
@@ -166,7 +166,7 @@ def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> I
 
 
 class NumberSlot(NamedTuple):
-    """Where a number stands in a shape."""
+    """Position of a number in a line shape."""
 
     group: tuple[int, int]  # LogLine, and number of the word before: numbers behind one word make one group
     word: str
@@ -277,7 +277,7 @@ def log_sheet(path: Path, log: SerialLog | None = None) -> Sheet:
 
 
 def read_log(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a log by a map, or without one where it states its units."""
+    """Read a log with a map, or without a map if the log contains its units."""
     log = read_readings(path)
     sheet = log_sheet(path, log)
     if columns is not None:

@@ -157,7 +157,7 @@ class _NoteBox(NamedTuple):
 
 
 def place_of(dotted: str) -> tuple[str, str]:
-    """Return what a function is called, and its file."""
+    """Return the name of a function, and its file."""
     parts = dotted.split(".")
     first = next((k for k, part in enumerate(parts) if part[0].isupper()), len(parts) - 1)
     return ".".join(parts[first:]), "/".join(parts[:first]) + ".py"

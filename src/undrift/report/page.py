@@ -21,7 +21,7 @@ SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
 
 
 def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:
-    """Write a report page; findings stand with those of the verdict. Sections without anything in them are left out."""
+    """Write a report page. Findings are listed with those of the verdict. Empty sections are omitted."""
     from jinja2 import Environment, PackageLoader
 
     style = Path(__file__).with_name("page.css").read_text()

@@ -12,8 +12,8 @@ from starlette.requests import ClientDisconnect, Request
 
 from undrift.errors import InputError
 
-KEPT = frozenset(" ._-+=,@()")  # of a name, beside the letters, marks and digits of any script
-LONGEST = 200  # bytes of a name in UTF-8: a file system takes 255, and results add to it
+KEPT = frozenset(" ._-+=,@()")  # characters allowed in a name, in addition to letters, marks and digits of any script
+LONGEST = 200  # longest name, bytes in UTF-8; file systems accept 255, and results add a suffix
 ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
 GROUP = re.compile(r"\d{1,20}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
