@@ -349,7 +349,7 @@ def validate_leave_one_out(
     )
     progress("integrating each recording by the fit to the others", _FITS)
     trial_settings = replace(settings, offset="motion" if settings.offset == "motion" else "none")
-    if trial_settings.mounting == "each":
+    if fit_settings.mounting == "each":
         trial_settings = replace(trial_settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     called = list(names) or [""] * len(pairs)
     source = OffsetSource(
