@@ -330,7 +330,8 @@ def matrix_of_moves(
 ) -> MatrixOfMoves:
     """Return the matrix that moves between rests determine beside turns by known angles; readings without g-sensitivity.
 
-    The turns are a prior of little weight: if they contradict the moves, they must not enlarge the excess of the moves.
+    Turns and moves together give the point of linearisation, as moves by themselves may leave a scale to its second order. There
+    the turns are a prior of little weight: if they contradict the moves, they must not enlarge the excess of the moves.
     """
     moves, _ = _without_saturated(cut_moves(records, stills))
     if not len(moves.first):
@@ -404,30 +405,28 @@ def _observed(
 
 
 def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | None) -> tuple[GlsFit, _MoveRows]:
-    """Return the fit by Gauss-Newton, and the rows there; turns are a prior of little weight."""
+    """Return the fit by Gauss-Newton, and the rows there; with turns, the fit of the moves at the point that both give."""
     theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
     known = np.zeros((len(theta), len(theta)))
     known[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
+    loose = known.copy()
     if turns is not None:
-        known[:9, :9] = LOOSE * np.linalg.inv(turns.covariance[:9, :9])
-    prior = Prior(mean=theta, precision=known)
+        known[:9, :9] = np.linalg.inv(turns.covariance[:9, :9])
+        loose[:9, :9] = LOOSE * known[:9, :9]
+    prior, by_moves = Prior(mean=theta, precision=known), Prior(mean=theta, precision=loose)
     drift = np.zeros((len(problem.felt), 3))  # of the offset, rad/s
     for _ in range(MOST_STEPS):
-        rows = _rows(problem, theta, drift)
-        value = rows.design @ theta + np.einsum("epa,pa->e", rows.by_offset, drift) - rows.misfit
-        in_rest = np.arange(len(value)) < rows.rests
-        walk = _of_drift(rows, problem.walk)
-        excess = {"walk": walk, "sway": np.where(in_rest, 1.0, 0.0), "hand": np.where(in_rest, 0.0, 1.0)}
         try:
-            fit = solve(rows.design, value, _sources(problem, rows, theta), excess=excess, prior=prior)
+            fit, rows = _step(problem, theta, drift, prior)
         except np.linalg.LinAlgError:
+            rows = _rows(problem, theta, drift)
             _check_determined(rows, theta)
             break
         weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), fit.residuals)
         drift = (problem.flicker + fit.excess["walk"] * problem.walk) @ np.einsum("epa,e->pa", rows.by_offset, weighted)
         change, theta = np.abs(fit.theta - theta)[:9].max(), fit.theta
         if change < CONVERGED * problem.size:
-            return fit, _rows(problem, theta, drift)
+            return fit if turns is None else _step(problem, theta, drift, by_moves)[0], _rows(problem, theta, drift)
         if not change < 10.0 * problem.size:
             break
     raise PoorFit(
@@ -435,6 +434,16 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
         "convergence; check the gyroscope's columns and the time column",
         moves=len(problem.moves.first),
     )
+
+
+def _step(problem: _Problem, theta: FloatArray, drift: FloatArray, prior: Prior) -> tuple[GlsFit, _MoveRows]:
+    """Return the fit with rows that are linear about parameters and a drift of the offset, and these rows."""
+    rows = _rows(problem, theta, drift)
+    value = rows.design @ theta + np.einsum("epa,pa->e", rows.by_offset, drift) - rows.misfit
+    in_rest = np.arange(len(value)) < rows.rests
+    walk = _of_drift(rows, problem.walk)
+    excess = {"walk": walk, "sway": np.where(in_rest, 1.0, 0.0), "hand": np.where(in_rest, 0.0, 1.0)}
+    return solve(rows.design, value, _sources(problem, rows, theta), excess=excess, prior=prior), rows
 
 
 def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
