@@ -82,7 +82,7 @@ def test_a_package_without_the_object_of_its_entry_point_is_refused(installed):
 
 
 def test_the_own_rows_of_a_table_cannot_be_replaced(installed):
-    with pytest.raises(InputError, match="link: wanted tcp://host:port"):
+    with pytest.raises(InputError, match="link: expected tcp://host:port"):
         open_rig("galil:shed")
 
 

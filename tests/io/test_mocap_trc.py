@@ -44,7 +44,7 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
     assert np.isfinite(found.points[1, 0]).all()
     assert found.short_rows == 1
     (finding,) = describe(tmp_path / "m.trc").findings[1:]
-    assert finding.text.startswith("Rows end before the last marker: in 1 rows; their last markers are read as lost")
+    assert (finding.code, finding.values["count"]) == ("recording.rows_left_out", 1)
 
 
 @pytest.mark.parametrize(
