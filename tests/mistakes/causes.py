@@ -151,9 +151,7 @@ TWO_DEVICES = (
 SHORT_RESTS = (
     r"(?:rests?|pauses?|pose|face)[^;]*(?:too )?short|hold (?:each|them|every)[^;]*\d+ s|wanted rests? of [\d.]+ s or more",
 )
-ONE_TEMPERATURE = (
-    r"one temperature (?:only|alone)|(?:only|alone|at) one temperature|single temperature|degC only",
-)
+ONE_TEMPERATURE = (r"one temperature (?:only|alone)|(?:only|alone|at) one temperature|single temperature|degC only",)
 SOAK_ORDER = (
     r"set-?points?[^;]*(?:order|differ|belong|swapped|disagree)",
     r"temperature differs from the set-point|order of the (?:soaks|set-points|temperatures)",

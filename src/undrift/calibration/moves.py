@@ -238,7 +238,7 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
 
 WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
 FEWEST_MOVES = 5
-MOST_STEPS, CONVERGED = 30, 1e-6  # of Gauss-Newton; relative change of the matrix
+MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # of Gauss-Newton; relative change of the matrix
 TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
 LEAST_ANGLE, LEAST_RATE = (
     1e-10,
@@ -415,7 +415,8 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
         loose[:9, :9] = LOOSE * known[:9, :9]
     prior, by_moves = Prior(mean=theta, precision=known), Prior(mean=theta, precision=loose)
     drift = np.zeros((len(problem.felt), 3))  # of the offset, rad/s
-    for _ in range(MOST_STEPS):
+    for count in range(MOST_STEPS):
+        share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
         try:
             fit, rows = _step(problem, theta, drift, prior)
         except np.linalg.LinAlgError:
@@ -423,8 +424,9 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
             _check_determined(rows, theta)
             break
         weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), fit.residuals)
-        drift = (problem.flicker + fit.excess["walk"] * problem.walk) @ np.einsum("epa,e->pa", rows.by_offset, weighted)
-        change, theta = np.abs(fit.theta - theta)[:9].max(), fit.theta
+        variance = problem.flicker + fit.excess["walk"] * problem.walk
+        drift = drift + share * (variance @ np.einsum("epa,e->pa", rows.by_offset, weighted) - drift)
+        change, theta = np.abs(fit.theta - theta)[:9].max(), theta + share * (fit.theta - theta)
         if change < CONVERGED * problem.size:
             return fit if turns is None else _step(problem, theta, drift, by_moves)[0], _rows(problem, theta, drift)
         if not change < 10.0 * problem.size:
