@@ -45,7 +45,7 @@ COUNTS = (
     "gaps",
     "first_sample",
 )  # values of findings that tell one damage from another
-NAMES_DAMAGE = re.compile(r"\b(lost|missing|left out|damaged|cut|jumps?)\b")
+NAMES_DAMAGE = re.compile(r"\b(lost|missing|left out|not read|damaged|cut|jumps?)\b")
 NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 SLOW = 700  # rows that one reading of a slow thermometer is interpolated onto
 REGULAR = 0.05  # of the median: steps of a time column that a missing row breaks

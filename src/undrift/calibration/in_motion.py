@@ -35,17 +35,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates minus their mean
 BRIDGED_S = 0.05  # longest gap over which a line is near enough to the readings. Assumed.
-STAGES_S = (
-    15.0,
-    15.0,
-    40.0,
-    40.0,
-    300.0,
-    300.0,
-    300.0,
-    300.0,
-    300.0,
-)  # length of a stretch, s, in each step of the descent
+# length of a stretch, s, in each step of the descent
+STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
 # rad/s: from rest to motion, from one recording to another, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8

@@ -286,9 +286,8 @@ def _findings(
 ) -> Iterator[Finding]:
     """Yield a heading that is uncertain with the axes that cause it, and the disturbed stretches of each recording."""
     sigma, size = np.sqrt(np.diag(covariance)), np.exp(means[:, 0])
-    soft, hard = (
-        np.abs(usual).T @ each for each in (sigma[:9].reshape(3, 3).max(axis=0), sigma[9:12])
-    )  # gyroscopes' axes
+    to_gyro = np.abs(usual).T
+    soft, hard = to_gyro @ sigma[:9].reshape(3, 3).max(axis=0), to_gyro @ sigma[9:12]
     heading = float((np.hypot(soft.max(), hard.max() / size) / np.cos(means[:, 1])).max())
     if heading > ROUGH:
         axes = tuple(axis for axis, wide in zip(AXES, hard > WIDEST * hard.max(), strict=True) if wide)

@@ -240,10 +240,8 @@ WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity 
 FEWEST_MOVES = 5
 MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # of Gauss-Newton; relative change of the matrix
 TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
-LEAST_ANGLE, LEAST_RATE = (
-    1e-10,
-    1e-3,
-)  # standard deviation that every angle has at least, rad, and every rest, of the flicker
+LEAST_ANGLE = 1e-10  # rad, standard deviation that every angle has at least
+LEAST_RATE = 1e-3  # of the flicker, standard deviation that every rest has at least
 LOOSE = 1e-4  # of the precision of turns by known angles in the fit to the moves
 CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
 HOPELESS_DEG = 20.0  # rms: moves that end farther from gravity are not those of this gyroscope

@@ -304,11 +304,11 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, sta
     per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
     small = 2.0**15 / per_dps < MIN_RANGE_DPS and largest < 2.0**15
     if small or stated:
-        what = (
-            "it comes from the stated turns only, and a wrong angle, rate or sample rate changes it: with "
-            f"{per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
+        what = f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
+        only = (
+            "it comes from the stated turns only, and a wrong angle, rate or sample rate changes it: " if stated else ""
         )
-        yield finding("gyro.scale_factor", "warn" if small else "info", what=what)
+        yield finding("gyro.scale_factor", "warn" if small else "info", what=only + what)
 
 
 def force_words(median_g: float, spread_g: float) -> str:

@@ -172,9 +172,8 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 # share of the rates about the second and third axis of the motion in those about the first, rms: below it they are not determined
 SECOND_AXIS, THIRD_AXIS = 0.03, 0.1
-SHARED_BODY = (
-    0.01  # weight of all recordings in the first body of each: one about a single axis does not determine its own
-)
+# weight of all recordings in the first body of each: a recording about a single axis does not determine its own
+SHARED_BODY = 0.01
 # elements of M about the rotation from readings to body, relative (data sheets of consumer parts: scale factor 1 to 3 %, cross-axis
 # sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
 MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
@@ -461,7 +460,7 @@ def _result(
 
 
 def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray]) -> Iterator[Finding]:
-    """Yield axes whose elements keep their prior, else a large uncertainty of the matrix; rest offsets that differ."""
+    """Yield findings: axes that keep their prior, or else a matrix that is uncertain; and rest offsets that differ."""
     size = float(np.linalg.norm(nominal, 2))
     to_device = np.kron(nominal.T, np.eye(3)) / size**2
     spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T)).reshape(3, 3)

@@ -50,7 +50,7 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self.path = path
         with ExitStack() as opened:
-            # separate from the file that is written, which may have to be reopened
+            # The lock has a file handle of its own, because the journal may have to be reopened.
             self._lock = opened.enter_context(locked(path))
             self.entries, end, self._sum = read_journal(path)
             self._file: BinaryIO = opened.enter_context(path.open("ab"))
@@ -148,7 +148,7 @@ def _entry(line: bytes) -> Entry | None:
 
 
 def synchronise(path: Path) -> None:
-    """Synchronise a file and its name with the disk."""
+    """Flush a file and its directory entry to the disk."""
     _fsync(path, os.O_RDWR)
     synchronise_names(path.parent)
 

@@ -6,11 +6,11 @@ Each of the two is calibrated and judged by the product's own functions::
     thermal session, soaks up and down -> fit_drift    tables
     trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag removed (validate_trial)
 
-The levels of correction are as in ``validation.levels``, without the first and the last: constants, static table, all tables, the
-offset of the rest before the motion (without a chamber), and both together, which is recommended. Errors are over the 4 s of the
-acquisition from the start of integration. The 3.2 deg of the note are 0.8 deg/s over this time. The board warms from 25 degC while
-it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is between the two
-errors over the acquisition.
+The levels of correction are those of ``validation.levels`` except the first and the last: constants, static table, all tables, the
+offset of the rest before the motion (no chamber), and both together. The last one is recommended. Errors are those over the 4 s of
+the acquisition, from the start of the integration. The note's 3.2 deg are 0.8 deg/s over this time. The board warms from
+25 degC while it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is between
+the two errors over the acquisition.
 
 The model of the study is a unit without some effects, and the actual device is the same unit with these effects::
 

@@ -9,7 +9,7 @@ Three angles and three coordinates are courses, which are sums of terms with ana
 
 A task can be evaluated at any times, so device and optics each use their own sample times.
 
-Library of tasks, with random parameters for each performance:
+The tasks. Each performance draws its parameters at random:
 
 ``sit_to_stand``   The trunk leans forward through a via-point, returns and sways, at up to 90 deg/s.
 ``step``           Rising a step, with lean, shift of weight, rise and impact of each foot, at up to 45 deg/s.
