@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.erring_bench.rig_run import run_of
 from scipy.stats import binom, chi2
 
 from testkit.cramer_rao import white_device
@@ -18,6 +19,7 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.model import Calibration
 from undrift.record import RateTable, Session
 from undrift.sim.bench_errors import BenchErrors
+from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
 from undrift.sim.sessions import simulate_session
 
@@ -111,3 +113,11 @@ def test_intervals_hold_where_a_table_errs_in_every_way() -> None:
     ratio, _, _ = errors("bench", table)
     check("cross-axis, all together", ratio[:, CROSS])
     check("scale, all together", ratio[:, SCALES], shared=3)  # one rate error of a table is in all three
+
+
+def test_a_run_of_a_rig_with_a_recording_for_each_dwell_is_calibrated():
+    device, made = run_of(1, 0.1)
+    true = true_calibration(device).gyro
+    scale = np.diag(made.gyro.matrix @ np.linalg.inv(true.matrix)) - 1.0
+    show("rig run, error of the scale", np.abs(scale).max(), 3e-4)
+    assert np.abs(scale).max() < 3e-4  # three times the uncertainty that the fit states

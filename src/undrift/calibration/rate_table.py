@@ -299,14 +299,18 @@ def check_dwells(
 ) -> None:
     """Raise if the reading of a dwell contradicts all the others; rates (N, 3), rad/s.
 
-    Dwells in a recording with rests have the offset of that recording: each switch-on has an offset of its own.
+    Dwells in a recording with rests have the offset of that recording, as each switch-on has an offset of its own, unless the
+    recordings hold a dwell or two each, as those of a rig run do.
     """
     rows, count = _rows(dwells, rates, rests), len(rates)
     group = np.zeros(len(rows.rate))
     if rests is not None and recordings:
         rested = [still.recording for still in rests.stills]
         group = np.concatenate((np.where(np.isin(recordings, rested), recordings, -1), rested))
-    design = np.column_stack((rows.rate, group[:, None] == np.unique(group)))
+    offsets = group[:, None] == np.unique(group)
+    if 2 * (3 + offsets.shape[1]) > len(group):  # a recording for each dwell: its rows would fit exactly
+        offsets = np.ones((len(group), 1), dtype=np.bool_)
+    design = np.column_stack((rows.rate, offsets))
     if rows.force is not None:
         full = np.hstack((design, rows.force))
         if len(full) - full.shape[1] >= LEAST_SPARE and scaled_condition(full)[0] == full.shape[1]:
