@@ -84,13 +84,13 @@ def test_degrees_and_g_are_converted():
 
 def test_what_cannot_be_oriented_is_refused():
     record, _ = moved(noise=1e-4)
-    with pytest.raises(InputError, match="wanted gyroscope readings, got none"):
+    with pytest.raises(InputError, match="no gyroscope readings"):
         orient(Record(time=record.time, accel=record.accel))
     rng = np.random.default_rng(2)
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
         InputError,
-        match=r"a still phase, got none: .*; name a stretch at rest \(`rest_s`\), use `offset` motion",
+        match=r"no still phase .* \(`rest_s`\), use `offset` motion",
     ):
         orient(shaken)
     with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):
@@ -100,10 +100,10 @@ def test_what_cannot_be_oriented_is_refused():
 def test_a_hole_in_time_or_a_dead_axis_is_refused() -> None:
     record, *_ = moved()
     late = np.where(np.arange(len(record)) < 400, record.time, record.time + 5.0)
-    with pytest.raises(InputError, match=r"wanted readings without holes over 0.1 s, got 1, the first of 5.0"):
+    with pytest.raises(InputError, match=r"holes over 0.1 s, got 1, the first of 5.0"):
         orient(replace(record, time=late))
     assert record.gyro is not None
-    with pytest.raises(InputError, match="wanted three gyroscopes that turn, got x at one value throughout"):
+    with pytest.raises(InputError, match="x of the gyroscopes"):
         orient(replace(record, gyro=record.gyro * [0.0, 1.0, 1.0]))
 
 
@@ -234,7 +234,7 @@ def test_the_filter_with_a_magnetometer_turns_to_magnetic_east_and_bridges_gaps(
     for change, got in (({}, "got no readings"), ({"mag_ut": field}, "got strapdown, heading 0 rad")):
         with pytest.raises(InputError, match=got):
             orient(replace(record, **change), None, OrientSettings(magnetometer=True, method="strapdown"))
-    with pytest.raises(InputError, match="wanted a magnetometer, got gaps alone"):
+    with pytest.raises(InputError, match="all gaps"):
         orient(replace(record, mag_ut=field * np.nan), None, OrientSettings(method="vqf", magnetometer=True))
 
 
@@ -242,7 +242,7 @@ def test_without_whole_accelerometers_the_filter_is_refused():
     record, _ = moved(noise=1e-4)
     accel = record.accel.copy()
     accel[500] = np.nan
-    with pytest.raises(InputError, match="wanted an accelerometer without gaps for the filter, got 1 gaps"):
+    with pytest.raises(InputError, match="without gaps, got 1 gaps"):
         orient(replace(record, accel=accel), None, VQF)
 
 
@@ -250,7 +250,7 @@ def test_rates_that_no_gyroscope_reads_point_to_the_unit() -> None:
     time = np.arange(800) / 100.0
     gyro = np.where(time[:, None] > 6.0, 75.0, 0.0) * np.array([1.0, 0.2, 0.1])  # rad/s: 4297 deg/s
     accel = np.tile([0.0, 0.0, 9.81], (800, 1))
-    with pytest.raises(InputError, match=r"up to 4000 deg/s, as gyroscopes read them, got 4297 deg/s; check the unit"):
+    with pytest.raises(InputError, match=r"up to 4000 deg/s, .* got 4297 deg/s"):
         orient(Record(time=time, gyro=gyro, accel=accel, frame="b", state="corrected"))
 
 
@@ -354,11 +354,11 @@ def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
     assert only(raw.findings, "orient.drift").values["offset_dps"] > 0.3
     assert only(raw.findings, "orient.drift").values["start"] == "the first sample"
     assert only(raw.findings, "orient.drift").values["option"] == "`offset` motion or `method` vqf"
-    with pytest.raises(InputError, match="wanted a still phase, got none"):
+    with pytest.raises(InputError, match="no still phase"):
         orient(record, settings=OrientSettings(offset="rest"))
     accel = np.array(record.accel)
     accel[700] = np.nan
     with pytest.raises(InputError, match=r"without gaps, got 1 gaps \(NaN\); record with a pause at rest"):
         orient(replace(record, accel=accel), settings=OrientSettings(offset="motion"))
-    with pytest.raises(InputError, match="wanted a still phase, got none"):
+    with pytest.raises(InputError, match="no still phase"):
         orient(record.between(9.0, 20.0), settings=OrientSettings(offset="motion"))

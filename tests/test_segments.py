@@ -103,14 +103,12 @@ def test_a_threshold_in_noise_floors_is_reported_with_its_unit():
     assert len(found.stills) == 2
     nothing = find_still(record, StillSettings(threshold_floors=1e-6))
     assert nothing.stills == ()
-    assert "no stretch below the thresholds lasts 1 s" in nothing.reason
+    assert "longest rest is too short" in nothing.reason
 
 
 def test_a_record_shorter_than_a_window_says_so():
     record = Record(time=np.arange(50) / FS, gyro=np.zeros((50, 3)))
-    with pytest.raises(
-        InputError, match=r"wanted a record longer than one window of 1 s, got 0\.49 s; record for longer, or find"
-    ):
+    with pytest.raises(InputError, match=r"longer than one window of 1 s, got 0\.49 s"):
         find_still(record)
 
 
@@ -153,7 +151,7 @@ def test_where_each_window_has_a_gap_no_turn_is_found(rests):
 
 def test_turns_need_a_gyroscope():
     time = np.arange(500) / FS
-    with pytest.raises(InputError, match="wanted a gyroscope, got a record without; map the gyro columns"):
+    with pytest.raises(InputError, match="no gyroscope"):
         find_turns(Record(time=time, accel=np.zeros((500, 3))), ())
 
 
@@ -164,13 +162,13 @@ def test_faces_are_named_after_the_axis_that_points_up_and_free_poses_are_not():
     assert faces_at(record, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
     counts = Record(time=record.time, accel=record.accel * 400.0 + 32768.0, accel_unit="count")
     assert faces_at(counts, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
-    with pytest.raises(InputError, match="wanted five poses or more to find the zero of readings in counts, got 2"):
+    with pytest.raises(InputError, match=r"expected five poses or more .* got 2"):
         faces_at(counts, stills[:2])
 
 
 def test_a_phase_that_is_all_gap_has_no_mean():
     values = np.full((10, 3), np.nan)
-    with pytest.raises(InputError, match=r"still \[0, 10\): wanted readings, got nothing but gaps"):
+    with pytest.raises(InputError, match=r"still \[0, 10\): all readings are gaps"):
         still_means(values, (Still(start=0, stop=10),))
 
 

@@ -132,7 +132,7 @@ class TriadModel:
             stated, summed = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
             if summed.shape != stated.shape or not np.allclose(summed, stated, rtol=1e-9, atol=0.0):
                 raise InputError(
-                    "budget: wanted squares that sum to the diagonal of the covariance, got others; give its own, or none"
+                    "budget: expected squares that sum to the diagonal of the covariance. Give the correct budget, or none."
                 )
 
     @property
@@ -215,8 +215,8 @@ class WarmUp:
         freeze(self)
         if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
             raise InputError(
-                f"warm-up: wanted nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
-                f"{np.abs(self.gyro_offset[-1]).max():g} at the end; put the settled offset into the static table"
+                f"warm-up: expected nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
+                f"{np.abs(self.gyro_offset[-1]).max():g} at the end. Put the settled offset into the static table."
             )
 
 
@@ -310,8 +310,8 @@ class DriftTables:
         lag, smooth = self.lag_s, self.lag_smooth_s
         if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
             raise InputError(
-                "drift tables: wanted lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
-                f"got {lag:g} and {smooth:g}; give both, or neither"
+                "drift tables: expected lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
+                f"got {lag:g} and {smooth:g}. Give both, or neither."
             )
 
 
@@ -361,7 +361,9 @@ class BodyMounting:
     def __post_init__(self) -> None:
         freeze(self)
         if not np.allclose(self.matrix @ self.matrix.T, np.eye(3), atol=1e-6) or np.linalg.det(self.matrix) < 0.0:
-            raise InputError("mounting: wanted a rotation from case to body axes, got another matrix; find it anew")
+            raise InputError(
+                "mounting: the matrix is not a rotation from case to body axes. Determine the mounting again."
+            )
 
     @property
     def uncertainty(self) -> float:

@@ -141,7 +141,7 @@ def find_mounting(
         "mount.look",
         "info",
         what=f"its side {ahead} points forward, its side {upward} up",
-        why="where they do not, accelerometer columns are exchanged or of the opposite sign, which a walk does not show",
+        why="if they do not, accelerometer columns are exchanged or reversed, which a walk cannot determine",
     )
     uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
     verdict = Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ()))

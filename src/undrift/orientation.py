@@ -61,10 +61,8 @@ if TYPE_CHECKING:
 # ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
-NOT_CALIBRATED = "scatter only; accelerometer not calibrated: typically 0.3 deg"
-NOT_STATED = (
-    "scatter only; the file does not say how well its accelerometer is calibrated: correct the raw recording anew"
-)
+NOT_CALIBRATED = "scatter only, because the accelerometer is not calibrated: typically 0.3 deg"
+NOT_STATED = "scatter only, because the file does not contain the uncertainty of its accelerometer. Correct the raw recording again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,19 +92,21 @@ class Tilt:
 def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
     """Find the orientation of a device at rest."""
     if record.accel is None:
-        raise InputError("tilt: wanted accelerometer readings, got none; map the columns that hold them")
+        raise InputError("tilt: no accelerometer readings. Map the accelerometer columns.")
     force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
     if len(force) < FEWEST:
-        raise InputError(f"tilt: wanted {FEWEST} samples at rest or more, got {len(force)}; give a longer still phase")
+        raise InputError(
+            f"tilt: expected {FEWEST} samples at rest or more, got {len(force)}. Give a longer still phase."
+        )
     if np.isnan(force).any():
-        raise InputError("tilt: wanted readings without gaps, got NaN in the still phase; choose another one")
+        raise InputError("tilt: the still phase has gaps (NaN). Choose another still phase.")
     mean = force.mean(axis=0)
     length = float(np.linalg.norm(mean))
     if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
         raise InputError(
-            f"tilt: wanted a mean specific force within {GRAVITY_WITHIN:.0%} of gravity, got {length:.3g} m/s2; "
-            "check the unit of the accelerometer, that no other quantity is mapped as one of its axes, and that the device "
-            "stood still",
+            f"tilt: expected a mean specific force within {GRAVITY_WITHIN:.0%} of gravity, got {length:.3g} m/s2. "
+            "Check the unit of the accelerometer, that no other quantity is mapped as one of its axes, and that the device "
+            "stood still.",
             length=length,
         )
     return _tilt_of(record, mean, force_covariances(record, still, force), heading)
@@ -156,9 +156,9 @@ def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
     if gap.any():
         start, stop = runs(gap)[0]
         raise InputError(
-            f"{what}: wanted a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
-            f"{time[start]:.6g} to {time[stop - 1]:.6g} s; after a gap the orientation is unknown: correct without gaps (policy "
-            "hold, temperatures filled in), or take each stretch between gaps with a rest of its own",
+            f"{what}: expected a rate at every sample, got a gap (NaN) at {int(gap.sum())} of {len(gap)}, the first stretch from "
+            f"{time[start]:.6g} to {time[stop - 1]:.6g} s. After a gap the orientation is unknown. Correct without gaps (policy "
+            "hold, temperatures filled in), or orient each stretch between gaps from its own rest.",
             gaps=int(gap.sum()),
         )
 
@@ -186,8 +186,8 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     """Return the direction of gravity in the segment's sagittal plane, rad; forward lean is positive."""
     if forward not in FACES or up not in FACES or forward[1] == up[1]:
         raise InputError(
-            f"pitch: wanted two different axes of {', '.join(FACES)}, got forward {forward} and up {up}; "
-            "name the axes that point forward and up"
+            f"pitch: expected two different axes of {', '.join(FACES)}, got forward {forward} and up {up}. "
+            "Name the axes that point forward and up."
         )
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     along, upward = (vertical[..., AXES.index(face[1])] * (1.0 if face[0] == "+" else -1.0) for face in (forward, up))
@@ -499,13 +499,13 @@ def filtered(
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
         raise InputError(
-            f"orient: wanted an accelerometer without gaps for the filter, got {got}; use the method strapdown"
+            f"orient: the filter needs an accelerometer without gaps, got {got}. Use the method strapdown."
         )
     mag_ut = None
     if magnetometer:
         mag_ut = np.asarray(record.mag_ut)
         if not np.isfinite(mag_ut).all(axis=1).any():
-            raise InputError("orient: wanted a magnetometer, got gaps alone; leave it out")
+            raise InputError("orient: the magnetometer readings are all gaps. Omit the magnetometer.")
         mag_ut = bridged(record.time, mag_ut)  # it may be slower
     q, disturbed = filtered_with_field(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty, acc_s=acc_s)
     if not magnetometer:
@@ -525,8 +525,8 @@ def _check_field(record: Record, settings: OrientSettings) -> None:
     if settings.magnetometer and (settings.method != "vqf" or settings.heading != 0.0 or record.mag_ut is None):
         got = "no readings" if record.mag_ut is None else f"{settings.method}, heading {settings.heading:.3g} rad"
         raise InputError(
-            "orient: wanted a magnetometer's readings, the method vqf and no heading, which the field gives, "
-            f"got {got}; leave the magnetometer out, or correct this"
+            "orient: a magnetometer requires its readings, the method vqf and no heading (the field determines it), "
+            f"got {got}. Omit the magnetometer, or change these settings."
         )
 
 
@@ -537,28 +537,28 @@ def check_whole(record: Record) -> None:
     """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
     time, gyro = record.time, record.gyro
     if gyro is None:
-        raise InputError("orient: wanted gyroscope readings, got none; map the columns that hold them")
+        raise InputError("orient: no gyroscope readings. Map the gyroscope columns.")
     check_gaps(gyro, time, "orient")
     steps = np.diff(time)
     holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))
     if len(holes):
         at = int(holes[0])
         raise InputError(
-            f"orient: wanted readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s at "
-            f"{time[at]:.6g} s; after a hole the orientation is unknown: orient each stretch with a rest of its own",
+            f"orient: expected readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s "
+            f"at {time[at]:.6g} s. After a hole the orientation is unknown. Orient each stretch from its own rest.",
             hole_s=float(steps[at]),
         )
     fastest = float(np.abs(gyro).max())
     if fastest > _MOST_RATE:
         raise InputError(
-            f"orient: wanted angular rates up to {_MOST_RATE / RADIAN_PER_DEGREE:g} deg/s, as gyroscopes read them, got "
-            f"{fastest / RADIAN_PER_DEGREE:.4g} deg/s; check the unit of the gyroscope",
+            f"orient: expected angular rates up to {_MOST_RATE / RADIAN_PER_DEGREE:g} deg/s, the most that gyroscopes read, got "
+            f"{fastest / RADIAN_PER_DEGREE:.4g} deg/s. Check the unit of the gyroscope.",
             rate=fastest,
         )
     dead = [axis for axis, moves in zip("xyz", np.ptp(gyro, axis=0) > 0.0, strict=True) if not moves]
     if dead and len(dead) < 3:
         raise InputError(
-            f"orient: wanted three gyroscopes that turn, got {', '.join(dead)} at one value throughout; check them"
+            f"orient: {', '.join(dead)} of the gyroscopes kept one value throughout. Check the device and its columns."
         )
 
 

@@ -47,9 +47,7 @@ class ForceUncertainty:
     def __post_init__(self) -> None:
         freeze(self)
         if np.isnan([*self.covariance.ravel(), *self.per_k, *self.step]).any() or not isinstance(self.calibrated, str):
-            raise InputError(
-                "ForceUncertainty: wanted numbers and a date, got NaN or others; correct the recording anew"
-            )
+            raise InputError("ForceUncertainty: expected finite numbers and a date. Correct the recording again.")
 
 
 class ArrowTable(Protocol):
@@ -111,7 +109,7 @@ class Record(Shown):
     def __post_init__(self) -> None:
         freeze(self)
         if self.gyro is None and self.accel is None:
-            raise InputError("record: wanted gyro or accel readings, got neither; map the columns that hold them")
+            raise InputError("record: gyro or accel readings are needed, got neither. Map their columns.")
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         check_time(self.time)
@@ -288,7 +286,7 @@ class Reference:
         norm = np.linalg.norm(self.q_nb, axis=1)
         if (np.abs(norm[np.isfinite(norm)] - 1.0) > 1e-3).any():
             raise InputError(
-                "q_nb: wanted unit quaternions w-x-y-z, got other lengths; check the columns and their order"
+                "q_nb: expected unit quaternions w-x-y-z, got other lengths. Check the columns and their order."
             )
         object.__setattr__(self, "q_nb", frozen(self.q_nb / norm[:, None], (None, 4), "q_nb"))
         if self.position is not None:
@@ -296,8 +294,8 @@ class Reference:
             span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
             if span > LARGEST_SPAN_M:
                 raise InputError(
-                    f"position: wanted m, within {LARGEST_SPAN_M:g} m, got a span of {span:.0f}: positions are in mm, not m; "
-                    "convert them",
+                    f"position: expected m, within {LARGEST_SPAN_M:g} m, got a span of {span:.0f}: positions are in mm, not m. "
+                    "Convert them.",
                     span=span,
                 )
         check_time(self.time)
@@ -320,17 +318,17 @@ def check_time(time: FloatArray) -> None:
     """Raise InputError unless time strictly increases, without gaps, over two or more samples."""
     if len(time) < 2:
         raise InputError(
-            f"time: wanted two samples or more, got {len(time)}; the file holds no recording", samples=len(time)
+            f"time: expected two samples or more, got {len(time)}. The file contains no recording.", samples=len(time)
         )
     if np.isnan(time).any():
         row = int(np.flatnonzero(np.isnan(time))[0])
-        raise InputError(f"time: wanted a number in every row, got NaN first in row {row}; repair the file", row=row)
+        raise InputError(f"time: expected a number in every row, got NaN first in row {row}. Repair the file.", row=row)
     steps = np.diff(time)
     if (steps <= 0.0).any():
         row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise InputError(
-            f"time: wanted strictly increasing seconds, got {int((steps <= 0).sum())} steps back or doubled, first in row {row} "
-            f"({time[row - 1]:.6g} s then {time[row]:.6g} s); ask for a repair of time if dropping those rows is right",
+            f"time: expected strictly increasing seconds, got {int((steps <= 0).sum())} steps back or doubled, first in row {row} "
+            f"({time[row - 1]:.6g} s then {time[row]:.6g} s). Repair the time if you may drop those rows.",
             row=row,
         )
 
@@ -345,10 +343,10 @@ def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str)
     """Return the number of samples of a triad passed to from_arrays. Raise InputError if it has no unit or is transposed."""
     shape = () if values is None else np.shape(values)
     if len(shape) == 2 and shape[0] == 3 and shape[1] != 3:
-        raise InputError(f"from_arrays: wanted {name} of shape (N, 3), got {shape}; time is axis 0: give {name}.T")
+        raise InputError(f"from_arrays: expected {name} of shape (N, 3), got {shape}. Time is axis 0. Give {name}.T.")
     if values is not None and not unit:
         raise InputError(
-            f"from_arrays: wanted the unit of {name}, got none; state it, as in {name}_unit={example!r}: nothing is assumed"
+            f"from_arrays: {name} has no unit, and none is assumed. Give it, for example {name}_unit={example!r}."
         )
     return shape[0] if shape else 0
 
@@ -357,7 +355,7 @@ def _clock_of(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: flo
     """Return the time for from_arrays, s: the given time, or an even clock."""
     if (time is None) == (sample_rate_hz is None) or not (sample_rate_hz is None or sample_rate_hz > 0.0):
         got = "both" if time is not None else "neither" if sample_rate_hz is None else f"{sample_rate_hz:g} Hz"
-        raise InputError(f"from_arrays: wanted time in s or a sample_rate_hz above 0, got {got}; state one of them")
+        raise InputError(f"from_arrays: expected time in s or a sample_rate_hz above 0, got {got}. Give one of them.")
     return np.arange(max(counts)) / (sample_rate_hz or np.nan) if time is None else time
 
 
@@ -473,7 +471,7 @@ class TemperatureSensitivity:
         for item in fields(self):
             value = getattr(self, item.name)
             if not 0.0 <= value <= 100.0:
-                raise InputError(f"temperature: wanted {item.name} from 0 to 100, got {value:g}; correct it")
+                raise InputError(f"temperature: expected {item.name} from 0 to 100, got {value:g}. Correct it.")
 
 
 @stored()
@@ -490,7 +488,7 @@ class RateTable:
         for item in fields(self):
             value, most = getattr(self, item.name), 0.1 if item.name == "rate_uncertainty" else 10.0
             if not 0.0 <= value <= most:
-                raise InputError(f"rate table: wanted {item.name} from 0 to {most:g}, got {value:g}; correct it")
+                raise InputError(f"rate table: expected {item.name} from 0 to {most:g}, got {value:g}. Correct it.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -560,11 +558,11 @@ class Session:
 
     def __post_init__(self) -> None:
         if not self.records:
-            raise InputError("session: wanted one recording or more, got none; add a [[recording]] to session.toml")
+            raise InputError("session: expected one recording or more, got none. Add a [[recording]] to session.toml.")
         if (self.kind == "set-points") != bool(self.means) or (self.means and len(self.means) != len(self.records)):
             raise InputError(
-                f"session: wanted a table of means for each recording of kind set-points, and none for others, got kind "
-                f"{self.kind} with {len(self.means)} for {len(self.records)}; give the means with the records"
+                f"session: a table of means belongs to each recording of kind set-points and to no other, got kind "
+                f"{self.kind} with {len(self.means)} for {len(self.records)}. Give the means with the records."
             )
         check_serial(self.serial, "session")
         check_local_gravity(self.gravity_m_s2, "session")
@@ -572,8 +570,8 @@ class Session:
         for piece in pieces:
             if not 0 <= piece.recording < len(self.records) or piece.stop > len(self.records[piece.recording]):
                 raise InputError(
-                    f"session: wanted samples inside a recording, got [{piece.start}, {piece.stop}) of recording "
-                    f"{piece.recording}; check start_s and stop_s"
+                    f"session: expected samples inside a recording, got [{piece.start}, {piece.stop}) of recording "
+                    f"{piece.recording}. Check start_s and stop_s."
                 )
 
     @property
@@ -586,7 +584,7 @@ def check_serial(serial: str, what: str, least: int = 0) -> None:
     """Raise InputError for a serial number that is too long, too short or not printable."""
     if not least <= len(serial) <= 200 or not serial.isprintable():
         raise InputError(
-            f"{what}: wanted a serial number of {least} to 200 printable characters, got {len(serial)}; correct it"
+            f"{what}: expected a serial number of {least} to 200 printable characters, got {len(serial)}. Correct it."
         )
 
 
@@ -594,8 +592,8 @@ def check_local_gravity(gravity_m_s2: float, what: str) -> None:
     """Raise InputError if a value cannot be gravity on Earth."""
     if not 9.7 < gravity_m_s2 < 9.9:
         raise InputError(
-            f"{what}: wanted local gravity between 9.7 and 9.9 m/s2, got {gravity_m_s2:g}; "
-            "give gravity_m_s2, or latitude_deg and height_m"
+            f"{what}: expected local gravity between 9.7 and 9.9 m/s2, got {gravity_m_s2:g}. "
+            "Give gravity_m_s2, or latitude_deg and height_m."
         )
 
 
@@ -613,4 +611,6 @@ def joined(records: Sequence[Record]) -> Record:
 
 def _check_range(start: int, stop: int, what: str) -> None:
     if not 0 <= start < stop:
-        raise InputError(f"{what}: wanted samples 0 <= start < stop, got [{start}, {stop}); check its start and stop")
+        raise InputError(
+            f"{what}: expected samples 0 <= start < stop, got [{start}, {stop}). Check its start and stop."
+        )

@@ -202,8 +202,8 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
     if len(record) < window + smooth:
         raise InputError(
-            f"find_still: wanted a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s; "
-            "record for longer, or find still phases with a shorter window_s"
+            f"find_still: expected a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s. "
+            "Record for longer, or find still phases with a shorter window_s."
         )
     triads: list[_Moments] = []
     for is_gyro, values, unit in ((True, record.gyro, record.gyro_unit), (False, record.accel, record.accel_unit)):
@@ -389,9 +389,9 @@ def _why_none(
         why = f"too restless: a device at rest varies less than {' and '.join(over)}"
     elif all(t.basis == "none" for t in thresholds):
         usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
-        why = f"no gap separates rest from motion; too restless: half of the windows vary by more than {usual}"
+        why = f"no gap separates rest from motion, which is too restless: half of the windows vary by more than {usual}"
     else:
-        why = f"no stretch below the thresholds lasts {settings.min_duration_s:g} s; too short: the longest lasts {longest_s:.2g} s"
+        why = f"the longest rest is too short: {longest_s:.2g} s, limit {settings.min_duration_s:g} s"
     rests = [m.floor < m.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT) for m in triads if not m.is_gyro]
     if rests == [True] and triads[0].unit == "rad/s" and triads[0].floor > BENCH_RATE_LIMIT:
         why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
@@ -433,7 +433,7 @@ def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
             why = f"too restless: {value} {triad.unit} rms, limit {most}"
         elif rest < sample_count(search.settings.min_duration_s, record.sample_rate_hz):
             rest_s = rest / record.sample_rate_hz
-            why = f"too short: {rest_s:.2g} s at rest, wanted {search.settings.min_duration_s:g} s"
+            why = f"too short: {rest_s:.2g} s at rest, limit {search.settings.min_duration_s:g} s"
         else:
             why = f"in a steady turn: {np.linalg.norm(pairs[0][0].mean[quietest]):.3g} {pairs[0][0].unit}"
         stretches.append(LeftOut(start=first + edge, stop=last + edge, why=why))
@@ -531,7 +531,7 @@ def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
     for still in stills:
         if np.isnan(values[still.start : still.stop]).all(axis=0).any():
             raise InputError(
-                f"still [{still.start}, {still.stop}): wanted readings, got nothing but gaps; choose another stretch"
+                f"still [{still.start}, {still.stop}): all readings are gaps (NaN). Choose another stretch."
             )
     return np.array([np.nanmean(values[s.start : s.stop], axis=0) for s in stills]).reshape(-1, 3)
 
@@ -540,8 +540,8 @@ def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     """Name the axis that points up for each mean reading (P, 3); None where none is near the vertical."""
     if not centred and len(means) < 5:
         raise InputError(
-            f"faces: wanted five poses or more to find the zero of readings in counts, got {len(means)}; "
-            "label the faces in session.toml"
+            f"faces: expected five poses or more to find the zero of readings in counts, got {len(means)}. "
+            "Label the faces in session.toml."
         )
     up = means if centred else means - sphere_of(means)[0]
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
@@ -614,7 +614,7 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     11
     """
     if record.gyro is None:
-        raise InputError("find_turns: wanted a gyroscope, got a record without; map the gyro columns")
+        raise InputError("find_turns: the record has no gyroscope. Map the gyro columns.")
     fs = record.sample_rate_hz
     mean, spread = sliding_moments(record.gyro, sample_count(_STEADY_S, fs), max(1, round(_AVERAGED_S * fs)))
     finite = np.isfinite(spread)

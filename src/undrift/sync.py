@@ -136,7 +136,9 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     turn_u, turn_w = (np.trace(each, axis1=1, axis2=2) for each in (v, square_w))
     turns = enough & (turn_u > STILL * turn_u.max()) & (turn_w > STILL * turn_w.max())
     if not turns.any():
-        raise AlignmentError("lag: one of record and reference does not turn. There is no common motion to align by.")
+        raise AlignmentError(
+            "lag: record and reference must both turn, but one of them does not. Choose a stretch with motion."
+        )
     ridge = STILL * turn_u.max() * np.eye(v.shape[1])
     explained = (c * np.linalg.solve(v + ridge, c)).sum(axis=(1, 2)) / np.where(turns, turn_w, np.inf)
     return float((int(np.argmax(explained * overlap)) - reach) * width)
@@ -261,7 +263,7 @@ class Lag:
 def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Lag:
     """Find how late the readings of a gyroscope are against poses of the same body."""
     if record.gyro is None:
-        raise InputError("lag: wanted a record with a gyroscope, got none; map its columns")
+        raise InputError("lag: the record has no gyroscope. Map its columns.")
     return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), settings)
 
 

@@ -40,7 +40,7 @@ def test_correct_subtracts_the_offset_of_a_recording_that_never_rests():
     np.testing.assert_allclose(plain.record.gyro - moved.record.gyro, moved.rest.at(record.time), atol=1e-12)
     # Turn-on repeatability is a tenth of a degree per second: what two recordings of one device differ by
     assert np.abs(np.degrees(moved.rest.rate)).max() < 0.3
-    with pytest.raises(InputError, match=r"wanted a still phase, got none.*use `offset` motion"):
+    with pytest.raises(InputError, match=r"no still phase.*use `offset` motion"):
         correct_whole(record, made, offset="rest")
 
 

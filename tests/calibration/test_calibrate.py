@@ -132,11 +132,11 @@ def test_what_was_asked_for_and_is_not_there_is_refused():
         calibrate(six, mode="best")
     record = six.records[0]
     blind = replace(six, records=(replace(record, gyro=None),))
-    with pytest.raises(NotObservable, match="gyroscope by rest: wanted gyroscope readings, got none"):
+    with pytest.raises(NotObservable, match="gyroscope by rest: no"):
         calibrate(blind, gyro="rest")
     assert calibrate(blind).gyro is None
     numb = replace(six, records=(replace(record, accel=None),), stills=())
-    with pytest.raises(NotObservable, match="accelerometer by six-face: wanted its readings, got none"):
+    with pytest.raises(NotObservable, match="accelerometer by six-face: no"):
         calibrate(numb, accel="six-face")
 
 
@@ -159,15 +159,13 @@ def test_a_single_rest_gives_the_rate_offset_alone():
     np.testing.assert_allclose(found.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
     np.testing.assert_allclose(found.gyro.matrix, np.eye(3) * np.pi / 180.0)
     assert np.isnan(found.reference_temp_c)
-    text = "Accelerometer not observable: wanted rests on six faces or 9 free poses, got 1;"
+    text = "Accelerometer not observable: expected rests on six faces or 9 free poses, got 1."
     assert any(item.text.startswith(text) for item in found.verdict.findings)
 
 
 def test_nothing_to_fit_is_an_error_that_says_what_to_record():
     session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(unit="count"),))
-    with pytest.raises(
-        NotObservable, match="wanted poses or turns to fit, got none that can be used: Accelerometer not observable"
-    ):
+    with pytest.raises(NotObservable, match="Accelerometer not observable"):
         calibrate(session)
 
 
@@ -416,7 +414,7 @@ def test_a_face_that_was_not_recorded_is_named_where_rests_and_turns_are_found()
     assert found.accel is None
     assert found.gyro.method == "known-rotation/affine"  # three turns need no accelerometer
     (accel,) = (item for item in found.verdict.findings if item.headline == "Accelerometer not observable")
-    assert "faces without a rest: -y" in accel.detail
+    assert "Faces without a rest: -y" in accel.detail
 
 
 # ---- settings that reach a fit change it as they say

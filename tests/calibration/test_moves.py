@@ -75,9 +75,7 @@ def test_stills_of_several_recordings_are_pooled() -> None:
     fit = fit_multi_position(pieces, gravity=G, stills=stills)
     np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=1e-9)
     assert fit.gyro is None
-    with pytest.raises(
-        NotObservable, match=r"scale of x, y and z, cross-axis terms xy, xz, yx.*got 0; turn the device by 90 deg"
-    ):
+    with pytest.raises(NotObservable, match=r"scale of x, y and z, cross-axis terms xy, xz, yx.*got 0. Turn"):
         fit_moves(pieces, stills, fit.accel.model)
 
 
@@ -91,9 +89,7 @@ def test_moves_about_one_axis_leave_the_gyroscopes_unseen() -> None:
     stills = [Still(start=600 * k, stop=600 * k + 300) for k in range(10)]
     accel = fit_multi_position(recorded(), gravity=G).accel.model
     perfect = replace(accel, matrix=np.eye(3), offset=np.zeros(3))
-    with pytest.raises(
-        NotObservable, match=r"cross-axis terms xy, xz.*turn the device by 90 deg or more about each axis"
-    ):
+    with pytest.raises(NotObservable, match=r"cross-axis terms xy, xz.*about each axis"):
         fit_moves((record,), stills, perfect)
 
 
@@ -122,18 +118,18 @@ def test_gyroscopes_that_have_nothing_to_do_with_the_moves_are_a_poor_fit_or_imp
 
 def test_too_few_poses_are_refused_with_what_to_record() -> None:
     record = recorded()
-    with pytest.raises(NotObservable, match="wanted 9 still poses or more"):
+    with pytest.raises(NotObservable, match="expected 9 still poses"):
         fit_multi_position(record.part(0, MOTION.stills[5].stop), gravity=G)
 
 
 def test_records_without_accelerometer_or_shorter_than_the_window_are_refused() -> None:
     record = recorded()
     accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
-    with pytest.raises(InputError, match="wanted accel readings in one unit"):
+    with pytest.raises(InputError, match="same unit"):
         fit_multi_position(Record(time=record.time, gyro=record.gyro), gravity=G)
     with pytest.raises(InputError, match="longer than one window"):
         fit_multi_position(record.part(0, 20), gravity=G)
-    with pytest.raises(InputError, match="wanted gyro and accel readings in the same units"):
+    with pytest.raises(InputError, match="same units"):
         fit_moves((Record(time=record.time, accel=record.accel),), MOTION.stills, accel)
 
 

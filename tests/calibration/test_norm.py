@@ -77,7 +77,7 @@ def test_scale_and_offset_alone_come_back_from_the_faces() -> None:
 
 def test_eight_poses_are_too_few_and_the_message_names_the_parameters() -> None:
     with pytest.raises(
-        NotObservable, match=r"wanted 9 still poses or more for scale of x, y and z, cross.*got 8; record"
+        NotObservable, match=r"expected 9 still poses or more for scale of x, y and z, cross.*got 8. Record"
     ):
         fit_poses(readings(directions(8)), gravity=G, standard_errors=np.full((8, 3), 0.1))
     with pytest.raises(NotObservable, match="wanted 10 still poses"):

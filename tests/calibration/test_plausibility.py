@@ -57,7 +57,7 @@ def test_a_face_recorded_twice_is_named():
 @pytest.mark.parametrize("wrong", ["-y", "-z"])
 def test_a_label_stated_twice_is_named_with_what_is_missing(wrong):
     labels = tuple("+y" if face == wrong else face for face in FACES)
-    with pytest.raises(Implausible, match=rf"face \+y is stated twice, and {wrong} is missing"):
+    with pytest.raises(Implausible, match=rf"face \+y is labelled twice, and {wrong} is missing"):
         check_faces(READING, labels)
 
 

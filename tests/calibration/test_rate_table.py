@@ -225,16 +225,14 @@ def test_the_accelerometer_tells_which_way_the_axis_points():
 
 def test_dwells_that_cannot_be_averaged_are_refused():
     made, turns = record()
-    with pytest.raises(InputError, match=r"wanted 8 samples or more after .* got 5; dwell longer"):
+    with pytest.raises(InputError, match=r"expected 8 samples .* got 5. Dwell"):
         dwell_means([made], [Turn(start=0, stop=10, axis="z", turn_rate=0.5)])
     gappy = np.array(made.gyro)
     gappy[200] = np.nan
-    with pytest.raises(InputError, match=r"wanted readings without gaps, got 1; shorten it"):
+    with pytest.raises(InputError, match=r"have gaps \(1\)"):
         dwell_means([Record(time=made.time, gyro=gappy)], turns)
     other = Record(time=made.time, gyro=made.gyro, gyro_unit="dps")
-    with pytest.raises(
-        InputError, match=r"wanted gyroscope readings in rad/s in every recording, got dps in recording 1"
-    ):
+    with pytest.raises(InputError, match=r"readings in rad/s .* got dps in recording 1"):
         dwell_means([made, other], [turns[0], replace(turns[1], recording=1)])
     with pytest.raises(
         InputError, match=r"expected readings \(N, 3\) and rates \(N,\) for 2 axes, got \(3, 3\) and \(2,\)"

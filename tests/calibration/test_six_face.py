@@ -96,9 +96,9 @@ def test_one_missing_face_is_allowed_and_named():
     five = FaceMeans(reading=poses.reading[:5], faces=FACES[:5], noise=np.full((5, 3), 0.002))
     fit = fit_six_face(five, gravity=G)
     np.testing.assert_allclose(fit.model.forward_matrix, FORWARD, atol=1e-12)
-    with pytest.raises(NotObservable, match="wanted all six, got none for -z; record the missing faces"):
+    with pytest.raises(NotObservable, match="expected all six, got none for -z"):
         fit_six_face(five, gravity=G, mode="paper")
-    with pytest.raises(NotObservable, match="wanted 5 labelled faces or more, got 4"):
+    with pytest.raises(NotObservable, match="expected 5 labelled faces or more, got 4"):
         fit_six_face(FaceMeans(reading=poses.reading[:4], faces=FACES[:4]), gravity=G)
 
 
@@ -143,9 +143,7 @@ def test_windows_of_six_seconds_are_averaged_with_their_noise():
 def test_face_means_need_one_accelerometer_unit():
     record, stills = session(seconds=1.0)
     other = Record(time=record.time, gyro=record.accel)
-    with pytest.raises(
-        InputError, match=r"wanted accelerometer readings in m/s2 in every recording, got none in recording 1"
-    ):
+    with pytest.raises(InputError, match=r"readings in m/s2 .* got none in recording 1"):
         face_means([record, other], [stills[0], Still(start=0, stop=50, face="-x", recording=1)])
 
 
@@ -153,7 +151,7 @@ def test_a_face_that_is_all_gap_is_refused():
     record, stills = session(seconds=1.0)
     gappy = np.array(record.accel)
     gappy[:100] = np.nan
-    with pytest.raises(InputError, match=r"wanted more than 2 readings on face \+x, got 0; choose another stretch"):
+    with pytest.raises(InputError, match=r"expected more than 2 readings on face \+x, got 0"):
         face_means([Record(time=record.time, accel=gappy)], stills)
 
 

@@ -90,7 +90,7 @@ def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_say
     assert "Not complete: no model of the accelerometers" in answer.out
     first = answer.out[answer.out.index("verdict: ") :].splitlines()[1:3]
     assert first[0] == "  - Accelerometer not observable"
-    assert first[1].endswith("faces without a rest: +x, -y")
+    assert first[1].endswith("Faces without a rest: +x, -y")
     assert undrift.good("calibrate", tmp_path / "s", "--json").json()["lacking"] == ["accelerometers"]
 
 

@@ -53,7 +53,7 @@ def without_triads(content):
         (
             lambda content: content["gyro"]["budget"].popitem(),
             "c.html",
-            "wanted squares that sum to the diagonal of the covariance",
+            "expected squares that sum to the diagonal of the covariance",
         ),
     ],
 )

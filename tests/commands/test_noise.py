@@ -75,7 +75,7 @@ def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regula
     made = stamp_on_host(Record(time=time, gyro=values), rng=rng)
     write_record(made.record, tmp_path / "host.csv")
     refused = undrift.refused("noise", tmp_path / "host.csv")
-    assert "where a host stamped the samples use clock = 'regular' in a map" in refused
+    assert "clock = 'regular'" in refused
     (tmp_path / "map.toml").write_text('clock = "regular"\n')
     words = ("noise", tmp_path / "host.csv", "--map", tmp_path / "map.toml")
     told = undrift.good(*words, "--json").json()

@@ -110,7 +110,7 @@ def test_no_orientation_is_carried_over_a_gap_that_the_policy_nan_left(undrift, 
     undrift.good("correct", *warm_between(bench, tmp_path, start_s, stop_s), "-o", corrected, "--policy", "nan")
     line = undrift.refused("orient", corrected, "-o", tmp_path / "o.csv")
     assert line.startswith(
-        f"undrift: orient: wanted a rate at every sample, got {said}; after a gap the orientation is unknown"
+        f"undrift: orient: expected a rate at every sample, got {said}. After a gap the orientation is unknown"
     )
     assert "policy hold" in line
     assert not (tmp_path / "o.csv").exists()

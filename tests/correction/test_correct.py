@@ -95,22 +95,18 @@ def test_readings_in_another_physical_unit_are_converted():
 
 
 def test_counts_and_physical_units_are_not_mixed():
-    with pytest.raises(
-        InputError, match="gyro: wanted readings in count, the unit that this calibration was made for, got"
-    ):
+    with pytest.raises(InputError, match=r"gyro: .*readings in count, .*in"):
         correct(record(unit="si"), device())
-    with pytest.raises(InputError, match=r"gyro: wanted readings in rad/s, .* got count"):
+    with pytest.raises(InputError, match=r"gyro: .*readings in rad/s, .*in count"):
         correct(record(), device(unit="si"))
-    with pytest.raises(
-        InputError, match=r"accel: wanted readings in count, .* got v; correct the recording as the device"
-    ):
+    with pytest.raises(InputError, match=r"accel: .*readings in count, .*in v"):
         correct(record(accel_unit="v"), device())
 
 
 def test_a_corrected_record_is_not_corrected_twice():
     c = device(unit="si", drift=None)
     once = correct(record(unit="si", temp_c=None), c)
-    with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
+    with pytest.raises(InputError, match="expected raw readings"):
         correct(once, c)
 
 
@@ -133,9 +129,9 @@ def test_another_serial_number_is_a_warning():
 
 
 def test_g_sensitivity_needs_the_accelerometer_and_tables_need_the_temperature():
-    with pytest.raises(InputError, match="wanted accelerometer readings, which the g-sensitivity"):
+    with pytest.raises(InputError, match="g-sensitivity"):
         correct(record(accel=None), device(g=True))
-    with pytest.raises(InputError, match="wanted temperatures for the tuning tables, got none"):
+    with pytest.raises(InputError, match="need temperatures"):
         correct(record(temp_c=None), device(drift=tables()))
 
 
@@ -189,7 +185,7 @@ def test_a_temperature_outside_the_tables_is_an_error_with_the_numbers():
     with pytest.raises(DriftRangeError) as caught:
         correct(record(low=60.0, high=90.0), device(drift=tables()))
     assert "wanted temperatures from 18 to 75 degC, got 60." in str(caught.value)
-    assert "extend the table, or choose the policy hold or nan" in str(caught.value)
+    assert "policy hold or nan" in str(caught.value)
     assert caught.value.high == 75.0
     assert caught.value.greatest == pytest.approx(90.0, abs=1.0)  # the highest of 203 draws below 90
 
@@ -217,7 +213,7 @@ def test_nan_makes_a_gap_of_what_a_table_does_not_cover_in_the_triads_that_have_
 def test_a_rate_beyond_the_dynamic_table_is_held_and_reported():
     c = device(drift=tables())
     fast = replace(record(), gyro=np.full((N, 3), 3000.0))
-    with pytest.warns(DriftRangeWarning, match=r"the table ends at -90.0 and 90.0 deg/s and is held there"):
+    with pytest.warns(DriftRangeWarning, match=r"table covers -90.0 to 90.0 deg/s"):
         correct(fast, c)
 
 
@@ -257,9 +253,7 @@ def test_threads_and_buffers_change_no_bit(drift, adc, g):
 
 
 def test_a_buffer_of_another_shape_is_refused():
-    with pytest.raises(
-        InputError, match=r"wanted writeable float64 buffers of shape \(203, 3\) in C order, got float64 \(5, 3\)"
-    ):
+    with pytest.raises(InputError, match=r"float64 buffers of shape \(203, 3\) in C order, got float64 \(5, 3\)"):
         correct(record(temp_c=None), device(), out=(np.empty((5, 3)), np.empty((N, 3))))
 
 

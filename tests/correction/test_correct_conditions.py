@@ -79,9 +79,9 @@ def test_without_the_time_since_power_on_no_warm_up_is_subtracted_and_a_note_sta
 
 @pytest.mark.parametrize("since", [-1.0, np.nan, np.inf])
 def test_a_time_since_power_on_that_is_none_is_refused(since):
-    with pytest.raises(InputError, match="wanted the time since power-on at the first sample, 0 s or more, got"):
+    with pytest.raises(InputError, match="power-on at the first sample, 0 s or more, got"):
         corrected(record(), warming(), power_on_s=since)
-    with pytest.raises(InputError, match="leave it out where it is not known"):
+    with pytest.raises(InputError, match="Omit it"):
         Corrector(warming(), power_on_s=since)
 
 

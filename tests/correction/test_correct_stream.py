@@ -54,9 +54,7 @@ def test_a_chunk_that_comes_again_is_refused_and_the_state_stays():
     r, corrector = record(temp_c=None), Corrector(device())
     corrector.push(r.part(0, 50))
     before = corrector.state
-    with pytest.raises(
-        InputError, match=r"wanted a chunk that begins after 0.49 s, got one from 0.4 s; push chunks in order"
-    ):
+    with pytest.raises(InputError, match=r"begins after 0.49 s, got one from 0.4 s"):
         corrector.push(r.part(40, 60))
     assert corrector.state == before
 
@@ -109,7 +107,7 @@ def test_a_stream_refuses_a_corrected_record():
     c = device(unit="si", drift=None)
     raw, corrector = record(unit="si", temp_c=None), Corrector(c)
     corrector.push(raw.part(0, 50))  # the plans of these units are made
-    with pytest.raises(InputError, match="wanted raw readings, got a corrected record"):
+    with pytest.raises(InputError, match="expected raw readings"):
         corrector.push(correct(raw.part(50, N), c))
     assert corrector.state.samples == 50
 

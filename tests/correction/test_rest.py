@@ -128,7 +128,7 @@ def test_a_named_stretch_is_taken_and_refused_outside_the_recording():
         for find in (find_rest_offset, lambda r, s: find_rest_offset_in(iter([r]), s)):
             with pytest.raises(InputError, match=r"within the recording's 0 to 39\.99 s"):
                 find(record, stretch)
-    with pytest.raises(InputError, match=r"rest: wanted 10 samples at rest or more, without gaps, got 5 samples"):
+    with pytest.raises(InputError, match=r"rest: expected 10 samples at rest or more, without gaps, got 5 samples"):
         find_rest_offset(record, (2.0, 2.05))
     holed = replace(record, gyro=np.where(np.arange(len(record))[:, None] == 300, np.nan, record.gyro))
     with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
@@ -138,13 +138,13 @@ def test_a_named_stretch_is_taken_and_refused_outside_the_recording():
 def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line():
     rng = np.random.default_rng(6)
     shaken = Record(time=np.arange(3000) / FS, gyro=rng.normal(size=(3000, 3)), accel=9.8 + rng.normal(size=(3000, 3)))
-    with pytest.raises(InputError, match=r"correct: wanted a still phase, got none: .* record with a pause") as raised:
+    with pytest.raises(InputError, match=r"correct: no still phase") as raised:
         correct(shaken, CALIBRATION, offset="rest")
     assert "\n" not in str(raised.value)
     only = Record(time=np.arange(300) / FS, accel=np.tile([0.0, 0.0, 9.8], (300, 1)))
-    with pytest.raises(InputError, match="rest: wanted gyroscope readings and their calibration, got none"):
+    with pytest.raises(InputError, match=r"rest: .*Omit `offset`"):
         correct(only, CALIBRATION, offset="rest")
-    with pytest.raises(InputError, match="rest: wanted a recording, got no samples"):
+    with pytest.raises(InputError, match=r"rest: .*no samples"):
         find_rest_offset_in(iter(()))
 
 

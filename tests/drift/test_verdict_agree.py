@@ -131,5 +131,5 @@ def test_an_offset_differs_from_three_standard_uncertainties_and_below_that_is_u
 
 def test_sessions_of_two_devices_are_refused():
     pair = [warmed(1, (0.0, 0.0, 0.0)), warmed(2, (120.0, 0.0, 0.0))]
-    with pytest.raises(Implausible, match=r"standard deviation of .* Are they of one device\?"):
+    with pytest.raises(Implausible, match=r"standard deviation of"):
         fit_drift(pair, CALIBRATION, settings=TABLES)

@@ -144,7 +144,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
         ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 9.8\nlatitude_deg = 40.0", "got both"),
-        ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "wanted local gravity between 9.7 and 9.9"),
+        ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "between 9.7 and 9.9"),
         ('gyro = "dps"', 'gyro = "dsp"', r"line 5: \[\[recording\]\] 1: unit of rate: wanted one of"),
         ('gyro = "dps", ', "", r"\[\[recording\]\] 1: units.gyro: wanted the unit of gyro, got none"),
         ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: wanted a known key"),
@@ -157,12 +157,12 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ('"session.csv"', "[]", "wanted one table of columns for each file, got 1 for 0"),
         (
             "[[recording]]", "[rate_table]\nwobble_deg = 11\n[[recording]]",
-            r"line 5: rate_table: .*wanted wobble_deg from 0 to 10, got 11",
+            r"line 5: rate_table: .*expected wobble_deg from 0 to 10, got 11",
         ),
         ("[[recording]]", "[rate_table]\ntilt_deg = 1\n[[recording]]", "rate_table.*wanted a known key"),
         (
             "[[recording]]", "[temperature]\nspan_limit_k = -1\n[[recording]]",
-            r"line 5: temperature: .*wanted span_limit_k from 0 to 100, got -1",
+            r"line 5: temperature: .*expected span_limit_k from 0 to 100, got -1",
         ),
         ("[session]", "[session", "wanted TOML, got a line that is not: .*line 1"),
         ("[[recording]]", "[[recordings]]", "recordings.*: wanted a known key"),
@@ -279,7 +279,7 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
 @pytest.mark.parametrize("serial", ["A\n1", "\x1f", "x" * 201])
 def test_a_serial_number_that_cannot_be_printed_is_refused(serial):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="wanted a serial number of 0 to 200 printable characters, got"):
+    with pytest.raises(InputError, match="0 to 200 printable characters, got"):
         Session(kind="static", serial=serial, gravity_m_s2=9.81, records=(record,))
 
 

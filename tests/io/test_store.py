@@ -225,15 +225,15 @@ def test_a_mark_is_true_or_false_and_each_node_has_one(tmp_path: Path) -> None:
 
 
 def test_a_warm_up_begins_at_power_on_and_ends_at_zero() -> None:
-    with pytest.raises(InputError, match="wanted nodes from 0 s to an offset of zero, got 5 s and 0 at the end"):
+    with pytest.raises(InputError, match="got 5 s and 0 at the end"):
         WarmUp(power_on_s=[5.0, 9.0], gyro_offset=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="got 0 s and 2 at the end; put the settled offset into the static table"):
+    with pytest.raises(InputError, match="got 0 s and 2 at the end"):
         WarmUp(power_on_s=[0.0, 9.0], gyro_offset=[[5.0, 5.0, 5.0], [0.0, -2.0, 0.0]])
 
 
 @pytest.mark.parametrize("name", ["lag_s", "lag_smooth_s"])
 def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="wanted lag_s and lag_smooth_s of 0 s or more"):
+    with pytest.raises(InputError, match="expected lag_s and lag_smooth_s"):
         DriftTables(**{name: -1.0})
     content = calibration_json(example(drift=DriftTables(**{"lag_smooth_s": 1.0, name: 2.0})))
     assert content["drift"][name] == 2.0

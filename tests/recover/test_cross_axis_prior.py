@@ -132,7 +132,7 @@ def test_one_pose_between_two_faces_shows_its_term_and_the_prior_stands_for_the_
 def test_seven_poses_are_enough_with_a_prior_and_six_are_not() -> None:
     fit, accel = fitted(5, faces_by_hand(2, poses=7))
     np.testing.assert_allclose(np.diag(fit.accel.model.matrix), np.diag(accel), atol=2e-3)
-    with pytest.raises(NotObservable, match="wanted 9 still poses or more"):
+    with pytest.raises(NotObservable, match="expected 9 still poses"):
         fitted(5, faces_by_hand(2, poses=6))
 
 

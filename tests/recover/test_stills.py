@@ -98,14 +98,14 @@ def test_the_reason_is_the_true_one_with_numbers():
     noise = np.where(np.arange(3000) % 300 < 150, 0.01, 3.0)[:, None]
     short = Record(time=np.arange(3000) / 100.0, gyro=noise * rng.standard_normal((3000, 3)), gyro_unit="dps")
     found = find_still(short, StillSettings(min_duration_s=2.0))
-    assert "no stretch below the thresholds lasts 2 s; too short: the longest lasts 0." in found.reason
+    assert "longest rest is too short: 0." in found.reason
     restless, _ = hand_held_log(rng, TREMORS["severe"])
     reason = find_still(restless).reason
     assert "too restless: a device at rest varies less than 0.0122 rad/s" in reason
     sway = 1000.0 * np.sin(2.0 * np.pi * 0.9 * np.arange(3000) / 100.0)[:, None] + 6.0 * rng.standard_normal((3000, 3))
     counts = find_still(Record(time=short.time, gyro=sway, gyro_unit="count"))
     assert counts.stills == ()
-    assert "no gap separates rest from motion; too restless: half of the windows vary by more than" in counts.reason
+    assert "no gap separates" in counts.reason
     assert "count against a floor of" in counts.reason
 
 

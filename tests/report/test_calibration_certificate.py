@@ -69,7 +69,7 @@ def test_what_a_part_exceeds_is_not_separated() -> None:
 
 
 def test_shares_that_do_not_sum_up_are_refused(calibration: Calibration) -> None:
-    with pytest.raises(InputError, match="budget: wanted squares that sum to the diagonal of the covariance"):
+    with pytest.raises(InputError, match="budget: expected squares"):
         replace(calibration.accel, covariance=2.0 * calibration.accel.covariance)
 
 

@@ -144,7 +144,7 @@ def calibrate(
         session = _session_of((session, *more), gravity_m_s2, "stated", serial)
     elif more or gravity_m_s2 is not None or serial:
         raise InputError(
-            "calibrate: a Session states its recordings, gravity and serial number. Give the session only."
+            "calibrate: a Session already contains its recordings, gravity and serial number. Give the session only."
         )
     return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
 
@@ -189,7 +189,7 @@ def calibrated(
             verdict, models[name] = verdict.also(fit.verdict), fit.model
     if not models:
         reasons = "; ".join(item.text for item in findings)
-        raise NotObservable(f"calibrate: wanted poses or turns to fit, got none that can be used: {reasons}")
+        raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
     calibration = Calibration(
         device=session.serial or session.records[0].device,
         reference_temp_c=observed.mean_temperature(),
@@ -216,7 +216,9 @@ def _not_observable(what: str, level: Level, *, record: str, why: str = "") -> F
 def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
     assumed = f"standard gravity assumed, {gravity_m_s2:.5f} m/s2"
     return finding(
-        "session.gravity", level, why=f"{assumed}; it is off by 0.3 % at most, and so is the accelerometers' scale"
+        "session.gravity",
+        level,
+        why=f"{assumed}, with an error of up to 0.3 %. The accelerometer scale has the same error",
     )
 
 
@@ -261,23 +263,25 @@ def _calibrate_accel(observed: Observed, method: AccelFit | None, mode: Mode | N
     """Return the accelerometers' fit, compared with the rests that it did not use."""
     if all(record.accel is None for record in observed.session.records):
         if method is not None:
-            raise NotObservable(f"accelerometer by {method}: wanted its readings, got none; map the accel columns")
+            raise NotObservable(f"accelerometer by {method}: no accelerometer readings. Map the accel columns.")
         return Outcome()
     missing = missing_faces([still.face for still in observed.faced if still.face is not None])
     faces = observed.mostly_faces if observed.found else len(missing) < 2
     try:
         if method is None and not faces and len(observed.stills) < FEWEST_POSES:
-            raise NotObservable(f"wanted rests on six faces or {MIN_FREE_POSES} free poses, got {len(observed.stills)}")
+            raise NotObservable(
+                f"expected rests on six faces or {MIN_FREE_POSES} free poses, got {len(observed.stills)}."
+            )
         outcome = ACCEL_FITS[method or ("six-face" if faces else "multi-position")](observed, mode, None)
     except NotObservable as error:
         if method is not None or faces:
             raise
-        why = f"{error}; faces without a rest: {', '.join(missing) or 'none'}"
+        why = f"{error} Faces without a rest: {', '.join(missing) or 'none'}"
         return Outcome(findings=(_not_observable("Accelerometer", "warn", why=why, record="record them"),))
     _check_mode("accelerometer", mode, outcome, "rests on all six faces")
     findings = list[Finding]()
     if outcome.method == "multi-position":
-        record = "rest on six faces of the case; free poses determine only lengths"
+        record = "rest on six faces of the case, because free poses determine only the length of gravity"
         findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
     if outcome.fit is not None:
         findings += check_accel(observed.session, outcome.fit.model, observed.unused_stills(outcome.used))
@@ -288,7 +292,7 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
     """Return the gyroscopes' fit; if none is possible, their offset at rest."""
     if method == "none" or all(record.gyro is None for record in observed.session.records):
         if method not in (None, "none"):
-            raise NotObservable(f"gyroscope by {method}: wanted gyroscope readings, got none; map their columns")
+            raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
         return Outcome()
     sound, saturated = observed.without_saturated_turns()
     chosen, steady = (method, 0) if method is not None else _choose_gyro_fit(sound, accel, saturated)
@@ -377,8 +381,8 @@ def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> di
 def _check_raw(records: Sequence[Record]) -> None:
     if any(r.state == "corrected" for r in records):
         raise InputError(
-            "calibrate: wanted raw readings, got a corrected record, whose offsets are gone; calibrate with the device's own "
-            "recording"
+            "calibrate: expected raw readings, got a corrected record without its offsets. Calibrate with the recording that the "
+            "device wrote."
         )
 
 
@@ -463,8 +467,8 @@ def _accel_by_reference(
         return turned_like(fit.triad.model, readings[0].accel_unit), Verdict.of(failed)
     if (np.diag(accel.model.matrix) < 0.0).all():
         raise Implausible(
-            "reference: wanted accelerometers that read +g on the axis that points up, got -g on all three: acceleration has the "
-            "opposite sign; reverse its columns"
+            "reference: all three accelerometers read -g on the axis that points up, +g was expected. Reverse the sign of the "
+            "accelerometer columns."
         )
     return accel.model, accel.verdict
 
@@ -583,6 +587,6 @@ def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
             readings[number] = (record.time, record.mag_ut, attitude)
     if not any(readings):
         raise InputError(
-            "magnetometer: wanted its readings in a recording, got none; map their columns (mag), or leave the option out"
+            "magnetometer: no recording has magnetometer readings. Map their columns (mag), or omit the option."
         )
     return fit_magnetometer(readings)

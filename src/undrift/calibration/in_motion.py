@@ -231,8 +231,8 @@ def _check(records: Sequence[Record]) -> None:
     for unit, name in zip(units[0], ("gyroscopes", "accelerometers"), strict=True):
         if not is_physical(unit):
             raise InputError(
-                f"motion: the {name} are in {unit}, and motion does not determine the size of this unit. State the gain of their "
-                "columns in the map, from the range of the device: scale = { gyro = { gain = 0.061 } }."
+                f"motion: the {name} are in {unit}, and motion does not determine the size of this unit. Enter the gain of the "
+                "columns in the map. Example for a device with a known range: scale = { gyro = { gain = 0.061 } }."
             )
     for number, record in enumerate(records):
         where = f"motion, recording {number + 1}"
@@ -281,8 +281,8 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
         raise NotObservable(f"motion: the device is not turned, with rates of {turned_dps:.2g} deg/s rms. {advice}")
     if across_dps < ONE_AXIS * along_dps:
         raise NotObservable(
-            f"motion: the device turns about one axis only, {along_dps:.3g} deg/s rms; across it, rates are "
-            f"{across_dps:.2g} deg/s rms. {advice}",
+            f"motion: the device turns about one axis only. Rates are {along_dps:.3g} deg/s rms about this axis and "
+            f"{across_dps:.2g} deg/s rms across it. {advice}",
             along_dps=along_dps,
             across_dps=across_dps,
         )
@@ -323,8 +323,8 @@ def _result(
     for triad, scale in (("gyroscope", gyro_scale), ("accelerometer", gravity)):
         if (percent := 100.0 * float(np.abs(scale - 1.0).max())) > 100.0 * IMPLAUSIBLE:
             raise Implausible(
-                f"motion: a scale of the {triad} is {percent:.3g} % off its stated unit, and raw parts are within "
-                f"{100.0 * IMPLAUSIBLE:g} %. Check unit, gain and sample rate, and that both triads share one clock.",
+                f"motion: a scale of the {triad} is {percent:.3g} % off its declared unit, but {100.0 * IMPLAUSIBLE:g} % is the "
+                "limit for uncalibrated sensors. Check unit, gain and sample rate, and that both triads share one clock.",
                 percent=percent,
             )
     of_each = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]

@@ -333,8 +333,8 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turned: list[int], tol
     elif reversed_ := tuple(AXES[k] for k in range(3) if signs[k, k] < 0.0):
         angles = ((axis, -rows.angle[rows.axis.index(axis)] / RADIAN_PER_DEGREE) for axis in reversed_)
         raise Implausible(
-            f"known rotation: the turn about {', '.join(reversed_)} reads reversed. If the device was turned the other way, give "
-            f"its angle as {', '.join(f'{axis} {angle:+g} deg' for axis, angle in angles)}; otherwise reverse that column.",
+            f"known rotation: the turn about {', '.join(reversed_)} reads reversed. Reverse that column. If the device was turned "
+            f"the other way, give its angle as {', '.join(f'{axis} {angle:+g} deg' for axis, angle in angles)}.",
             reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)[turned]
@@ -422,10 +422,10 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
         return ()
     values = dict(conflict.values)
     if ratio := values["turned_ratio"]:
-        values["text"] = f"the angles of the turns are stated {ratio:.3g} times as large as gravity shows"
-        values["action"] = "state angles in deg, not rad, and 360 for a full turn"
+        values["text"] = f"the given angles of the turns are {ratio:.3g} times as large as gravity shows"
+        values["action"] = "give angles in deg, not rad, and 360 for a full turn"
     else:
-        values["text"] = f"{values['text']}, or the turns are stated about other axes"
+        values["text"] = f"{values['text']}, or the given axes of the turns are wrong"
         values["action"] = "correct the order or the sign of the columns, or the axes of the turns"
     if conflict.level == "fail":
         raise Implausible(f"known rotation: {values['text']}. Check: {values['action']}.", **values)
@@ -440,7 +440,7 @@ def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) ->
         turns = seen.full_turns()
         if not turns:
             raise NotObservable(
-                "expected turns by known angles, got none. Turn the device about x, y and z between rests, and state angle_deg."
+                "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
             )
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         findings.append(finding("known_rotation.turns_found", "warn", turns=taken))

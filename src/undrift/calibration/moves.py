@@ -59,8 +59,8 @@ def fit_poses(
     """
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
         raise InputError(
-            "multi-position: wanted accel readings in one unit in every recording, got recordings without or in several units; "
-            "map the accelerometer columns and their unit"
+            "multi-position: accelerometer readings need the same unit in every recording. Map the accelerometer columns and "
+            "their unit."
         )
     reading, variances = _pose_means(records, stills)
     if len(stills) < (FEWEST_POSES if cross_axis_prior else len(NAMES)):
@@ -140,8 +140,8 @@ def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
     pairs = [(r.gyro, r.accel) for r in records if r.gyro is not None and r.accel is not None]
     if len(pairs) < len(records) or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1:
         raise InputError(
-            "multi-position gyro: wanted gyro and accel readings in the same units in every recording, got recordings that "
-            "differ; fit the recordings that have both"
+            "multi-position gyro: gyroscope and accelerometer readings need the same units in every recording. Fit the recordings "
+            "that contain both."
         )
     base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
     ordered = sorted(stills, key=lambda still: (still.recording, still.start))
@@ -298,9 +298,9 @@ def fit_moves(
     moves, saturated = _without_saturated(cut_moves(records, stills))
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
-            f"multi-position gyro: wanted {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}{''.join(f' ({item.text})' for item in saturated)}; turn the device by 90 deg or more about "
-            "another axis between still poses of one recording",
+            f"multi-position gyro: expected {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
+            f"{len(moves.first)}{''.join(f' ({item.text})' for item in saturated)}. Turn the device by 90 deg or more about "
+            "another axis between still poses of the same recording.",
             moves=len(moves.first),
         )
     problem, matrix = _observed(moves, accel, records, creep, None)
@@ -374,7 +374,7 @@ def _observed(
     if not size > 0.0:
         raise NotObservable(
             f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
-            "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses",
+            "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses.",
             moves=len(moves.first),
         )
     force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)[:, : 3 * (turns is None)]
@@ -430,8 +430,8 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
         if not change < 10.0 * problem.size:
             break
     raise PoorFit(
-        f"multi-position gyro: wanted a matrix that turns gravity through {len(problem.moves.first)} moves, got no "
-        "convergence; check the gyroscope's columns and the time column",
+        f"multi-position gyro: no matrix converged that turns gravity through {len(problem.moves.first)} moves. "
+        "Check the gyroscope's columns and the time column.",
         moves=len(problem.moves.first),
     )
 
@@ -540,9 +540,9 @@ def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
         share = np.linalg.norm(right[singular < WEAKEST_TURN], axis=0)
         names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
         raise NotObservable(
-            f"multi-position gyro: wanted moves that turn gravity by {WEAKEST_TURN:g} rad or more per unit of every parameter, got "
-            f"{singular[-1]:.2g} for {parameter_names(names)}; turn the device by 90 deg or more about each axis in turn while "
-            "that axis lies level",
+            f"multi-position gyro: expected moves that turn gravity by {WEAKEST_TURN:g} rad or more per unit of every parameter, "
+            f"got {singular[-1]:.2g} for {parameter_names(names)}. Turn the device by 90 deg or more about each axis in turn while "
+            "that axis is level.",
             weakest=float(singular[-1]),
             parameters=names,
         )
@@ -559,8 +559,8 @@ def _as_triad(
     """Return parameters as a fit with its verdict; raise if they cannot be those of this gyroscope."""
     if rows.rms_deg > HOPELESS_DEG:
         raise PoorFit(
-            f"multi-position gyro: moves end {rows.rms_deg:.0f} deg rms off gravity, wanted {HOPELESS_DEG:g} deg or less; "
-            "check that gyro and accel share one clock, that the sample rate is right and that no rate was beyond full scale",
+            f"multi-position gyro: gravity ends {rows.rms_deg:.0f} deg rms off after the moves, the limit is {HOPELESS_DEG:g} deg. "
+            "Check that gyro and accel share one clock, that the sample rate is right and that no rate was beyond full scale.",
             rms_angle_deg=rows.rms_deg,
         )
     moves, matrix, offset, slope = problem.moves, theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)

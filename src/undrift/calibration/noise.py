@@ -196,7 +196,7 @@ class NoiseFit(Shown):
         for axes, unit in ((self.gyro, self.gyro_unit), (self.accel, self.accel_unit)):
             if axes and not is_physical(unit):
                 raise InputError(
-                    f"noise model: wanted rad/s and m/s2, got {unit}; correct the record with its calibration first"
+                    f"noise model: expected rad/s and m/s2, got {unit}. Correct the record with its calibration first."
                 )
             values += [np.array([getattr(axis, name).value for axis in axes] or (np.nan,) * 3) for name in _NAMES]
         names = (*_NAMES, "velocity_random_walk", "accel_bias_instability", "accel_random_walk")
@@ -249,8 +249,8 @@ def _fit_triad(record: Record, quantity: Quantity, confidence: float) -> tuple[A
     places, whole = _places(record), np.isfinite(values).all(axis=1)
     if whole.sum() < SHORTEST:
         raise InputError(
-            f"noise: wanted {SHORTEST} {name} readings or more, got {int(whole.sum())} beside {int((~whole).sum())} gaps (NaN); "
-            "record longer"
+            f"noise: expected {SHORTEST} {name} readings or more, got {int(whole.sum())} and {int((~whole).sum())} gaps (NaN). "
+            "Record longer."
         )
     at_rest = values[whole] * (si_factor(unit, quantity) if is_physical(unit) else 1.0)
     _check_rest(at_rest, record.time[whole], record.sample_rate_hz, quantity, physical=is_physical(unit))
@@ -268,8 +268,8 @@ def _places(record: Record) -> IntArray:
     over = steps > 1.5
     if len(record) < SHORTEST or over.mean() > MOST_DROP_OUTS:
         raise InputError(
-            f"noise: wanted {SHORTEST} evenly spaced samples or more, got {len(record)} with {int(over.sum())} drop-outs; record "
-            "longer, or where a host stamped the samples use clock = 'regular' in a map"
+            f"noise: expected {SHORTEST} evenly spaced samples or more, got {len(record)} with {int(over.sum())} drop-outs. Record "
+            "longer. If a host added the time stamps, set clock = 'regular' in a map."
         )
     return np.concatenate(([0], np.cumsum(np.where(over, np.maximum(np.rint(steps), 2.0), 1.0).astype(np.int64))))
 
@@ -324,7 +324,7 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
             value=float(value[k]) if observable[k] else np.nan,
             interval=(float(value[k] * low[k]) if observable[k] else 0.0, float(high[k])),
             unit=unit + _UNITS[k],
-            reason="" if observable[k] else f"not observable in averages up to {curve.taus_s[-1]:.3g} s; record longer",
+            reason="" if observable[k] else f"not observable in averages up to {curve.taus_s[-1]:.3g} s: record longer",
         )
         for k, name in enumerate(_ROWS)
     }

@@ -201,8 +201,8 @@ def _check_determined(v: FloatArray, p: FloatArray, free: IntArray, gravity: flo
         share = np.linalg.norm(right[weak], axis=0)
         names = tuple(NAMES[i] for i in free[share > PART * share.max()])
         raise NotObservable(
-            f"multi-position: wanted poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
-            f"{weakest:.2g} for {parameter_names(names)}; {_advice((v - p[6:]) @ _upper(p).T, names)}",
+            f"multi-position: expected poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
+            f"{weakest:.2g} for {parameter_names(names)}: {_advice((v - p[6:]) @ _upper(p).T, names)}.",
             weakest=weakest,
             parameters=names,
         )
@@ -232,8 +232,8 @@ def check_count(reading: FloatArray, wanted: int) -> None:
     different = len(np.unique(reading, axis=0))
     if different < wanted:
         raise NotObservable(
-            f"multi-position: wanted {wanted} still poses or more for {parameter_names(NAMES)}, got {different}; record more "
-            "poses, each with another side, edge or corner up, and hold each still for two seconds",
+            f"multi-position: expected {wanted} still poses or more for {parameter_names(NAMES)}, got {different}. Record more "
+            "poses, each with another side, edge or corner up, and keep the device still for two seconds in each.",
             poses=different,
             wanted=wanted,
         )
@@ -269,7 +269,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
     rms_mg, sigma = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
     yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms=rms_mg, unit="mg", what="Poses")
-    poses = "record more poses, held longer"
+    poses = "record more poses, and keep the device still for longer in each"
     yield from above("session.uncertain", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Gravity", record=poses)
     if fit.prior_sd is not None and fit.kept:
         percent = 100.0 * np.sqrt(max(fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept))

@@ -226,9 +226,9 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
     if twice := [label for label in FACES if labels.count(label) > 1]:
         missing = missing_faces(faces)
-        cause = f"face {twice[0]} is stated twice{f', and {_listed(missing)} is missing' if missing else ''}"
+        cause = f"face {twice[0]} is labelled twice{f', and {_listed(missing)} is missing' if missing else ''}"
     elif alike := [label for label, face in pairs if shown.count(face) > 1]:
-        cause = f"faces {_listed(alike[:2])} read alike, so that one face was recorded twice"
+        cause = f"faces {_listed(alike[:2])} have the same readings, so the same face was recorded twice"
     elif np.array_equal(order != 0.0, nearest != 0.0) and np.abs(order).sum() == len(pairs):
         reversed_ = [f"+{AXES[j]} and -{AXES[j]}" for j in range(3) if nearest[j, j] < 0.0]
         cause = (
@@ -277,7 +277,9 @@ def check_own_scale(
     if abs(worst - 1.0) > tolerance:
         cause = _named(worst, RATE_UNITS, 1.1) or _times(worst)
         if sample_rate_hz:
-            cause += f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second, {sample_rate_hz:.3g} were stated"
+            cause += (
+                f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second instead of {sample_rate_hz:.3g}"
+            )
         raise Implausible(
             f"{what}: expected a scale factor within {100 * tolerance:g} % of the unit's own, got {worst:.4f} of it "
             f"({100 * (worst - 1.0):+.1f} %): {cause}. Check the unit, the range setting and the sample rate.",
@@ -306,7 +308,7 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, sta
     if small or stated:
         what = f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
         only = (
-            "it comes from the stated turns only, and a wrong angle, rate or sample rate changes it: " if stated else ""
+            "it depends on the given turns only, and a wrong angle, rate or sample rate changes it: " if stated else ""
         )
         yield finding("gyro.scale_factor", "warn" if small else "info", what=only + what)
 

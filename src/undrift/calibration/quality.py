@@ -145,7 +145,7 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
     if np.isfinite(means).any():
         away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1) * si_factor(unit, "rate")
         for number, rate in enumerate(away):
-            what = f"a mean rate {rate / RADIAN_PER_DEGREE:.3g} deg/s off that of the other stills"
+            what = f"a mean rate {rate / RADIAN_PER_DEGREE:.3g} deg/s off the mean rate of the other stills"
             yield rate / segments.BENCH_RATE_LIMIT, number, what
 
 

@@ -295,8 +295,8 @@ class Observed:
                     )
                 if abs(ratio - 1.0) > SCALE_TOLERANCE:
                     return (
-                        f": {read_as}; the angle, the unit or range of the gyroscope or the sample rate is wrong "
-                        f"({record.sample_rate_hz:.3g} samples a second stated, not {ratio * record.sample_rate_hz:.3g})"
+                        f": {read_as}. The angle, the unit or range of the gyroscope or the sample rate is wrong "
+                        f"({record.sample_rate_hz:.3g} samples a second declared, {ratio * record.sample_rate_hz:.3g} would fit)"
                     )
             if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
                 return f": recording {number} still turns at its end, so that its last turn is cut off"
@@ -363,8 +363,8 @@ def in_one_unit(session: Session) -> Session:
                 record = replace(record.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
             except InputError as error:
                 raise InputError(
-                    f"recording {number}: its readings are in {record.gyro_unit} and {record.accel_unit}, those of the others in "
-                    f"{gyro} and {accel}. Give all recordings one unit, or the scale of the columns."
+                    f"recording {number}: its readings are in {record.gyro_unit} and {record.accel_unit}, but the other recordings "
+                    f"are in {gyro} and {accel}. Give all recordings one unit, or the scale of the columns."
                 ) from error
         records.append(record)
     return replace(session, records=tuple(records))

@@ -162,14 +162,14 @@ def face_means(
 def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
     if record.accel is None or record.accel_unit != unit:
         raise InputError(
-            f"six faces: wanted accelerometer readings in {unit} in every recording, got "
-            f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}; map the columns alike"
+            f"six faces: expected accelerometer readings in {unit} in every recording, got "
+            f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}. Map all columns to one unit."
         )
     window = whole_readings(record.accel, still.start, still.stop)
     if len(window) <= degree + 1:
         raise InputError(
-            f"six faces: wanted more than {degree + 1} readings on face {still.face}, got {len(window)}; "
-            "choose another stretch"
+            f"six faces: expected more than {degree + 1} readings on face {still.face}, got {len(window)}. "
+            "Choose another stretch."
         )
     check_range([window], f"accelerometer on face {still.face}")
     return window
@@ -185,12 +185,12 @@ def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, Floa
 def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
     if poses.reading.shape != (len(poses.faces), 3):
         raise InputError(
-            f"six faces: wanted one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
+            f"six faces: expected one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
         )
     if len(poses.faces) < 5:
         count = len(poses.faces)
         raise NotObservable(
-            f"wanted 5 labelled faces or more, got {count}; record the missing ones", count=count, needed=5
+            f"expected 5 labelled faces or more, got {count}. Record the missing faces.", count=count, needed=5
         )
     if is_physical(poses.unit):
         check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
@@ -198,7 +198,8 @@ def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
     missing = missing_faces(poses.faces)
     if len(missing) > (0 if mode == "paper" else 1):
         raise NotObservable(
-            f"six faces: wanted all six, got none for {', '.join(missing)}; record the missing faces", missing=missing
+            f"six faces: expected all six, got none for {', '.join(missing)}. Record the missing faces.",
+            missing=missing,
         )
 
 

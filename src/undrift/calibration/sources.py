@@ -185,8 +185,8 @@ class Creep:
         offset = 0.5 * self.span_k * self.offset_per_k / (1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE)
         triad, unit = ("accelerometer", "mg") if accel else ("gyroscope", "deg/s")
         what = (
-            f"by {span} K, limit {self.limit_k:g} K; at either end the offset of the {triad} is uncertain by {offset:.2g} {unit} "
-            f"and its scale by {50.0 * self.span_k * self.scale_per_k:.2g} % (1 sigma)"
+            f"by {span} K, limit {self.limit_k:g} K. At either end the uncertainty (1 sigma) is {offset:.2g} {unit} for the offset "
+            f"of the {triad} and {50.0 * self.span_k * self.scale_per_k:.2g} % for its scale"
         )
         return (finding("session.temperature", "warn", what=what, span_k=self.span_k, offset=offset),)
 

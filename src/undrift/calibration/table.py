@@ -135,20 +135,20 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
 def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
     if record.gyro is None or record.gyro_unit != unit:
         raise InputError(
-            f"rate table: wanted gyroscope readings in {unit} in every recording, got "
-            f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}; map the columns alike"
+            f"rate table: expected gyroscope readings in {unit} in every recording, got "
+            f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}. Map all columns to one unit."
         )
     used = steady(record, turn, settle_s)
     dwell = record.part(used.start, used.stop)
     if len(dwell) < LEAST_SAMPLES:
         raise InputError(
-            f"dwell [{turn.start}, {turn.stop}): wanted {LEAST_SAMPLES} samples or more after the start in which the table "
-            f"settles, got {len(dwell)}; dwell longer"
+            f"dwell [{turn.start}, {turn.stop}): expected {LEAST_SAMPLES} samples or more after the start in which the table "
+            f"settles, got {len(dwell)}. Dwell longer."
         )
     values = np.asarray(dwell.gyro)
     gaps = int(np.isnan(values).any(axis=1).sum())
     if gaps:
-        raise InputError(f"dwell [{turn.start}, {turn.stop}): wanted readings without gaps, got {gaps}; shorten it")
+        raise InputError(f"dwell [{turn.start}, {turn.stop}): the readings have gaps ({gaps}). Shorten the dwell.")
     check_range([values], f"gyroscope at {turn.turn_rate:.4g} rad/s about {turn.axis}")
     return dwell
 

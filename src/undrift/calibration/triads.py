@@ -146,8 +146,8 @@ def check_force(record: Record) -> None:
         if any(abs(rate / size - 1.0) < 0.1 for size in (1.0, STANDARD_GRAVITY)):
             cause = "gyroscope and accelerometer columns are exchanged"
     raise Implausible(
-        f"accelerometer: expected a specific force of about 1 g, got a median of {median:.3g} g: {cause}; correct the columns or "
-        "state their true unit in a map (units = { accel = ... }, `column_map` FILE), or in the columns' names",
+        f"accelerometer: expected a specific force of about 1 g, got a median of {median:.3g} g: {cause}. Correct the columns, or "
+        "give their true unit in their names or in the file for `column_map` (units = { accel = ... }).",
         mistake=cause,
         median_g=median,
     )
@@ -235,7 +235,7 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
     best = min(alike, key=lambda k: _changes(orders[k].T))
     reads = orders[best].T  # forward: column i reads + for a turn about +j
     if not np.array_equal(reads, np.eye(3)):
-        others = f", or one of {len(alike) - 1} other orders that this motion does not tell apart" if alike[1:] else ""
+        others = f", or one of {len(alike) - 1} other orders that fit this motion equally well" if alike[1:] else ""
         text = (
             f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{others})"
         )
@@ -268,7 +268,7 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
             return
     text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
     if scale < COUNTS:  # no person mistakes a sample rate by as much
-        text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts for one of the unit stated)"
+        text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts per declared unit)"
         action = "state the sensitivity: unit count and its scale"
     else:
         rate_hz = record.sample_rate_hz / scale

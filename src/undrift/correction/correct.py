@@ -359,8 +359,8 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
         fits = buffer.shape == (n, 3) and buffer.dtype == np.float64 and buffer.flags.c_contiguous
         if plan is not None and not (fits and buffer.flags.writeable):
             raise InputError(
-                f"correct: wanted writeable float64 buffers of shape ({n}, 3) in C order, got {buffer.dtype} {buffer.shape}; "
-                "make them with numpy.empty"
+                f"correct: expected writeable float64 buffers of shape ({n}, 3) in C order, got {buffer.dtype} {buffer.shape}. "
+                "Create them with numpy.empty."
             )
     return out
 
@@ -454,8 +454,8 @@ class Corrector:
         last_time = self.state.carry.last_time
         if last_time is not None and chunk.time[0] <= last_time:
             raise InputError(
-                f"corrector: wanted a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s; "
-                "push chunks in order, each once"
+                f"corrector: expected a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s. "
+                "Push chunks in order, each once."
             )
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
         if key not in self._plans or chunk.state == "corrected":

@@ -91,9 +91,9 @@ def find_outside(
     mask = (temp_c < low) | (temp_c > high)
     if mask.any() and not allowed:
         raise DriftRangeError(
-            f"drift table: wanted temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
-            f"{seconds_of(mask, record.time, before):.1f} s of them outside{_other_unit(least, greatest, (low, high))}; "
-            "extend the table, or choose the policy hold or nan",
+            f"drift table: expected temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
+            f"{seconds_of(mask, record.time, before):.1f} s of them outside{_other_unit(least, greatest, (low, high))}. "
+            "Extend the table, or choose the policy hold or nan.",
             low=low,
             high=high,
             least=least,
@@ -185,8 +185,8 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
-        numbers = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s; the table ends at "
-        numbers += f"{told_apart(first, '.1f', least)} and {told_apart(last, '.1f', greatest)} deg/s and is held there"
+        numbers = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s were recorded. The table covers "
+        numbers += f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s, and its end values were used"
         what = "Turn rate outside the dynamic drift table"
         findings.append(
             finding("correct.outside", "warn", what=what, numbers=numbers, least_dps=least, greatest_dps=greatest)

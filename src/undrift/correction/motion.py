@@ -118,14 +118,14 @@ class MotionOffset:
 def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
     """Return the offset that the motion of a corrected record shows, beside the mean at a rest or what its model leaves."""
     record = unpadded(record)
-    advice = "record with a pause at rest" if rest is None else "use `offset` rest"
+    advice = "Record with a pause at rest." if rest is None else "Use `offset` rest."
     if record.gyro is None or record.accel is None:
-        raise InputError(f"offset from motion: wanted rates and specific force, got one of them; {advice}")
+        raise InputError(f"offset from motion: rates and specific force are needed, got one of them. {advice}")
     gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
     if gaps or record.duration_s < LEAST_IN_MOTION_S:
         got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
         raise InputError(
-            f"offset from motion: wanted {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}; {advice}"
+            f"offset from motion: expected {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}. {advice}"
         )
     prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
     usual = np.zeros(3) if rest is None else rest.rate

@@ -190,8 +190,8 @@ def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quanti
         return 1.0
     if not (is_physical(unit) and is_physical(model.unit_in)):
         raise InputError(
-            f"{sensor}: wanted readings in {model.unit_in}, the unit that this calibration was made for, got {unit}; "
-            "correct the recording as the device wrote it, or calibrate in its unit",
+            f"{sensor}: this calibration is for readings in {model.unit_in}, but the recording is in {unit}. "
+            "Correct the recording as the device wrote it, or calibrate in its unit.",
             wanted=model.unit_in,
             got=unit,
         )
@@ -266,17 +266,16 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
     """Prepare a calibration for a record's units and channels."""
     if record.state == "corrected":
         raise InputError(
-            "correct: wanted raw readings, got a corrected record; correct the device's own recording, once"
+            "correct: expected raw readings, got a corrected record. Give the recording that the device wrote."
         )
     gyro = None if record.gyro is None else _plan_of(constants_of(calibration, "gyro", record.gyro_unit))
     accel = None if record.accel is None else _plan_of(constants_of(calibration, "accel", record.accel_unit))
     if gyro is not None and gyro.g_sensitivity is not None and accel is None:
         raise InputError(
-            "correct: wanted accelerometer readings, which the g-sensitivity of the gyroscopes needs, got none; "
-            "map the columns that hold them"
+            "correct: the g-sensitivity of the gyroscopes needs accelerometer readings. Map the accelerometer columns."
         )
     if record.temp_c is None and has_tables((gyro, accel)):
-        raise InputError("correct: wanted temperatures for the tuning tables, got none; map the column temp_c")
+        raise InputError("correct: the tuning tables need temperatures. Map the column temp_c.")
     return gyro, accel
 
 
@@ -351,8 +350,8 @@ def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
         return Carry()
     if not 0.0 <= power_on_s < np.inf:
         raise InputError(
-            f"power_on_s: wanted the time since power-on at the first sample, 0 s or more, got {power_on_s:g}; leave it out "
-            "where it is not known",
+            f"power_on_s: expected the time since power-on at the first sample, 0 s or more, got {power_on_s:g}. Omit it "
+            "if you do not know it.",
             got=power_on_s,
         )
     return Carry(power_on_time=first_time - power_on_s)

@@ -78,7 +78,7 @@ class RestOffset:
         """The offset that was subtracted, in words."""
         rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
         numbers = f"{', '.join(f'{axis:.3g}' for axis in rate)} deg/s at {self.start_s:.1f} to {self.stop_s:.1f} s, which the "
-        numbers += f"calibration left; +- {uncertainty:.2g} deg/s in motion"
+        numbers += f"calibration left. Its uncertainty in motion is {uncertainty:.2g} deg/s"
         what = "Offset of a rest subtracted"
         return (finding("correct.offset_subtracted", "info", what=what, numbers=numbers, offset_dps=rate),)
 
@@ -118,7 +118,7 @@ def rest_offset(record: Record, still: Still) -> RestOffset:
     if len(rates) < FEWEST or np.isnan(rates).any():
         got = f"{len(rates)} samples" if len(rates) < FEWEST else f"{int(np.isnan(rates).any(axis=1).sum())} gaps (NaN)"
         raise InputError(
-            f"rest: wanted {FEWEST} samples at rest or more, without gaps, got {got}; name another stretch, or use offset none"
+            f"rest: expected {FEWEST} samples at rest or more, without gaps, got {got}. Name another stretch, or use offset none."
         )
     return RestOffset(
         start_s=float(record.time[still.start]),
@@ -137,8 +137,8 @@ def named_rest(record: Record, stretch: Stretch) -> Still | None:
     if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
         got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
         raise InputError(
-            f"`rest_s`: wanted START:STOP within the recording's {first:.6g} to {last:.6g} s, got {got}; name a rest by its start "
-            "and end"
+            f"`rest_s`: expected START:STOP within the recording's {first:.6g} to {last:.6g} s, got {got}. Give the start and the "
+            "end of a rest."
         )
     start, stop = record.time.searchsorted((start_s, stop_s))
     return Still(start=int(start), stop=max(int(stop), int(start) + 1))
@@ -157,7 +157,7 @@ def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffs
 def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:
     """Return what a calibration leaves at the first rest of a corrected record, or at a named stretch."""
     if record.gyro is None:
-        raise InputError("rest: wanted gyroscope readings and their calibration, got none; leave out `offset` rest")
+        raise InputError("rest: gyroscope readings and their calibration are needed. Omit `offset` rest.")
     if (still := named_rest(record, stretch)) is not None:
         return rest_offset(record, still)
     stills = _first_rests(record, "correct")
@@ -182,7 +182,7 @@ def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE)
         if chunk.time[-1] >= search_end:
             break
     if not head:
-        raise InputError("rest: wanted a recording, got no samples; check the file")
+        raise InputError("rest: the recording has no samples. Check the file.")
     return find_rest_offset(joined(head), stretch)
 
 
@@ -193,8 +193,8 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
     search = find_still(head)
     if not search.stills:
         raise InputError(
-            f"{what}: wanted a still phase, got none: {search.reason.removeprefix('no still phase: ')}; name a stretch at rest "
-            "(`rest_s`), use `offset` motion, or record with a pause",
+            f"{what}: no still phase was found: {search.reason.removeprefix('no still phase: ')}. Give a stretch at rest "
+            "(`rest_s`), use `offset` motion, or record with a pause.",
             missing="rest",
         )
     return tuple(replace(still, start=still.start + first, stop=still.stop + first) for still in search.stills)

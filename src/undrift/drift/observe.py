@@ -412,8 +412,8 @@ def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
         wanted = unit if values is None or triad.model is None else triad.model.unit_in
         if wanted != unit and not (is_physical(unit) and is_physical(wanted)):
             raise InputError(
-                f"recording {number}: the {triad.sensor} readings are in {unit}, those of the calibration in {wanted}. Record as "
-                "for the calibration, or calibrate in this unit."
+                f"recording {number}: the {triad.sensor} readings are in {unit}, but the calibration is for {wanted}. Record in "
+                "this unit, or calibrate in the unit of the recording."
             )
         units.append(wanted)
     if units != [record.gyro_unit, record.accel_unit]:

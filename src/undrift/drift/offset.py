@@ -173,7 +173,7 @@ def fit_static(
             findings.append(finding("drift.not_observable", "info", what=_OF_ACCEL, problem=_NO_TABLE))
     if gyro is None and accel is None and settings.accel:
         raise NotObservable(
-            "static drift: expected readings at two temperatures or more, got none; "
+            "static drift: expected readings at two temperatures or more, got none. "
             + "; ".join(item.text for item in findings)
         )
     columns = {

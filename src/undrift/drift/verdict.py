@@ -172,8 +172,8 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
     if between.max() > MOST_BETWEEN_DPS:
         figures = ", ".join(f"{value:.3g}" for value in between)
         raise Implausible(
-            f"sessions: offsets differ from session to session by a standard deviation of {figures} deg/s on x, y, z; one device "
-            f"stays within {MOST_BETWEEN_DPS:g}. Are they of one device? Fit each device by itself.",
+            f"sessions: offsets differ from session to session by a standard deviation of {figures} deg/s on x, y, z. The limit "
+            f"for the same device is {MOST_BETWEEN_DPS:g}. Fit the sessions of each device separately.",
             deg_per_s=float(between.max()),
         )
 

@@ -240,7 +240,7 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
             count=len(temp_c),
         )
     if (np.diff(temp_c) <= 0.0).any():
-        raise InputError("spline: set-points must increase. Sort them and join equal ones.")
+        raise InputError("spline: set-points must increase. Sort them and merge equal set-points.")
     basis = np.asarray(CubicSpline(temp_c, np.eye(len(temp_c)), bc_type="not-a-knot")(nodes))
     covariance = np.einsum("mi,ik,ni->kmn", basis, variance, basis)
     return NodeValues(value=basis @ value, covariance=covariance)
