@@ -28,9 +28,9 @@ def test_a_frozen_array_is_a_read_only_copy_of_the_same_numbers(x, order):
     [
         (np.zeros((3, 9)), (None, 3), r"gyro: wanted shape \(N, 3\), got \(3, 9\); time is axis 0"),
         (np.zeros((4, 1)), (None,), r"gyro: wanted shape \(N,\), got \(4, 1\)"),
-        ([1.0, np.inf], (2,), "gyro: wanted finite numbers or NaN for a gap, got infinity"),
-        (["a"], (None,), "gyro: wanted numbers, got list"),
-        ([[1.0], [1.0, 2.0]], (None, 1), "gyro: wanted numbers, got list"),
+        ([1.0, np.inf], (2,), "gyro: expected finite numbers or NaN for a gap, got infinity"),
+        (["a"], (None,), "gyro: expected numbers, got list"),
+        ([[1.0], [1.0, 2.0]], (None, 1), "gyro: expected numbers, got list"),
     ],
 )
 def test_what_is_no_such_array_is_refused(x, shape, words):

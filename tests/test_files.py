@@ -20,7 +20,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(Path, "replace", full)
     with pytest.raises(
-        InputError, match=r"a\.txt: wanted room for 5 bytes more on the disk, got \d+: a quota is spent; make room"
+        InputError, match=r"a\.txt: expected free disk space for 5 bytes more, got \d+: a quota is spent"
     ):
         write_whole(tmp_path / "a.txt", b"later")
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "früher"
@@ -28,13 +28,15 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="wanted a folder to write to, got No such file or directory; choose another"):
+    with pytest.raises(
+        InputError, match="expected a folder to write to, got No such file or directory"
+    ):
         write_whole(tmp_path / "none" / "a.txt", "x")
 
 
 def test_files_that_belong_together_appear_together_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "a.h").write_text("old")
-    with pytest.raises(InputError, match=r"c\.c: wanted a folder to write to"):
+    with pytest.raises(InputError, match=r"c\.c: expected a folder to write to"):
         write_together({tmp_path / "a.h": "new", tmp_path / "none" / "c.c": "new"})
     assert (tmp_path / "a.h").read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a.h"]
@@ -62,7 +64,7 @@ def test_a_full_disk_is_named_where_no_file_can_be_made(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(files.os, "open", full)
     with pytest.raises(
-        InputError, match=r"a\.txt: wanted room for more bytes on the disk, got \d+: too few, or a quota"
+        InputError, match=r"a\.txt: expected free disk space for more bytes, got \d+: too few, or a quota"
     ):
         write_whole(tmp_path / "a.txt", b"later")
 

@@ -28,8 +28,8 @@ def test_packed_content_is_told_by_its_bytes_not_its_name(tmp_path):
 
 def test_missing_folder_and_empty_are_one_line_each(tmp_path):
     for path, kind, words in (
-        (tmp_path / "none", InputError, "wanted a file, got nothing of that name; check the path"),
-        (tmp_path, InputError, "wanted a file, got a directory; name the file in it"),
+        (tmp_path / "none", InputError, "no file of that name"),
+        (tmp_path, InputError, "expected a file, got a directory. Name the file in it"),
         (tmp_path / ("x" * 300), InputError, "cannot be read: File name too long"),
     ):
         with pytest.raises(kind, match=words):
@@ -42,9 +42,9 @@ def test_missing_folder_and_empty_are_one_line_each(tmp_path):
 def test_damage_inside_a_gzip_is_told_from_a_cut(tmp_path):
     packed = bytearray(gzip.compress(bytes(range(256)) * 40))
     (tmp_path / "cut.gz").write_bytes(packed[:-9])
-    with pytest.raises(FileFormatError, match="cut off; copy it again"):
+    with pytest.raises(FileFormatError, match="truncated"):
         read_bytes(tmp_path / "cut.gz")
     packed[-6] ^= 0xFF
     (tmp_path / "bad.gz").write_bytes(packed)
-    with pytest.raises(FileFormatError, match="wanted a sound gzip file, got a damaged one"):
+    with pytest.raises(FileFormatError, match="gzip file is damaged"):
         read_bytes(tmp_path / "bad.gz")

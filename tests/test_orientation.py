@@ -93,7 +93,7 @@ def test_what_cannot_be_oriented_is_refused():
         match=r"no still phase .* \(`rest_s`\), use `offset` motion",
     ):
         orient(shaken)
-    with pytest.raises(InputError, match="rate: wanted a physical unit, got count"):
+    with pytest.raises(InputError, match="rate: expected a physical unit, got count"):
         orient(Record(time=record.time, gyro=record.gyro, accel=record.accel, gyro_unit="count"))
 
 

@@ -163,7 +163,7 @@ def test_what_is_no_rest_is_refused():
         initial_tilt(resting([0.0, 0.0, 1.0]), still)
     with pytest.raises(InputError, match="still phase has gaps"):
         initial_tilt(resting([0.0, np.nan, G]), still)
-    with pytest.raises(InputError, match="accel: wanted a physical unit, got count"):
+    with pytest.raises(InputError, match="accel: expected a physical unit, got count"):
         initial_tilt(resting([0.0, 0.0, G], accel_unit="count"), still)
 
 

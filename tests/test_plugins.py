@@ -77,7 +77,7 @@ def test_an_unknown_kind_names_those_of_other_packages_too(installed):
 
 
 def test_a_package_without_the_object_of_its_entry_point_is_refused(installed):
-    with pytest.raises(InputError, match=r"broken: wanted lathe:not_there, got .*; install the package that has it"):
+    with pytest.raises(InputError, match=r"broken: expected lathe:not_there, got .*. Install the package"):
         open_rig("broken:")
 
 

@@ -32,7 +32,7 @@ def test_a_part_is_the_same_channels_with_fewer_samples(record, data):
 @given(record=records(gaps=True))
 def test_units_go_to_si_and_back(record):
     if {"count", "v"} & {record.gyro_unit, record.accel_unit}:
-        with pytest.raises(InputError, match=r"wanted a physical unit, got (count|v); calibrate first"):
+        with pytest.raises(InputError, match=r"expected a physical unit, got (count|v). Calibrate first"):
             record.in_si()
         return
     si = record.in_si()

@@ -20,15 +20,17 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = n
     try:
         array = np.array(x, dtype=kind, order="C", copy=None if own else True)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: wanted numbers, got {type(x).__name__}; {error}") from error
+        raise InputError(f"{name}: expected numbers, got {type(x).__name__}. {error}.") from error
     if array.ndim != len(shape) or any(
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         advice = "time is axis 0" if kind is np.float64 else "one mark for each node"
-        raise InputError(f"{name}: wanted shape {wanted}, got {array.shape}; {advice}", wanted=shape, got=array.shape)
+        raise InputError(
+            f"{name}: expected shape {wanted}, got {array.shape}. {advice}.", wanted=shape, got=array.shape
+        )
     if kind is np.float64 and np.isinf(array).any():
-        raise InputError(f"{name}: wanted finite numbers or NaN for a gap, got infinity; repair the file")
+        raise InputError(f"{name}: expected finite numbers or NaN for a gap, got infinity. Repair the file.")
     array.flags.writeable = False
     return array
 
@@ -103,7 +105,9 @@ def freeze(value: Any, **lengths: int) -> None:
         array = frozen(given, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}
         if shape.rising and (len(array) < 2 or not (np.diff(array) > 0.0).all()):
-            raise InputError(f"{what}: wanted two or more increasing nodes, got {len(array)}; sort and merge them")
+            raise InputError(
+                f"{what}: expected two or more increasing nodes, got {len(array)}. Sort and merge the nodes."
+            )
         object.__setattr__(value, name, array)
 
 

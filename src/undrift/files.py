@@ -45,13 +45,15 @@ def checked_file(path: str | Path) -> Path:
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError(f"{path}: wanted a file, got a directory; name the file in it")
+            raise InputError(f"{path}: expected a file, got a directory. Name the file in it.")
         if not path.exists():
-            raise InputError(f"{path}: wanted a file, got nothing of that name; check the path")
+            raise InputError(f"{path}: there is no file of that name. Check the path.")
         if path.stat().st_size == 0:
-            raise FileFormatError(f"{path}: wanted a recording, got an empty file; record or copy it again")
+            raise FileFormatError(f"{path}: expected a recording, got an empty file. Record or copy it again.")
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}; check the path and its rights") from error
+        raise InputError(
+            f"{path}: cannot be read: {error.strerror or error}. Check the path and its permissions."
+        ) from error
     return path
 
 
@@ -73,15 +75,15 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
         with gzip.open(path, "rb") as packed:
             content = packed.read(limit) if limit >= 0 else _unpacked(packed, path)
     except EOFError as error:
-        raise FileFormatError(f"{path}: wanted a whole gzip file, got one that is cut off; copy it again") from error
+        raise FileFormatError(f"{path}: the gzip file is truncated. Copy it again.") from error
     except (gzip.BadGzipFile, zlib.error) as error:
-        raise FileFormatError(
-            f"{path}: wanted a sound gzip file, got a damaged one ({error}); copy it again"
-        ) from error
+        raise FileFormatError(f"{path}: the gzip file is damaged ({error}). Copy it again.") from error
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}; check its rights") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}. Check its permissions.") from error
     if not content:
-        raise FileFormatError(f"{path}: wanted a recording, got an empty file inside the gzip; record or copy it again")
+        raise FileFormatError(
+            f"{path}: expected a recording, got an empty file inside the gzip. Record or copy it again."
+        )
     return content
 
 
@@ -102,8 +104,9 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
             raise too_large(path)
         if len(content) > max(_RATIO * size, _SMALL):
             raise FileFormatError(
-                f"{path}: wanted a packed recording, got a file that unpacks to more than {_RATIO} times its size; it is no "
-                "recording"
+                f"{path}: expected a packed recording, got a file that unpacks to more than {_RATIO} times its "
+                f"size. It is not a "
+                "recording."
             )
     return bytes(content)
 
@@ -111,7 +114,7 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
 def too_large(path: Path) -> FileFormatError:
     """Return the error of a file that takes too much memory."""
     return FileFormatError(
-        f"{path}: larger than {MOST_BYTES / 1e9:g} GB once it is read; it is damaged, or cut it into parts"
+        f"{path}: larger than {MOST_BYTES / 1e9:g} GB in memory. Check whether it is damaged, or split it."
     )
 
 
@@ -128,10 +131,10 @@ def sound(path: Path, kind: str = "") -> Iterator[None]:
             or os.environ.get("UNDRIFT_TRACEBACK") == "1"
         ):
             raise
-        wanted, got, why = f"a sound {kind} file", "a damaged or cut one", first_line(error)
+        wanted, got, why = f"a sound {kind} file", "a damaged or truncated file", first_line(error)
         if not kind:
-            wanted, got, why = "a sound file", "a damaged one", f"{type(error).__name__}: {why}"
-        raise FileFormatError(f"{path}: wanted {wanted}, got {got} ({why}); copy it again") from error
+            wanted, got, why = "a sound file", "a damaged file", f"{type(error).__name__}: {why}"
+        raise FileFormatError(f"{path}: expected {wanted}, got {got} ({why}). Copy it again.") from error
 
 
 def bytes_in(path: Path) -> int:
@@ -242,7 +245,7 @@ def no_folder(path: Path, error: OSError) -> InputError:
     """Return the error for a folder in which no file can be created."""
     if is_full(error):
         return unwritten(path, error)
-    return InputError(f"{path}: wanted a folder to write to, got {error.strerror}; choose another")
+    return InputError(f"{path}: expected a folder to write to, got {error.strerror}. Choose another folder.")
 
 
 def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
@@ -251,13 +254,14 @@ def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
     if not is_full(error):
         number = errno_of(error)
         return InputError(
-            f"{path}: cannot be written: {os.strerror(number) if number else error}; check the name, the folder and its rights"
+            f"{path}: cannot be written: {os.strerror(number) if number else error}. Check the name, the folder and "
+            f"its permissions."
         )
     free = shutil.disk_usage(path.parent).free
     lacks = f"{size - free} are missing" if size > free else "a quota is spent"
     wanted, lacks = (f"for {size} bytes more", lacks) if size else ("for more bytes", "too few, or a quota is spent")
     return InputError(
-        f"{path}: wanted room {wanted} on the disk, got {free}: {lacks}; make room and run it again",
+        f"{path}: expected free disk space {wanted}, got {free}: {lacks}. Free disk space and run it again.",
         missing=max(size - free, 0),
     )
 

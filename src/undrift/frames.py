@@ -126,18 +126,19 @@ def integrate_strapdown(
 
     if gyro_b.shape != (len(time), 3) or np.shape(q_nb) != (4,):
         raise InputError(
-            f"strapdown: wanted gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
+            f"strapdown: expected gyro (N, 3), time (N,), q (4,), got {gyro_b.shape}, {time.shape}, {np.shape(q_nb)}"
         )
     q = np.empty((len(time), 4)) if out is None else out
     if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
         raise InputError(
-            f"strapdown: wanted a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}; make it "
-            "with numpy.empty"
+            f"strapdown: expected a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}. "
+            f"Create it "
+            "with numpy.empty."
         )
     gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
     strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))
     if not np.isfinite(q[-1]).all():  # NaN propagates through the product, so the last sample reveals any gap
         raise InputError(
-            "strapdown: wanted a rate at every sample, got gaps; integrate each stretch between gaps by itself"
+            "strapdown: expected a rate at every sample, got gaps. Integrate each stretch between gaps separately."
         )
     return q

@@ -31,11 +31,11 @@ def load_named(name: str, table: Mapping[str, str], group: str, kind: type = obj
     try:
         found = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
-        raise InputError(f"{name}: wanted {place}, got '{error}'; install the package that has it") from error
+        raise InputError(f"{name}: expected {place}, got '{error}'. Install the package that provides it.") from error
     if not isinstance(found, kind):
         raise InputError(
-            f"{name}: wanted a {kind.__name__} from {place}, got {type(found).__name__}; correct the entry point of the group "
-            f"{group}"
+            f"{name}: expected a {kind.__name__} from {place}, got {type(found).__name__}. Correct the entry point of the group "
+            f"{group}."
         )
     return found
 
@@ -45,9 +45,11 @@ def split_address(text: str, what: str, table: Mapping[str, str], group: str, ad
     kind, colon, rest = text.partition(":")
     if not colon or (kind not in table and kind not in names_in(table, group)):
         known = ", ".join(f"{name}:..." for name in names_in(table, group))
-        raise InputError(f"{what}: wanted one of {known}, got '{text}'; {advice}")
+        raise InputError(f"{what}: expected one of {known}, got '{text}'. {advice}.")
     place, _, query = rest.partition("?")
     try:
         return kind, place, tuple(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
     except ValueError as error:
-        raise InputError(f"{what}: wanted options as name=value&name=value, got '{query}'; mend the address") from error
+        raise InputError(
+            f"{what}: expected options as name=value&name=value, got '{query}'. Correct the address."
+        ) from error

@@ -32,10 +32,10 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
     .. [1] NIMA TR8350.2, "World Geodetic System 1984", 3rd ed., 2000, eqs. 4-1 and 4-3.
     """
     if not -90.0 <= latitude_deg <= 90.0:
-        raise InputError(f"latitude_deg: wanted -90 to 90 deg, got {latitude_deg:g}; south is negative")
+        raise InputError(f"latitude_deg: expected -90 to 90 deg, got {latitude_deg:g}. South is negative.")
     if not _LOWEST <= height_m <= _HIGHEST:
         raise InputError(
-            f"height_m: wanted {_LOWEST:.0f} to {_HIGHEST:.0f} m above the ellipsoid, got {height_m:g}; give it in metres"
+            f"height_m: expected {_LOWEST:.0f} to {_HIGHEST:.0f} m above the ellipsoid, got {height_m:g}. Enter it in metres."
         )
     a, f, m = 6378137.0, 1.0 / 298.257223563, 0.00344978650684
     s = math.sin(math.radians(latitude_deg)) ** 2
@@ -82,7 +82,9 @@ def canonical_unit(unit: str, quantity: Quantity) -> str:
     if name in _TO_SI[quantity] or (name in DEVICE_UNITS and quantity in ("rate", "accel", "temp", "mag")):
         return name
     known = [*_TO_SI[quantity], *(DEVICE_UNITS if quantity in ("rate", "accel", "temp", "mag") else ())]
-    raise InputError(f"unit of {quantity}: wanted one of {', '.join(known)}, got '{unit}'; name the unit of the column")
+    raise InputError(
+        f"unit of {quantity}: expected one of {', '.join(known)}, got '{unit}'. Name the unit of the column."
+    )
 
 
 def si_factor(unit: str, quantity: Quantity) -> float:
@@ -90,7 +92,7 @@ def si_factor(unit: str, quantity: Quantity) -> float:
     name = canonical_unit(unit, quantity)
     if name in DEVICE_UNITS:
         raise InputError(
-            f"{quantity}: wanted a physical unit, got {name}; calibrate first, or give the scale of the column"
+            f"{quantity}: expected a physical unit, got {name}. Calibrate first, or set the scale of the column."
         )
     return _TO_SI[quantity][name]
 

@@ -101,7 +101,7 @@ def test_elements_are_those_of_this_class_of_device():
     show("device B without trial 07, matrix less identity, %", np.round(100.0 * (model.matrix - np.eye(3)), 3).tolist())
     show("   standard uncertainty, %", np.round(100.0 * model.standard_uncertainty[:9], 3).tolist())
     offset = np.degrees(fast.fit.motion_offset)
-    show("   in motion less at rest, deg/s", np.round(offset, 4).tolist(), "0.05")
+    show("   in motion minus at rest, deg/s", np.round(offset, 4).tolist(), "0.05")
     assert np.abs(model.matrix - np.eye(3)).max() < 0.009  # elements of this class of device: 0.1-0.9 %
     assert np.abs(offset).max() < 0.05
     assert fast.fit.lags_s == pytest.approx(np.full(3, 4.14e-3), abs=1e-4)

@@ -108,7 +108,7 @@ def test_the_rate_table_files_hold_two_clocks():
         show(name, (record.sample_rate_hz, record.duration_s), (100, seconds))
         assert record.sample_rate_hz == pytest.approx(100.0)
         assert record.duration_s == pytest.approx(seconds, abs=0.05)
-        with pytest.raises(InputError, match=r"wanted arrays of one length, got t_jig .* two clocks need two records"):
+        with pytest.raises(InputError, match=r"expected arrays of one length, got t_jig .* separate records"):
             read_npz(path, ColumnMap(**keys, time="t_jig", time_unit="s"))
 
 
@@ -402,7 +402,7 @@ def test_foreign_tables_say_which_map_they_need_and_binaries_need_none():
 
 
 def test_a_force_plate_is_no_record_and_a_device_s_quaternions_are_a_reference():
-    with pytest.raises(InputError, match="wanted names such as gyro_x_dps"):
+    with pytest.raises(InputError, match="expected names such as gyro_x_dps"):
         read_record(data_path("posturography", "PDS13OR1grf.txt.gz"))
     columns = ReferenceMap(time="Time (s)", time_unit="s", quaternion=("W", "X", "Y", "Z"))
     reference = read_reference(data_path("wearable_formats", "ngimu", "quaternion.csv"), columns)

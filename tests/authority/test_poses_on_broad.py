@@ -119,7 +119,7 @@ def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_h
     for number, (residual, signal, arm, delay) in left.items():
         show(
             f"trial {number:02d} accelerometer, 10 Hz each pass, m/s2 rms",
-            f"{residual:.3f} of {signal:.2f}; arm {np.round(1e3 * arm, 1)} mm, delay {1e3 * delay:.2f} ms",
+            f"{residual:.3f} of {signal:.2f}. Arm {np.round(1e3 * arm, 1)} mm, delay {1e3 * delay:.2f} ms",
             KNOWN[number][1],
         )
         assert residual == pytest.approx(KNOWN[number][1], abs=0.006)

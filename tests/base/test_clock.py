@@ -12,7 +12,7 @@ from undrift.errors import InputError
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e6, float("nan")])
 def test_a_clock_that_stands_still_is_refused(speed):
-    with pytest.raises(InputError, match="clock: wanted a speed above 0, got"):
+    with pytest.raises(InputError, match="clock: expected a speed above 0, got"):
         Clock(speed)
 
 

@@ -137,7 +137,7 @@ def test_a_tree_is_completed_before_it_is_checked() -> None:
         ({"table": {"rate": 1.0}}, r"at table.rate: Extra inputs are not permitted"),
         ({"temp_c": None}, "wanted a loop of format 3, got at temp_c: Input should be a valid array"),
         ({"temp_c": [1.0, None]}, "at temp_c.1: Input should be a valid number"),
-        ({"temp_c": [2.0, 1.0]}, "a.json: Loop.temp_c: wanted two or more increasing nodes, got 2; sort and merge them"),
+        ({"temp_c": [2.0, 1.0]}, "a.json: Loop.temp_c: expected two or more increasing nodes, got 2"),
         ({"width": [[1.0, 2.0, 3.0]]}, r"Loop.width: wanted shape \(2, 3\), got \(1, 3\)"),
         ({"width": []}, r"Loop.width: wanted shape \(2, 3\), got \(0,\)"),
         ({"marks": [True]}, r"Loop.marks: wanted shape \(2,\), got \(1,\); one mark for each node"),
@@ -162,12 +162,12 @@ def test_a_damaged_file_is_refused_by_its_key(change: dict, text: str) -> None:
     [
         (
             "widht = 1",
-            r"line 6: widht: wanted a known key, got this one; check its spelling \(nearest known key: width\)",
+            r"line 6: widht: this key is unknown. Check its spelling \(nearest known key: width\)",
         ),
-        ("sensor = [{ gain = 2.0 }]", r"line 6: \[\[sensor\]\] 1, name: wanted this key, got none; add it"),
+        ("sensor = [{ gain = 2.0 }]", r"line 6: \[\[sensor\]\] 1, name: this key is missing"),
         ("table = { order = 'left' }", r"line 6: \[table\], order: wanted 'up' or 'down', got 'left'"),
         ("rms = 2026-01-01", "line 6: rms: wanted .*got '2026-01-01'"),
-        ("table = 1 2", "loop.toml: wanted TOML, got a line that is not: "),
+        ("table = 1 2", "loop.toml: expected TOML, got "),
     ],
 )
 def test_a_damaged_file_of_toml_is_refused_by_line_and_entry(line: str, text: str, tmp_path: Path) -> None:
@@ -178,9 +178,9 @@ def test_a_damaged_file_of_toml_is_refused_by_line_and_entry(line: str, text: st
 
 
 def test_a_value_that_would_not_read_back_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"wanted a loop that reads back, got at table.rate_dps.*; mend the value"):
+    with pytest.raises(InputError, match=r"expected a loop that reads back, got at table.rate_dps.*. Mend the value"):
         write(example(rate=math.nan), tmp_path / "loop.json")
-    with pytest.raises(InputError, match="wanted each of the settings once, got a name twice; name them apart"):
+    with pytest.raises(InputError, match="expected each of the settings once, got a name twice"):
         write(example(settings=(("a", "1"), ("a", "2"))), tmp_path / "loop.json")
     assert list(tmp_path.iterdir()) == []
 

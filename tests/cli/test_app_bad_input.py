@@ -58,16 +58,16 @@ FAULTS = {
     "an empty cell": (_cell("accel_z", ""), "1 empty or NaN cells, first in data row 300"),
     "infinity": (_cell("accel_y", "inf"), "got inf in data row 300"),
     "a huge value": (_cell("gyro_z", "1e9"), "got 1e+09 in data row 300"),
-    "text in a number column": (_cell("accel_x", "abc"), "wanted numbers, got 'abc' in data row 300"),
-    "a missing column": (_drop("gyro_y"), "add the missing axes or map the columns"),
-    "no time": (_drop("time"), "wanted a time column or sample_rate_hz"),
+    "text in a number column": (_cell("accel_x", "abc"), "expected numbers, got 'abc' in data row 300"),
+    "a missing column": (_drop("gyro_y"), "Add the missing axes"),
+    "no time": (_drop("time"), "expected a time column or sample_rate_hz"),
     "two units in one triad": (_two_units, "wanted"),
     "time that goes back": (_time(501, 400), "backward"),
     "time that stands still": (_time(501, 500), "doubled"),
     "time with NaN": (_cell("time", "nan"), "first in data row 300"),
-    "two sample rates": (_mixed, "wanted one sample rate, got 100 Hz and then 50 Hz"),
+    "two sample rates": (_mixed, "expected one sample rate, got 100 Hz and then 50 Hz"),
     "a short row": (_short_row, "got 3 in data row 300"),
-    "one row": (_one_row, "wanted two rows or more, got 1"),
+    "one row": (_one_row, "expected two rows or more, got 1"),
     "a head alone": (_no_rows, "wanted"),
 }
 
@@ -148,10 +148,10 @@ def _torn(sound, source, path):
 
 
 FILES = {
-    "a gzip that is cut off": (_truncated, "wanted a whole gzip file"),
+    "a gzip that is cut off": (_truncated, "gzip file is truncated"),
     "a damaged gzip": (_torn, "gzip file"),
     "an empty file": (lambda sound, source, path: path.write_bytes(b""), "got an empty file"),
-    "no file": (lambda sound, source, path: None, "got nothing of that name"),
+    "no file": (lambda sound, source, path: None, "no file of that name"),
     "a folder": (lambda sound, source, path: path.mkdir(), "wanted"),
     "a torn Parquet file": (lambda sound, source, path: path.write_bytes(b"PAR1" + bytes(200)), "wanted"),
 }
@@ -241,8 +241,8 @@ def test_a_wrongly_named_channel_is_pointed_at(undrift, bench, sound, tmp_path):
 
 CALIBRATIONS = {
     "nothing": (None, "No such file"),
-    "text": ("not json", "wanted JSON"),
-    "half": ("half", "wanted JSON"),
+    "text": ("not json", "expected JSON"),
+    "half": ("half", "expected JSON"),
     "another kind": ('{"kind": "undrift.device", "format": 1}', "wanted kind 'undrift.calibration'"),
     "another version": ("version", "wanted format 1, got 99"),
     "another shape": ("shape", "wanted"),

@@ -63,7 +63,7 @@ def test_a_signal_ends_a_command_in_one_line_and_leaves_nothing(bench, tmp_path,
     process = started(bench, tmp_path)
     process.send_signal(getattr(signal, name))
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped; nothing was left half written")
+    assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped. No file was left incomplete")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -92,7 +92,8 @@ def test_a_full_disk_names_the_file_and_the_bytes_missing(tmp_path, monkeypatch)
     with pytest.raises(InputError) as caught:
         write_whole(tmp_path / "c.json", bytes(340))
     assert str(caught.value) == (
-        f"{tmp_path / 'c.json'}: wanted room for 340 bytes more on the disk, got 100: 240 are missing; make room and run it again"
+        f"{tmp_path / 'c.json'}: expected free disk space for 340 bytes more, got 100: 240 are missing. Free disk "
+        f"space and run it again"
     )
     assert caught.value.missing == 240
     assert list(tmp_path.iterdir()) == []

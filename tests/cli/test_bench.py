@@ -13,9 +13,9 @@ from undrift.cli.app import run
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--token", "short"], "--token: wanted 16 characters or more, got 5"),
-        (["--port", "70000"], "--port: wanted 0 to 65535, got 70000"),
-        (["--upload-mb", "0"], "--upload-mb: wanted more than 0, got 0"),
+        (["--token", "short"], "--token: expected 16 characters or more, got 5"),
+        (["--port", "70000"], "--port: expected 0 to 65535, got 70000"),
+        (["--upload-mb", "0"], "--upload-mb: expected more than 0, got 0"),
     ],
 )
 def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
@@ -38,4 +38,4 @@ def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
             assert run(["bench", "--folder", str(tmp_path / "other"), "--port", port, "--no-browser"]) == 2
         finally:
             server.terminate()
-    assert f"bench: wanted to listen at 127.0.0.1:{port}, got 'Address already in use'" in capsys.readouterr().err
+    assert f"bench: cannot listen at 127.0.0.1:{port}, got 'Address already in use'" in capsys.readouterr().err

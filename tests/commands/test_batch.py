@@ -191,8 +191,8 @@ def test_info_lists_every_entry_and_writes_its_table_where_it_is_asked_to(undrif
 
 def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
     words = ("correct", folder, "--calibration", bench / "calibration.json")
-    assert "wanted a folder other than" in undrift.refused(*words, "-o", folder)
-    assert "wanted a folder other than" in undrift.refused(*words, "-o", tmp_path / "out.csv")
+    assert "expected a folder other than" in undrift.refused(*words, "-o", folder)
+    assert "expected a folder other than" in undrift.refused(*words, "-o", tmp_path / "out.csv")
     (tmp_path / "empty").mkdir()
     assert "got an empty folder" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
     (tmp_path / "empty" / "SOURCE.md").write_text("# Trials\n")

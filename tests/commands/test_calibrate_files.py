@@ -86,23 +86,23 @@ def test_a_file_that_does_not_fit_the_kept_map_is_refused_in_one_line_that_names
     }
     before = contents(board)
     line = undrift.refused(command, other, "--calibration", board / "board.json", *words[command])
-    assert f"{other}: does not fit the map that {board / 'board.json'} keeps of its device: " in line
-    assert "name its own with --map" in line
+    assert f"{other}: the file does not match the map stored in {board / 'board.json'} keeps of its device: " in line
+    assert "Name another map with --map" in line
     assert contents(board) == before
 
 
 def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench, board):
     session, log = bench / "session", data_path("multipos_mpu9150", "imu0.log.gz")
     line = undrift.refused("calibrate", session, "--serial", "A1", "--sensor", "a")
-    assert "wanted none of --sensor, --serial beside a session, got 2; its session.toml states them" in line
+    assert "--sensor, --serial cannot be used with a session" in line
     line = undrift.refused("calibrate", session, "--latitude-deg", 59.9, "--height-m", 20)
     assert "wanted none of --height-m beside a session" in line
     line = undrift.refused("calibrate", session, log)
-    assert "wanted one session, or recordings, got a session and 1 more" in line
+    assert "expected one session, or recordings, got a session and 1 more" in line
     line = undrift.refused("calibrate", board)
-    assert "wanted a folder with session.toml, got none" in line
+    assert "expected a folder with session.toml, got none" in line
     line = undrift.refused("calibrate", data_path("ferraris_nilspod", "example_ferraris_session.csv"))
-    assert "undrift info FILE --write-map map.toml proposes a map of them; give it with --map" in line
+    assert "undrift info FILE --write-map map.toml to propose a map, and name the map with --map" in line
     with pytest.raises(InputError, match="wanted one recording or more, got 0; name them"):
         session_from_files([])
 

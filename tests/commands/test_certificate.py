@@ -45,11 +45,11 @@ def without_triads(content):
         (
             without_covariance,
             "c.html",
-            "wanted a covariance of the accelerometers, got none; calibrate from recordings",
+            "expected a covariance of the accelerometers, got none. Calibrate from recordings",
         ),
-        (without_triads, "c.html", "wanted a calibrated gyroscope or accelerometer, got neither"),
-        (lambda content: None, "c.txt", "wanted a name ending in .html"),
-        (lambda content: None, "nowhere/c.html", "wanted a folder that exists, got none named"),
+        (without_triads, "c.html", "expected a calibrated gyroscope or accelerometer, got neither"),
+        (lambda content: None, "c.txt", "expected a name ending in .html"),
+        (lambda content: None, "nowhere/c.html", "does not exist"),
         (
             lambda content: content["gyro"]["budget"].popitem(),
             "c.html",

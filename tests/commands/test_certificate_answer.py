@@ -45,4 +45,4 @@ def test_one_sensor_or_none_known_is_said_so():
     drift = answer_sentence(replace(made, accel=None))
     assert re.fullmatch(r"After 60 s the pitch drifts by \S+ deg at most \(.*95 %\): offset at rest \S+ deg/s\.", drift)
     unknown = replace(made.gyro, covariance=np.full_like(made.gyro.covariance, np.nan), budget=None)
-    assert answer_sentence(replace(made, gyro=unknown)) == "How well the calibration is known is not stated."
+    assert answer_sentence(replace(made, gyro=unknown)) == "This calibration has no uncertainty."

@@ -70,7 +70,7 @@ def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monk
 
     monkeypatch.setattr("undrift.study.virtual_bench.record_on_bench", full)
     said = undrift.refused("demo", "--out", tmp_path / "demo", "--quick")
-    assert "got 'No space left on device'; make room and run it again: it begins anew" in said
+    assert "(No space left on device). Free disk space and run the demo again" in said
     assert "resume" not in said
 
 

@@ -85,7 +85,7 @@ def test_another_package_adds_a_target_by_an_entry_point(undrift, bench, tmp_pat
     assert made["files"] == [str(out / "a.bin"), str(out / "a.map")]
     assert "unknown target 'press'" in undrift.refused(*words, "press")
     assert "odd: expected a Target" in undrift.refused(*words, "odd")
-    assert "wanted a name ending in .h" in undrift.refused(*words, "c")  # its own targets cannot be replaced
+    assert "expected a name ending in .h" in undrift.refused(*words, "c")  # its own targets cannot be replaced
     sys.modules.pop("board")
 
 

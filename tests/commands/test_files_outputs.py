@@ -28,7 +28,7 @@ def words_of(command, bench, output):
 def test_a_folder_that_is_not_there_is_not_made_up(undrift, bench, tmp_path, command):
     ending = WRITERS[command][1]
     line = undrift.refused(*words_of(command, bench, tmp_path / "none" / "deep" / f"result{ending}"))
-    assert "make it first" in line
+    assert "Create it first" in line
     assert contents(tmp_path) == {}
 
 
@@ -110,7 +110,7 @@ def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):
     link = tmp_path / "link.parquet"
     link.symlink_to(tmp_path / "b" / "corrected.parquet")
     before = contents(tmp_path)
-    assert "than those that are read" in undrift.refused(*words_of("orient", tmp_path / "b", link))
+    assert "this file is also read" in undrift.refused(*words_of("orient", tmp_path / "b", link))
     assert contents(tmp_path) == before
 
 

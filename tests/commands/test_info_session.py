@@ -49,8 +49,8 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
-        (("--gyro-unit", "dps"), "--gyro-unit: wanted --write-map beside it, got none"),
-        (("--accel-unit", "g"), "--accel-unit: wanted --write-map beside it, got none"),
+        (("--gyro-unit", "dps"), "--gyro-unit: this option requires --write-map"),
+        (("--accel-unit", "g"), "--accel-unit: this option requires --write-map"),
         (("--turn-deg", 360), "--turn-deg requires --write-session"),
         (("--write-session", "s.toml", "--write-map", "m.toml"), "--write-session: expected no --write-map"),
     ],
@@ -68,7 +68,7 @@ def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrif
     session = read_session(board / "s")
     assert (told["stills"], told["faces"], told["turns"]) == (len(session.stills), [], 0)
     assert (session.gravity_m_s2, session.gravity_source) == (9.80665, "standard")
-    assert "not stated: standard gravity is assumed" in (board / "s" / "session.toml").read_text()
+    assert "missing: standard gravity is assumed" in (board / "s" / "session.toml").read_text()
     one = undrift.good("calibrate", board / "s", "--json").json()
     assert one["provenance"]["settings"]["gravity"] == "standard"
     at = undrift.good("calibrate", board / "s", "--json", "--latitude-deg", 0, "--height-m", 0).json()
@@ -102,9 +102,9 @@ def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     undrift.good("info", *words, "--write-session", board / "s")
     before = contents(board)
     line = undrift.refused("info", *words, "--write-session", board / "s")
-    assert "wanted a new session, got one that exists" in line
+    assert "the session exists already" in line
     line = undrift.refused("info", bench / "session", "--write-session", board / "t")
-    assert "wanted bare recordings, got a session; edit its session.toml" in line
+    assert "expected recordings without a session" in line
     assert contents(board) == before
 
 

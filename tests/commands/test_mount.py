@@ -89,8 +89,8 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
     ("words", "wanted"),
     [
         ((), "--worn"),
-        (("--worn", "thigh", "-o", "no.json"), "wanted a calibration to add the mounting to, got none"),
-        (("--worn", "thigh", "-o", "no.csv"), r"wanted a name ending in \.json"),
+        (("--worn", "thigh", "-o", "no.json"), "expected a calibration to add the mounting to, got none"),
+        (("--worn", "thigh", "-o", "no.csv"), r"expected a name ending in \.json"),
         (("--worn", "foot", "--movement", "bow"), "bow does not move the foot"),
     ],
 )

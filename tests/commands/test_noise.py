@@ -64,7 +64,7 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
         return line
 
     assert "must be at rest" in refused(bench / "trial.parquet", "--report", tmp_path / "old.html")
-    assert "make it first" in refused(tmp_path / "rest.csv", "--report", tmp_path / "none" / "a.html")
+    assert "Create it first" in refused(tmp_path / "rest.csv", "--report", tmp_path / "none" / "a.html")
     assert "LOW below HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "50:40")
     assert "LOW:HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "nan")
 

@@ -81,8 +81,8 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     corrected = bench / "corrected.parquet"
     assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
-    assert "wanted a name ending in .parquet, .csv, .csv.gz or .sto" in refused(corrected, "-o", tmp_path / "o.xls")
-    assert "than those that are read" in refused(corrected, "-o", corrected)
+    assert "expected a name ending in .parquet, .csv, .csv.gz or .sto" in refused(corrected, "-o", tmp_path / "o.xls")
+    assert "this file is also read" in refused(corrected, "-o", corrected)
     assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
     assert "wanted a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
 

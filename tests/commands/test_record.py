@@ -59,7 +59,7 @@ def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypat
         {"name": "wrist", "device": "IMU, 6 channels, 100 Hz"}
     ]
     assert out.endswith("Next: undrift record --port /dev/ttyACM0 -o walk.parquet\n")
-    assert "got 2 (serial:///dev/ttyACM0, serial:///dev/ttyUSB1); name it, as --port NAME" in undrift.refused(
+    assert "got 2 (serial:///dev/ttyACM0, serial:///dev/ttyUSB1). Choose one with --port NAME" in undrift.refused(
         "record", "-o", tmp_path / "a.csv"
     )
     monkeypatch.setattr(transports, "serial_ports", lambda: [(board.port, "a board")])
@@ -81,14 +81,14 @@ def test_a_way_with_a_description_is_recorded_as_described(tmp_path):
     [
         (
             ("--port", "/dev/ttyX"),
-            "wanted a file to write, got none; say --output walk.parquet to record serial:///dev/ttyX",
+            "expected a file to write, got none. Add --output walk.parquet to record serial:///dev/ttyX",
         ),
-        (("--port", "x", "--udp", "5000", "-o", "a.csv"), "wanted one device, got 2 (serial://x, udp://:5000)"),
+        (("--port", "x", "--udp", "5000", "-o", "a.csv"), "expected one device, got 2 (serial://x, udp://:5000)"),
         (
             ("--port", "x", "-o", "a.xls"),
-            "wanted a name ending in .parquet, .csv, .csv.gz, .log or .txt",
+            "expected a name ending in .parquet, .csv, .csv.gz, .log or .txt",
         ),
-        (("tcp://h:1", "-o", "old.csv"), "wanted a new name, got one that exists; no recording is written over"),
+        (("tcp://h:1", "-o", "old.csv"), "the file exists already"),
         (("pigeon:x", "-o", "a.csv"), "wanted one of tcp:..."),
     ],
 )
@@ -301,4 +301,4 @@ def test_a_guide_wants_readings(undrift, tmp_path):
     assert "wanted a file of readings, got" in undrift.refused(
         "record", "tcp://h:1", "--guide", "poses", "-o", tmp_path / "a.txt"
     )
-    assert "wanted a device that prints lines" in undrift.refused("record", "lsl:x?rate=9", "-o", tmp_path / "a.log")
+    assert "device that prints lines" in undrift.refused("record", "lsl:x?rate=9", "-o", tmp_path / "a.log")

@@ -84,21 +84,21 @@ def test_check_accepts_a_table_by_its_limit(capsys):
         (["run", "none.toml", "--rig", "manual:", "--device", "tcp://h:1", "-o", "x"], "none.toml", 2),
         (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
-        (["check", "--rig", "manual:"], "rig check: wanted a table with a motor, got manual:", 2),
+        (["check", "--rig", "manual:"], "rig check: expected a table with a motor, got manual:", 2),
         (["check", "--rig", NOBODY, "--seconds", "0"], "duration_s above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
         (
             ["run", "p.toml", *SIMULATED, "--device", "tcp://h:1", "-o", "x"],
-            "wanted a whole bench simulated or none",
+            "either all simulated or all real",
             2,
         ),
-        (["run", "p.toml", *SIMULATED[:3], "simulated:?device=gold", "-o", "x"], "wanted a device.json or one of", 2),
+        (["run", "p.toml", *SIMULATED[:3], "simulated:?device=gold", "-o", "x"], "expected a device.json or one of", 2),
         (
             ["run", "p.toml", *SIMULATED[:3], "simulated:?seed=one", "-o", "x"],
-            "wanted numbers for seed and tilt_deg",
+            "expected numbers for seed and tilt_deg",
             2,
         ),
-        (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "wanted options out of seed, device", 2),
+        (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "expected the options seed, device", 2),
         (["check", "--rig", "simulated:?clock_speed=0"], "clock_speed must be", 2),
         (["check", "--rig", "simulated:one"], "must be 'simulated:'", 2),
     ],
@@ -119,7 +119,7 @@ def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
     for said in ("", "n\n"):
         monkeypatch.setattr(sys, "stdin", io.StringIO(said))
         assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
-        assert "wanted a yes to start, got none; nothing moved" in capsys.readouterr().err
+        assert "the start was not confirmed, and nothing moved" in capsys.readouterr().err
 
 
 def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path, monkeypatch):
@@ -130,6 +130,6 @@ def test_python_calls_the_commands_of_a_rig_whose_package_is_there_too(tmp_path,
     rig = "simulated:?clock_speed=1e6"
     assert undrift.rig.check(rig=rig, seconds=4.0, limit_deg=1e-4).summary().stops
     monkeypatch.setattr("builtins.input", lambda line: "n")
-    with pytest.raises(InputError, match="wanted a yes to start"):
+    with pytest.raises(InputError, match="start was not confirmed"):
         undrift.rig.run(tmp_path / "protocol.toml", rig=rig, device="simulated:", output=tmp_path / "run")
     assert undrift.rig.stop(rig=rig).data["stopped"]

@@ -18,8 +18,8 @@ def test_sample_writes_all_recordings(undrift, tmp_path):
 @pytest.mark.parametrize(
     ("folder", "text"),
     [
-        ("here", "wanted a folder that does not exist yet"),
-        ("nowhere/here", "wanted a folder that exists, got none named nowhere"),
+        ("here", "the folder exists already"),
+        ("nowhere/here", "the folder nowhere does not exist"),
     ],
 )
 def test_sample_refuses_a_folder_that_it_cannot_make(undrift, tmp_path, monkeypatch, folder, text):

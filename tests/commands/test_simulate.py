@@ -102,8 +102,8 @@ def test_a_thermal_session_is_a_folder(tmp_path: Path, capsys: pytest.CaptureFix
     ("words", "message"),
     [
         (["swim", "--device", "bmi160"], "wanted a file of poses or markers, or one of sit_to_stand"),
-        (["free", "--device", "gold"], "wanted a device.json or one of enc03j_3031"),
-        (["free", "--device", "DEVICE", "--draw"], "--draw: wanted a preset to draw a unit of"),
+        (["free", "--device", "gold"], "expected a device.json or one of enc03j_3031"),
+        (["free", "--device", "DEVICE", "--draw"], "--draw: expected a preset"),
         (
             ["thermal_bath", "--device", "bmi160"],
             "wanted one of thermal_soak, thermal_ramp, thermal_warm_up, got",

@@ -33,7 +33,7 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: p
     ("words", "said"),
     [
         ([], "parameter RECORDS requires an argument. Say undrift twin --help."),
-        (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: wanted a file, got nothing of that name"),
+        (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: there is no file of that name"),
     ],
 )
 def test_a_wrong_call_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

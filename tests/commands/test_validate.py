@@ -122,7 +122,7 @@ def test_a_fit_to_references_takes_local_gravity_from_options_or_the_session(und
     assert (placed.gravity_m_s2, source) == (gravity_at(60.2, 20.0), "latitude and height")
     _, own, source = fitted(tmp_path / "session")
     assert (own.gravity_m_s2, source) == (9.82, "stated")
-    assert "its session.toml states them" in undrift.refused(
+    assert "cannot be used with a session" in undrift.refused(
         "validate", tmp_path / "session", *words, "--gravity-m-s2", 9.8
     )
     assert "expected local gravity between" in undrift.refused("validate", *records, *words, "--gravity-m-s2", 98.1)

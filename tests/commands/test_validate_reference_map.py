@@ -24,7 +24,7 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     own, true = (data_path(*parts) for parts in (recording, reference))
     undrift.good("info", own, *stated, "--write-map", tmp_path / "own.toml")
     described = undrift.good("info", true).out
-    assert "a table of orientations, to be read as a reference" in described
+    assert "a table of orientations" in described
     assert "--reference-map map.toml" in described
     undrift.good("info", true, "--write-map", tmp_path / "true.toml")
     seen = undrift.good("info", true, "--map", tmp_path / "true.toml", "--json").json()
@@ -74,4 +74,4 @@ def test_a_map_of_readings_is_no_map_of_a_reference(undrift, tmp_path):
     )
     refused = undrift(*words)
     assert refused.code == 2
-    assert "map.toml: wanted a map of orientations, got none" in refused.err
+    assert "map.toml: expected a map of orientations, got none" in refused.err

@@ -117,7 +117,7 @@ def test_a_triad_without_a_model_passes_nominal_values_and_a_note():
     np.testing.assert_allclose(done.record.accel, r.in_si().accel, rtol=1e-15)
     (note,) = done.notes
     assert "accel is not calibrated" in note
-    with pytest.raises(InputError, match="accel: wanted a physical unit, got count"):
+    with pytest.raises(InputError, match="accel: expected a physical unit, got count"):
         correct(record(temp_c=None, accel_unit="count"), device(accel=None))
 
 

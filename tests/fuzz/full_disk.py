@@ -1,11 +1,12 @@
 """Each command on a disk that is full: ``python -m tests.fuzz.full_disk [--few] [WORD ...]``.
 
-Every call of the system that takes room (a file made, written, brought to the disk or renamed, a folder made) below the folder of
-results and the one of temporary files fails once, and then with all after it, until the command succeeds without; also from
-libraries in C (testkit/disk.c). Each time it must end with exit code 2 and one line that says to make room, or succeed all the
-same; every file of the result is the old one, the new one or, where there was none, not there; files that belong together are all
-old or all new; no scrap is left; and the same call succeeds when there is room. Printed is a row for each command. With --few
-four commands and fewer faults. The exit code is 1 where one ended otherwise.
+Every call of the system that takes room (a file made, written, brought to the disk or renamed, a folder made) below the
+folder of results and the one of temporary files fails once, and then with all after it, until the command succeeds
+without; also from libraries in C (testkit/disk.c). Each time it must end with exit code 2 and one line that says to
+free disk space, or succeed all the same; every file of the result is the old one, the new one or, where there was none,
+not there; files that belong together are all old or all new; no scrap is left; and the same call succeeds when there is
+room. Printed is a row for each command. With --few four commands and fewer faults. The exit code is 1 where one ended
+otherwise.
 """
 
 import argparse
@@ -182,7 +183,7 @@ def judge(
         return "succeeds" if all(name in after for name in sound) else "unclear"
     return (
         "clear"
-        if code == 2 and len(lines) == 1 and "make room" in lines[0] and "internal" not in lines[0]
+        if code == 2 and len(lines) == 1 and "free disk space" in lines[0] and "internal" not in lines[0]
         else "unclear"
     )
 
@@ -205,7 +206,7 @@ def judge_recording(out: Path, answer: tuple[int, str]) -> str:
         return "succeeds" if rows else "unclear"
     return (
         "clear"
-        if code == 2 and "make room" in last and all(str(path) in last for path in left[: len(rows)])
+        if code == 2 and "free disk space" in last and all(str(path) in last for path in left[: len(rows)])
         else "unclear"
     )
 

@@ -33,4 +33,7 @@ def test_an_answer_that_does_not_fit_on_the_disk_is_one_line(more):
             [sys.executable, "-m", "undrift", "info", REST, *more], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60,
             check=False,
         )  # fmt: skip
-    assert (done.returncode, done.stderr) == (2, "undrift: file: No space left on device; make room and run it again\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "undrift: file: No space left on device. Free disk space and run it again.\n",
+    )

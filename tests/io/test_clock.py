@@ -90,13 +90,13 @@ def test_counters_that_count_by_tens_or_wrap_where_samples_are_lost_are_unwrappe
     np.testing.assert_array_equal(unwrapped((lost % 256).astype(float)), lost)
     np.testing.assert_array_equal(unwrapped((10 * lost % 65536).astype(float)), lost)
     np.testing.assert_array_equal(unwrapped((lost % 1000).astype(float)), lost)  # of three digits
-    with pytest.raises(InputError, match=r"wanted one that counts every sample up by 1, got 0 then 0 in data row 2"):
+    with pytest.raises(InputError, match=r"expected an increase of 1 with every sample, got 0 then 0 in data row 2"):
         unwrapped(np.repeat(np.arange(1000), 7)[:6999].astype(float))
     slipped = 10.0 * np.arange(100)
     slipped[5:] -= 5.0
-    with pytest.raises(InputError, match=r"wanted one that counts every sample up by 10, got 40 then 45 in data row 6"):
+    with pytest.raises(InputError, match=r"expected an increase of 10 with every sample, got 40 then 45 in data row 6"):
         unwrapped(slipped)
-    with pytest.raises(InputError, match=r"got 0 different steps up, and 99 of none"):
+    with pytest.raises(InputError, match=r"got 0 different steps and 99 samples"):
         unwrapped(np.zeros(100))
     with pytest.raises(InputError, match="wanted a number in every row, got 1 empty cells"):
         unwrapped(np.array([0.0, np.nan, 2.0]))
@@ -162,13 +162,13 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
         np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z", comments="")
         return read_counted(tmp_path / "t.csv", ColumnMap(**keys, **more))  # type: ignore[arg-type]
 
-    with pytest.raises(InputError, match="or clock = 'regular' where a host stamped them"):
+    with pytest.raises(InputError, match="or clock = 'regular' if a host"):
         read()
     found = read(clock="regular")
     assert len(found.record) == len(rows)  # type: ignore[attr-defined]
     assert found.record.sample_rate_hz == pytest.approx(RATE, rel=1e-3)  # type: ignore[attr-defined]
     rows[600, 0] -= 1.0
-    with pytest.raises(InputError, match=r"t.csv: clock: wanted stamps that never go back.*in data row 601; set"):
+    with pytest.raises(InputError, match=r"t.csv: clock: expected increasing time stamps.*in data row 601. Set"):
         read(clock="regular")
     repaired = read(clock="regular", repair_time=True)
     assert (len(repaired.record), repaired.repaired_rows) == (len(rows) - 1, 1)  # type: ignore[attr-defined]
@@ -178,7 +178,7 @@ def test_too_short_and_mostly_missing_recordings_and_other_words_are_refused() -
     with pytest.raises(InputError, match="wanted 100 samples or more for a regular clock, got 50"):
         fit_clock(np.arange(50) / RATE)
     counter = np.concatenate((np.arange(300), 5000 + np.arange(300)))
-    with pytest.raises(InputError, match="got 4700 of 5300 missing; check the time column and the counter"):
+    with pytest.raises(InputError, match="got 4700 of 5300 missing"):
         fit_clock(counter / RATE, counter.astype(float))
     with pytest.raises(InputError, match="clock: wanted 'file' or 'regular', got 'host'"):
         ColumnMap(time=0, time_unit="s", accel=(1, 2, 3), accel_unit="g", clock="host")  # type: ignore[arg-type]

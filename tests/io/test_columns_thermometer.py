@@ -47,13 +47,11 @@ def test_names_units_and_another_clock_are_stated(folder):
 
 def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
     (folder / "far.csv").write_text("time_s,temp_c\n107,20\n108,21\n")
-    words = (
-        r"far.csv: wanted temperatures from 5 to 14.9 s, the recording's clock, got 107 to 108 s; set temp_file.shift_s"
-    )
+    words = r"far.csv: expected temperatures from 5 to 14.9 s, the recording's clock, got 107 to 108 s. Set temp_file.shift_s"
     with pytest.raises(InputError, match=words):
         read_counted(folder / "r.csv", settings=ReadSettings(temp_file=TempFile(path=folder / "far.csv")))
     (folder / "none.csv").write_text("time_s,temp_c\n7,NaN\n8,NaN\n")
-    with pytest.raises(InputError, match=r"none.csv: temperature: wanted one reading or more, got none"):
+    with pytest.raises(InputError, match=r"none.csv: temperature: expected one reading or more, got none"):
         read_counted(folder / "r.csv", settings=ReadSettings(temp_file=TempFile(path=folder / "none.csv")))
 
 
@@ -68,7 +66,7 @@ def test_a_map_names_the_thermometer_beside_it_with_columns_or_without(folder):
     (folder / "c.toml").write_text("sample_rate_hz = 1\n")
     assert read_map(folder / "c.toml")[1].temp_file is None
     (folder / "d.toml").write_text("temp_file = { temp = 1 }\n")
-    with pytest.raises(FileFormatError, match=r"\[temp_file\], file: wanted this key, got none; add it"):
+    with pytest.raises(FileFormatError, match=r"\[temp_file\], file: this key is missing"):
         read_map(folder / "d.toml")
 
 

@@ -98,12 +98,12 @@ def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
     ("frame", "how", "error", "said"),
     [
         (PLAIN, {"sample_rate_hz": 10.0}, InputError, "units.gyro: wanted the unit of gyro, got none"),
-        (PLAIN, {"units": UNITS}, InputError, "wanted a time column or sample_rate_hz, got neither"),
+        (PLAIN, {"units": UNITS}, InputError, "expected a time column or sample_rate_hz, got neither"),
         (PLAIN, {"units": {"gyroscope": "dps"}}, InputError, "wanted units of time, gyro, accel, temp, mag, got gyroscope"),
-        (PLAIN, {"columns": {"gy": "x"}}, InputError, "wanted columns of time, gyro, accel, temp, mag, got gy"),
+        (PLAIN, {"columns": {"gy": "x"}}, InputError, "expected columns of time, gyro, accel, temp, mag, got gy"),
         (
             {**PLAIN, "gyro_x": ["a"] * N}, {"units": UNITS, "sample_rate_hz": 10.0}, FileFormatError,
-            "DataFrame: column 'gyro_x': wanted numbers, got 'a' in data row 1",
+            "DataFrame: column 'gyro_x': expected numbers, got 'a' in data row 1",
         ),
         ({"x": [1.0, 2.0]}, {}, InputError, "wanted gyro or accel, got neither"),
     ],
@@ -116,5 +116,5 @@ def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):
 def test_without_pandas_a_frame_is_refused_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     record = Record.from_arrays(gyro=np.zeros((3, 3)), gyro_unit="dps", sample_rate_hz=10.0)
-    with pytest.raises(InputError, match="to_frame: wanted pandas, got none; pip install pandas"):
+    with pytest.raises(InputError, match="to_frame: expected pandas, got none"):
         record.to_frame()

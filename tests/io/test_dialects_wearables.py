@@ -113,10 +113,10 @@ def test_actigraph_timestamps_become_seconds_and_the_serial_is_the_device(tmp_pa
 
 def test_actigraph_rate_and_dates_are_checked(tmp_path):
     (tmp_path / "b.csv").write_text(actigraph(4, clock=["noon", "later", "x", "y"])[0])
-    with pytest.raises(FileFormatError, match="wanted dates"):
+    with pytest.raises(FileFormatError, match="expected dates"):
         read_record(tmp_path / "b.csv")
     (tmp_path / "c.csv").write_text(actigraph(50, rate=30)[0])
-    with pytest.raises(InputError, match="30 Hz as stated, got 100 Hz"):
+    with pytest.raises(InputError, match="the specified 30 Hz, got 100 Hz"):
         read_record(tmp_path / "c.csv")
 
 

@@ -79,15 +79,15 @@ def test_what_imucal_refuses():
         with pytest.raises(FileFormatError, match=text):
             import_imucal(content)
 
-    refused("wanted cal_type 'Ferraris', got 'Turntable'; other kinds are not read", cal_type="Turntable")
-    refused("wanted format 2.0.0, got '1.0.0'; convert it with imucal's legacy helpers", _format_version="1.0.0")
+    refused("expected cal_type 'Ferraris', got 'Turntable'", cal_type="Turntable")
+    refused("expected format 2.0.0, got '1.0.0'. Convert it with imucal's legacy helpers", _format_version="1.0.0")
     refused(r"wanted K_a as finite numbers of shape \(3, 3\)", K_a=[1.0])
     refused("wanted b_g as finite numbers", b_g=[1.0, 2.0, None])
     refused("wanted b_g as finite numbers", b_g=[1.0, 2.0, "x"])
-    refused("wanted a unit for from_gyr_unit, got None; write it into the file", from_gyr_unit=None)
-    refused("wanted a unit for gyr_unit, got 'a.u.'", gyr_unit="a.u.")
-    refused("wanted a unit for acc_unit, got 'furlong'", acc_unit="furlong")
-    refused("wanted a matrix K_g R_g that has an inverse", K_g=np.zeros((3, 3)).tolist())
+    refused("expected a unit for from_gyr_unit, got None. Write it into the file", from_gyr_unit=None)
+    refused("expected a unit for gyr_unit, got 'a.u.'", gyr_unit="a.u.")
+    refused("expected a unit for acc_unit, got 'furlong'", acc_unit="furlong")
+    refused("matrix K_g R_g has no inverse", K_g=np.zeros((3, 3)).tolist())
     for text in ("{", "[1]", '"a"'):
         with pytest.raises(FileFormatError, match=r"wanted JSON, got|wanted cal_type"):
             import_imucal(text)

@@ -80,7 +80,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
         ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of positions"),
-        ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", "a table of orientations, to be read as a reference"),
+        ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", "a table of orientations"),
         ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
         ("b.csv", "Time (s),Voltage (V)\n0,4\n1,4\n", "table", "a table without names of three axes"),
         ("n.csv", "t,X (a.u.),Y (a.u.),Z (a.u.)\n0,4,4,4\n1,4,4,4\n", "table", "a magnetometer's table"),
@@ -132,9 +132,9 @@ def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
 
 
 def test_damaged_json_and_missing_files_are_errors(tmp_path):
-    with pytest.raises(InputError, match="wanted JSON, got something else"):
+    with pytest.raises(InputError, match="expected JSON, got something else"):
         describe(put(tmp_path, "a.json", "{"))
-    with pytest.raises(InputError, match="nothing of that name"):
+    with pytest.raises(InputError, match="no file of that name"):
         describe(tmp_path / "none")
 
 

@@ -133,7 +133,7 @@ def test_a_clock_since_1970_starts_at_zero(tmp_path):
 def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
     path = put(tmp_path, "time (s),ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n")
     assert detect(path) == "csv"
-    with pytest.raises(InputError, match="wanted names such as gyro_x_dps"):
+    with pytest.raises(InputError, match="expected names such as gyro_x_dps"):
         read_record(path)
     found = describe(path)
     assert 'accel = "m/s2" }  # proposed: accel by the median |a| 9.8' in found.example[1]
@@ -295,8 +295,8 @@ def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
 @pytest.mark.parametrize(
     ("cell", "words"),
     [
-        ("31/01/2026 12:00:01", "wanted dates such as 2026-01-31"),
-        ("2026-13-31 12:00:01", r"wanted dates, got none .*onth"),
+        ("31/01/2026 12:00:01", "expected dates such as 2026-01-31"),
+        ("2026-13-31 12:00:01", r"expected dates, got none .*onth"),
     ],
 )
 def test_other_dates_are_refused(tmp_path, cell, words):
@@ -355,7 +355,7 @@ def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
 def test_a_header_with_fewer_names_than_columns_is_refused(tmp_path):
     rows = "".join(f"{k},{k}.5,1,2,3\n" for k in range(4))
     path = put(tmp_path, "n and t (s),gyro x (dps),gyro y (dps),gyro z (dps)\n" + rows)
-    with pytest.raises(FileFormatError, match="wanted a name for each of 5 columns, got fewer; repair the header"):
+    with pytest.raises(FileFormatError, match="expected a name for each of 5 columns, got fewer"):
         open_sheet(path)
 
 

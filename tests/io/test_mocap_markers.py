@@ -90,19 +90,19 @@ def test_a_mirror_image_is_never_the_answer_for_a_flat_cluster():
 
 def test_clusters_that_give_no_pose_are_refused():
     markers, _, _ = moving()
-    with pytest.raises(InputError, match="wanted three different markers or more, got A, B"):
+    with pytest.raises(InputError, match="expected three different markers or more, got A, B"):
         fit_cluster(markers, ("A", "B"))
-    with pytest.raises(InputError, match="wanted three different markers or more, got A, A, B"):
+    with pytest.raises(InputError, match="expected three different markers or more, got A, A, B"):
         fit_cluster(markers, ("A", "A", "B"))
     with pytest.raises(InputError, match="wanted marker 'Q', got A, B, C, D"):
         fit_cluster(markers, ("A", "B", "Q"))
     line, _, _ = moving(shape=np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]]))
-    with pytest.raises(InputError, match="wanted markers that span a plane, got A, B, C on one line"):
+    with pytest.raises(InputError, match="expected markers that span a plane, got A, B, C on one line"):
         fit_cluster(line, ("A", "B", "C"))
     points = np.array(markers.points)
     points[:25, 0], points[25:, 1] = np.nan, np.nan
     never = Markers(labels=LABELS, time=markers.time, points=points)
-    with pytest.raises(InputError, match=r"wanted a frame with all of A, B, C, D, got none; leave out [AB]"):
+    with pytest.raises(InputError, match=r"expected a frame with all of A, B, C, D, got none. Leave out [AB]"):
         fit_cluster(never, LABELS)
 
 
@@ -110,12 +110,12 @@ def test_a_y_up_laboratory_turns_about_x_and_stays_right_handed():
     np.testing.assert_array_equal(level_from(np.eye(3), "y"), [[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     assert np.linalg.det(level_from(np.eye(3), "y")) == pytest.approx(1.0)
     np.testing.assert_array_equal(level_from(np.eye(3), "z"), np.eye(3))
-    with pytest.raises(InputError, match='up: wanted "y" or "z", got \'x\''):
+    with pytest.raises(InputError, match='up: expected "y" or "z", got \'x\''):
         level_from(np.eye(3), "x")
 
 
 def test_repeated_labels_are_numbered_or_refused():
     assert unique_labels(["A", "B", "A", "A", "A#2"]) == ("A", "B", "A#2", "A#3", "A#2#2")
-    with pytest.raises(InputError, match="wanted different labels, got A more than once"):
+    with pytest.raises(InputError, match="expected different labels, got A more than once"):
         Markers(labels=("A", "A"), time=[0.0, 1.0], points=np.zeros((2, 2, 3)))
     assert moving()[0].sample_rate_hz == pytest.approx(100.0)

@@ -97,11 +97,11 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path):
 
 def test_a_writer_refuses_another_record_and_time_that_goes_back(tmp_path):
     record, path = ramp(20), tmp_path / "r.parquet"
-    with pytest.raises(InputError, match=r"wanted chunks in order of time, got 0.05 s after 0.09 s"):
+    with pytest.raises(InputError, match=r"expected chunks in order of time, got 0.05 s after 0.09 s"):
         write_parts(path, record.part(0, 10), record.part(5, 15))
-    with pytest.raises(InputError, match="wanted chunks of one record"):
+    with pytest.raises(InputError, match="expected chunks of one record"):
         write_parts(path, record.part(0, 10), Record(time=record.time[10:], accel=record.gyro[10:]))
-    with pytest.raises(InputError, match="wanted a folder to write to"):
+    with pytest.raises(InputError, match="expected a folder to write to"):
         write_parquet(record, tmp_path / "none" / "r.parquet")
     assert not list(tmp_path.iterdir())
 
@@ -116,7 +116,7 @@ def test_foreign_parquet_reads_through_a_map(tmp_path):
     assert np.isnan(record.gyro[1, 2])
     with pytest.raises(InputError, match=r"column 'c': .* got 1 empty or NaN cells"):
         read_parquet(tmp_path / "f.parquet", ColumnMap(**keys))
-    with pytest.raises(InputError, match=r"f.parquet: columns: wanted names such as"):
+    with pytest.raises(InputError, match=r"f.parquet: columns: expected names such as"):
         read_parquet(tmp_path / "f.parquet")
 
 
@@ -139,12 +139,12 @@ def test_an_unknown_version_a_cut_file_and_other_content_are_refused(tmp_path):
     with pytest.raises(FileFormatError, match=r"wanted undrift.record format 1, got undrift.record format 9"):
         read_parquet(tmp_path / "v.parquet")
     (tmp_path / "cut.parquet").write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(FileFormatError, match="wanted a Parquet file"):
+    with pytest.raises(FileFormatError, match="expected a Parquet file"):
         read_parquet(tmp_path / "cut.parquet")
     damaged = bytearray(path.read_bytes())
     damaged[8:400] = b"\xff" * 392
     (tmp_path / "d.parquet").write_bytes(damaged)
-    with pytest.raises(FileFormatError, match="wanted a sound Parquet file"):
+    with pytest.raises(FileFormatError, match="expected a sound Parquet file"):
         read_parquet(tmp_path / "d.parquet")
-    with pytest.raises(FileFormatError, match="wanted a sound Parquet file"):
+    with pytest.raises(FileFormatError, match="expected a sound Parquet file"):
         list(iter_parquet(tmp_path / "d.parquet"))

@@ -42,7 +42,7 @@ def test_sensor_logger_reads_specific_force_whatever_the_platform_and_states_uni
     assert read.record.sample_rate_hz == pytest.approx(100.0)
     assert ("iOS writes this file in g" in read.notes[0]) == (unit == "g")
     unsure = name.startswith("Total") and not stated
-    assert any("sign of acceleration not stated by the file" in note for note in read.notes) == unsure
+    assert any("sign of acceleration" in note for note in read.notes) == unsure
     assert any("acceleration multiplied by -1" in note for note in read.notes) == (sign < 0.0)
     assert any("sign of acceleration" in line for line in describe(tmp_path / name).lines()) == unsure
 
@@ -61,9 +61,9 @@ def test_sensor_logger_s_accelerometer_has_no_gravity_and_its_gyroscope_reads(tm
     rows = "".join(f"{k},{0.01 * k:.2f},1,2,3\n" for k in range(4))
     for name in ("Accelerometer.csv", "Gyroscope.csv", "Gravity.csv"):
         (tmp_path / name).write_text(f"time,seconds_elapsed,z,y,x\n{rows}")
-    with pytest.raises(FileFormatError, match="got 'Linear acceleration z', in which gravity is removed"):
+    with pytest.raises(FileFormatError, match="got 'Linear acceleration z', acceleration without gravity"):
         read_record(tmp_path / "Accelerometer.csv")
-    with pytest.raises(FileFormatError, match="wanted gyroscope or accelerometer columns x, y, z with a unit, got"):
+    with pytest.raises(FileFormatError, match="expected gyroscope or accelerometer columns x, y, z with a unit, got"):
         read_record(tmp_path / "Gravity.csv")
     record = read_record(tmp_path / "Gyroscope.csv")
     assert (record.gyro[0].tolist(), record.gyro_unit, record.accel) == ([3.0, 2.0, 1.0], "rad/s", None)
@@ -117,7 +117,7 @@ def test_what_is_wrong_in_the_zip_of_a_phone_is_said_of_the_zip(tmp_path):
     content = bytearray(path.read_bytes())
     content[60:90] = bytes(30)
     path.write_bytes(content)
-    with pytest.raises(FileFormatError, match="wanted a sound zip file, got a damaged"):
+    with pytest.raises(FileFormatError, match="expected a sound zip file"):
         read_record(path)
 
 
@@ -128,7 +128,7 @@ def test_acceleration_without_gravity_in_the_folder_of_a_phone_is_left_out_aloud
 
 
 def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
-    with pytest.raises(FileFormatError, match=r"wanted Gyroscope.csv and TotalAcceleration.csv of the same time, got"):
+    with pytest.raises(FileFormatError, match=r"do not overlap in time"):
         read_record(phone(tmp_path, shift=60.0))
     (tmp_path / "Gyroscope.csv").write_text((tmp_path / "TotalAcceleration.csv").read_text())
     (tmp_path / "TotalAcceleration.csv").write_text("t (s),wx (rad/s),wy (rad/s),wz (rad/s)\n0,0,0,1\n1,0,0,1\n")

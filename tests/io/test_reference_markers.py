@@ -72,5 +72,5 @@ def test_the_stated_axis_of_a_laboratory_points_up(tmp_path, up):
     reference = read_reference(tmp_path / "q.csv", columns)
     np.testing.assert_allclose(rotate(reference.q_nb[0], axis[None])[0], [0.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(reference.position[-1], [0.0, 0.0, 19.0], atol=1e-12)
-    with pytest.raises(InputError, match="up: wanted the axis"):
+    with pytest.raises(InputError, match="up: expected the axis"):
         replace(columns, up="upwards")

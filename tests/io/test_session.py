@@ -117,27 +117,27 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('face = "+x"', 'fase = "+x"', r"line 12: \[\[still\]\] 1, fase: wanted a known key"),
+        ('face = "+x"', 'fase = "+x"', r"line 12: \[\[still\]\] 1, fase: this key is unknown"),
         ('face = "+x"', 'face = "up"', r"line 12: \[\[still\]\] 1, face: wanted '\+x', .* got 'up'"),
         ("angle_deg = -360.0", "angle_deg = 'much'", r"line 22: \[\[turn\]\] 2, angle_deg: wanted a valid number, got 'much'"),
         (
             "angle_deg = -360.0", "angle_deg = 1\nturn_rate_dps = 2",
-            r"line 21: \[\[turn\]\] 2: wanted turn_rate_dps or angle_deg",
+            r"line 21: \[\[turn\]\] 2: expected turn_rate_dps or angle_deg",
         ),
         ("angle_deg = -360.0", "angle_deg = nan", r"line 22: \[\[turn\]\] 2, angle_deg: wanted a finite number, got nan"),
-        ("angle_deg = -360.0", "angle_deg = 0", r"line 21: \[\[turn\]\] 2: wanted angle_deg other than 0, got 0; state"),
+        ("angle_deg = -360.0", "angle_deg = 0", r"line 21: \[\[turn\]\] 2: expected angle_deg other than 0, got 0. State"),
         ("turn_rate_dps = 90.0", "turn_rate_dps = inf", r"\[\[turn\]\] 1, turn_rate_dps: wanted a finite number, got inf"),
         ("temp_c = 25.0", "temp_c = nan", r"\[\[turn\]\] 1, temp_c: wanted a finite number, got nan"),
         ("temp_c = 25.0", "temp_c = -300.0", r"temp_c: wanted greater than or equal to -273.15, got -300.0"),
         ("start_s = 1.0", "start_s = nan", r"\[\[still\]\] 1, start_s: wanted a finite number, got nan"),
-        ("gravity_m_s2 = 9.80665", "latitude_deg = 200.0\nheight_m = 0", "latitude_deg: wanted -90 to 90 deg, got 200; south"),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 200.0\nheight_m = 0", "latitude_deg: expected -90 to 90 deg, got 200. South"),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 45.0\nheight_m = nan", r"\[session\], height_m: wanted a finite number"),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 45.0\nheight_m = 1e7", "height_m: wanted -5000 to 100000 m above .* got 1e"),
-        ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: wanted this key, got none"),
+        ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: this key is missing"),
         ("stop_s = 1.6", "stop_s = 99", r"line 10: \[\[still\]\] 1: wanted 0 <= start_s < stop_s <= 5 s .* got 1 to 99 s"),
-        ("start_s = 1.0\nstop_s = 1.6", "start_s = 1.001\nstop_s = 1.005", "wanted a sample or more between 1.001 and 1.005 s"),
-        ("recording = 0", "recording = 3", r"\[\[still\]\] 1: wanted recording 0 to 0, got 3"),
-        ('serial = "MTi-1"\n', "", r"line 1: \[session\], serial: wanted this key"),
+        ("start_s = 1.0\nstop_s = 1.6", "start_s = 1.001\nstop_s = 1.005", "expected a sample or more between 1.001 and 1.005 s"),
+        ("recording = 0", "recording = 3", r"\[\[still\]\] 1: expected recording 0 to 0, got 3"),
+        ('serial = "MTi-1"\n', "", r"line 1: \[session\], serial: expected this key"),
         (
             'kind = "calibration" ', 'kind = "party"',
             r"line 2: \[session\], kind: wanted 'calibration', 'thermal', 'static' or 'set-points'",
@@ -147,25 +147,25 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "between 9.7 and 9.9"),
         ('gyro = "dps"', 'gyro = "dsp"', r"line 5: \[\[recording\]\] 1: unit of rate: wanted one of"),
         ('gyro = "dps", ', "", r"\[\[recording\]\] 1: units.gyro: wanted the unit of gyro, got none"),
-        ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: wanted a known key"),
+        ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: this key is unknown"),
         (
             "sample_rate_hz = 100.0", "sample_rate_hz = 50.0",
-            r"\[\[recording\]\] 1: .*session.csv: wanted 50 Hz as stated, got 100 Hz",
+            r"\[\[recording\]\] 1: .*session.csv: expected the specified 50 Hz, got 100 Hz",
         ),
-        ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: wanted a file, got nothing of that name"),
-        ('"session.csv"', '["session.csv", "session.csv"]', "wanted one table of columns for each file, got 1 for 2 files"),
-        ('"session.csv"', "[]", "wanted one table of columns for each file, got 1 for 0"),
+        ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: there is no file of that name"),
+        ('"session.csv"', '["session.csv", "session.csv"]', "expected one table of columns for each file, got 1 for 2 files"),
+        ('"session.csv"', "[]", "expected one table of columns for each file, got 1 for 0"),
         (
             "[[recording]]", "[rate_table]\nwobble_deg = 11\n[[recording]]",
             r"line 5: rate_table: .*expected wobble_deg from 0 to 10, got 11",
         ),
-        ("[[recording]]", "[rate_table]\ntilt_deg = 1\n[[recording]]", "rate_table.*wanted a known key"),
+        ("[[recording]]", "[rate_table]\ntilt_deg = 1\n[[recording]]", "rate_table.*this key is unknown"),
         (
             "[[recording]]", "[temperature]\nspan_limit_k = -1\n[[recording]]",
             r"line 5: temperature: .*expected span_limit_k from 0 to 100, got -1",
         ),
-        ("[session]", "[session", "wanted TOML, got a line that is not: .*line 1"),
-        ("[[recording]]", "[[recordings]]", "recordings.*: wanted a known key"),
+        ("[session]", "[session", "expected TOML, got .*line 1"),
+        ("[[recording]]", "[[recordings]]", "recordings.*: this key is unknown"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_by_line_and_entry(tmp_path, old, new, words):
@@ -176,13 +176,13 @@ def test_what_is_wrong_is_named_by_line_and_entry(tmp_path, old, new, words):
 
 
 def test_a_folder_without_session_and_a_session_without_recording_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"wanted a folder with session.toml, got none"):
+    with pytest.raises(InputError, match=r"expected a folder with session.toml, got none"):
         read_session(tmp_path)
     (tmp_path / "session.toml").write_text(HEAD)
-    with pytest.raises(FileFormatError, match="recording: wanted this key, got none"):
+    with pytest.raises(FileFormatError, match="recording: this key is missing"):
         read_session(tmp_path)
     (tmp_path / "session.toml").write_bytes(b"\xff\xfe[")
-    with pytest.raises(FileFormatError, match="wanted UTF-8 text"):
+    with pytest.raises(FileFormatError, match="expected UTF-8 text"):
         read_session(tmp_path)
 
 
@@ -190,10 +190,10 @@ def test_settings_of_a_map_without_columns_are_not_ignored(tmp_path):
     record = Record(time=np.arange(5) / 100, gyro=np.ones((5, 3)))
     write_csv(record, tmp_path / "native.csv")
     (tmp_path / "session.toml").write_text(HEAD + '[[recording]]\nfile = "native.csv"\nskip_rows = 2\n')
-    with pytest.raises(InputError, match=r"wanted columns beside skip_rows, got none"):
+    with pytest.raises(InputError, match=r"expected columns beside skip_rows, got none"):
         read_session(tmp_path)
     (tmp_path / "session.toml").write_text(HEAD + "[[recording]]\nfile = []\n")
-    with pytest.raises(InputError, match="file: wanted one file or more"):
+    with pytest.raises(InputError, match="file: expected one file or more"):
         read_session(tmp_path)
 
 
@@ -208,11 +208,11 @@ def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):
     text = HEAD + '[[recording]]\nfile = ["a.csv", "b.csv"]\n'
     (tmp_path / "session.toml").write_text(text)
     put("b.csv", 50, 0.01, "accel")
-    with pytest.raises(InputError, match=r"b.csv: wanted channels that a.csv lacks, got accel again"):
+    with pytest.raises(InputError, match=r"b.csv: expected channels that a.csv lacks, got accel again"):
         read_session(tmp_path)
     for n, step in ((49, 0.01), (50, 0.0111)):
         put("b.csv", n, step, "accel")
-        with pytest.raises(InputError, match="files side by side need one time base"):
+        with pytest.raises(InputError, match="need one time base"):
             read_session(tmp_path)
 
 
@@ -264,15 +264,15 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
     (tmp_path / "session.toml").write_text(sealed(text))
     assert len(read_session(tmp_path).records) == 1
     (tmp_path / "session.toml").write_text(sealed(text).replace("stop_s = 1.5", "stop_s = 1.4"))
-    with pytest.raises(FileFormatError, match=r"wanted the session as the run wrote it, got it changed .sha256"):
+    with pytest.raises(FileFormatError, match=r"session was changed .*sha256"):
         read_session(tmp_path)
     cut = sealed(text)[: sealed(text).index("[[still]]")]
     (tmp_path / "session.toml").write_text(cut)
-    with pytest.raises(FileFormatError, match="got it changed"):
+    with pytest.raises(FileFormatError, match="session was changed"):
         read_session(tmp_path)
     (tmp_path / "session.toml").write_text(text)
     write_parquet(replace(record, gyro=np.full((200, 3), 1.001)), tmp_path / "recording_0.parquet")
-    with pytest.raises(FileFormatError, match=r"recording_0.parquet: wanted the readings as they were written, got"):
+    with pytest.raises(FileFormatError, match=r"recording_0.parquet: the readings were changed"):
         read_session(tmp_path)
 
 

@@ -50,16 +50,16 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "kind", "words"),
     [
-        ("skip_rows", "skiprows", FileFormatError, "line 7: skiprows: wanted a known key"),
+        ("skip_rows", "skiprows", FileFormatError, "line 7: skiprows: this key is unknown"),
         ("header = false", 'header = "no"', FileFormatError, "line 6: header: wanted a valid boolean, got 'no'"),
         (
             "sample_rate_hz = 50", 'sample_rate_hz = "50"', FileFormatError,
             "line 1: sample_rate_hz: wanted a valid number, got '50'",
         ),
-        ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: wanted a known key"),
+        ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: this key is unknown"),
         ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: wanted"),
-        ("gain = 0.5", "gain = [1.0, 1.0, 1.0]", InputError, "scale.temp: wanted one number"),
-        ('columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n', "", InputError, "wanted one table of columns, got 0"),
+        ("gain = 0.5", "gain = [1.0, 1.0, 1.0]", InputError, "scale.temp: expected one number"),
+        ('columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n', "", InputError, "expected one table of columns, got 0"),
         ('gyro = "dps", ', "", InputError, "units.gyro: wanted the unit of gyro"),
     ],
 )  # fmt: skip
@@ -88,7 +88,7 @@ def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
     assert read_map(path) == (None, ReadSettings(gaps="keep", sample_rate_hz=50.0, drop_bad_rows=True))
     for text, got in (("skip_rows = 2", "skip_rows"), ("# nothing", "no key")):
         path.write_text(text)
-        with pytest.raises(InputError, match=f"wanted one table of columns, got 0 and {got}; add columns"):
+        with pytest.raises(InputError, match=f"expected one table of columns, got 0 and {got}. Add columns"):
             read_map(path)
 
 
@@ -97,7 +97,7 @@ def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path
     time = np.array([0.0, 0.01, 0.02, 0.015, 0.03, 0.04])
     table = pa.table({"time_s": time} | {f"gyro_{axis}_dps": time for axis in "xyz"})
     (csv.write_csv if name == "r.csv" else parquet.write_table)(table, tmp_path / name)
-    with pytest.raises(InputError, match=r"set repair_time = true in a map \(`column_map` FILE\)"):
+    with pytest.raises(InputError, match=r"Set repair_time = true in a map \(`column_map` FILE\)"):
         read_record(tmp_path / name)
     settings = ReadSettings(repair_time=True)
     kept = [0.0, 0.01, 0.02, 0.03, 0.04]

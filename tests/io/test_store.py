@@ -158,11 +158,11 @@ def test_a_key_that_is_not_of_the_format_is_refused_by_name(change: dict, text: 
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        ("{", "wanted JSON"),
-        ('{"kind": NaN}', "NaN, which is no JSON number"),
+        ("{", "expected JSON"),
+        ('{"kind": NaN}', "NaN, which JSON cannot represent"),
         ("[1, 2]", "wanted kind 'undrift.calibration', got None"),
-        ("\x00\x01", "wanted JSON"),
-        ("[" * 100_000, "wanted JSON"),
+        ("\x00\x01", "expected JSON"),
+        ("[" * 100_000, "expected JSON"),
     ],
 )
 def test_a_file_that_is_not_a_calibration_is_refused_on_one_line(content: str, text: str, tmp_path: Path) -> None:
@@ -187,10 +187,10 @@ def test_a_covariance_of_another_size_is_refused(tmp_path: Path) -> None:
 
 def test_a_value_that_would_not_read_back_is_not_written(tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
-    with pytest.raises(InputError, match="wanted a calibration that reads back, got at gravity_m_s2"):
+    with pytest.raises(InputError, match="expected a calibration that reads back, got at gravity_m_s2"):
         write_calibration(example(gravity_m_s2=math.nan), path)
     twice = Provenance(settings=(("mode", "paper"), ("mode", "affine")))
-    with pytest.raises(InputError, match="wanted each of the settings once"):
+    with pytest.raises(InputError, match="expected each of the settings once"):
         write_calibration(example(provenance=twice), path)
     assert list(tmp_path.iterdir()) == []
 

@@ -144,8 +144,8 @@ def test_a_table_that_cannot_be_written_leaves_nothing_beside_it(tmp_path):
     ("change", "said"),
     [
         ({"format": 2}, "wanted undrift.record format 1, got format 2"),
-        ({"state": "cooked"}, "wanted frame, state and device of a recording, got others"),
-        ({"columns": {"time_s": "s"}}, "it belongs to another table: move it away"),
+        ({"state": "cooked"}, "expected frame, state and device of a recording, got other keys"),
+        ({"columns": {"time_s": "s"}}, "belongs to another table"),
     ],
 )
 def test_a_statement_beside_a_table_that_does_not_fit_it_is_refused(tmp_path, change, said):
@@ -161,7 +161,7 @@ def test_a_statement_beside_a_table_that_is_damaged_is_refused(tmp_path, damage)
     write_csv(CORRECTED, tmp_path / "r.csv")
     beside = tmp_path / "r.csv.json"
     beside.write_text(damage(beside.read_text()))
-    with pytest.raises(FileFormatError, match="wanted JSON as undrift wrote it, got it changed; restore the file"):
+    with pytest.raises(FileFormatError, match="JSON file was changed"):
         read_csv(tmp_path / "r.csv")
 
 
@@ -233,7 +233,7 @@ def test_a_quote_without_its_partner_takes_no_other_row_into_its_cell(tmp_path, 
     lines = rows()
     lines[4] = row
     path = put(tmp_path, table(lines))
-    with pytest.raises(FileFormatError, match=r"wanted quotes that close in their row, got .* in data row 5 .1 such"):
+    with pytest.raises(FileFormatError, match=r"expected quotes that close in their row, got .* in data row 5 .1 such"):
         read_csv(path, XYZ)
     found = read_csv(path, replace(XYZ, layout=TextLayout(drop_bad_rows=True)))
     assert (len(found.record), found.dropped_rows) == (7, 1)
@@ -275,26 +275,26 @@ def test_gaps_are_kept_only_on_request(tmp_path):
 
 
 BAD = [
-    ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': wanted numbers, got 'abc' in data row 9"),
+    ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': expected numbers, got 'abc' in data row 9"),
     ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "wanted 4 columns in every row, got 2 in data row 9"),
     ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "wanted 4 columns in every row, got 6 in data row 2"),
     (
         "wild value", table([*rows(), "0.080,1e9,0,1"]), FileFormatError,
-        "wanted readings up to 2000 g, got 1e\\+09 in data row 9",
+        "expected readings up to 2000 g, got 1e\\+09 in data row 9",
     ),
     ("infinity", table([*rows(), "0.080,inf,0,1"]), FileFormatError, "got inf in data row 9"),
     ("wrong column", table(rows(), "t,x,y,q"), InputError, "wanted column 'z', got 't', 'x', 'y', 'q'"),
     ("two of a name", table(rows(), "t,x,z,z"), InputError, "wanted column 'y'"),
-    ("doubled name", table([f"{r},1" for r in rows()], "t,x,y,z,z"), InputError, "wanted one column 'z', got 2"),
+    ("doubled name", table([f"{r},1" for r in rows()], "t,x,y,z,z"), InputError, "expected one column 'z', got 2"),
     ("empty file", "", FileFormatError, "got an empty file"),
-    ("header only", "t,x,y,z\n", FileFormatError, "wanted two rows or more, got 0"),
-    ("one row", table(rows(1)), FileFormatError, "wanted two rows or more, got 1"),
+    ("header only", "t,x,y,z\n", FileFormatError, "expected two rows or more, got 0"),
+    ("one row", table(rows(1)), FileFormatError, "expected two rows or more, got 1"),
     ("no time", table(["0,1,2,3", ",1,2,3", "2,1,2,3"]), InputError, "time column 't': .* got 1 empty or NaN cells"),
-    ("text time", table(["0,1,2,3", "noon,1,2,3"]), FileFormatError, "column 't': wanted numbers, got 'noon' in data row 2"),
+    ("text time", table(["0,1,2,3", "noon,1,2,3"]), FileFormatError, "column 't': expected numbers, got 'noon' in data row 2"),
     ("empty column", table(["0,1,,3", "1,1,,3"]), InputError, "column 'y': .* got 2 empty"),
     (
         "not utf-8", "t,x,y,z\xb0\n0,1,2,3\n".encode("latin-1"), FileFormatError,
-        "wanted UTF-8 text, got byte 0xb0 in the header",
+        "expected UTF-8 text, got byte 0xb0 in the header",
     ),
     ("utf-16", table(rows()).encode("utf-16"), FileFormatError, "got binary data or UTF-16"),
     ("bytes in a cell", b"t,x,y,z\n0,1,\xb0,3\n1,1,2,3\n", FileFormatError, "column 'y': wanted numbers"),
@@ -311,11 +311,11 @@ def test_bad_input_is_one_clear_line_that_names_file_column_and_row(tmp_path, te
 
 def test_a_cut_or_damaged_gzip_is_refused(tmp_path):
     packed = gzip.compress(table(rows(500)).encode())
-    with pytest.raises(FileFormatError, match="wanted a whole gzip file, got one that is cut off"):
+    with pytest.raises(FileFormatError, match="gzip file is truncated"):
         read_csv(put(tmp_path, packed[:-20], "cut.csv.gz"), XYZ)
     broken = bytearray(packed)
     broken[len(packed) // 2] ^= 0xFF
-    with pytest.raises(FileFormatError, match="wanted a sound gzip file"):
+    with pytest.raises(FileFormatError, match="gzip file is damaged"):
         read_csv(put(tmp_path, bytes(broken), "broken.csv.gz"), XYZ)
     with pytest.raises(FileFormatError, match="empty file inside the gzip"):
         read_csv(put(tmp_path, gzip.compress(b""), "empty.csv.gz"), XYZ)
@@ -324,7 +324,7 @@ def test_a_cut_or_damaged_gzip_is_refused(tmp_path):
 def test_two_rates_in_one_file_are_refused_however_they_show(tmp_path):
     time = np.concatenate((np.arange(200) * 0.01, 2.0 + np.arange(200) * 0.02))
     path = put(tmp_path, table([f"{t:.3f},0,0,1" for t in time]))
-    with pytest.raises(InputError, match="wanted one sample rate, got 100 Hz and then 50 Hz from 2"):
+    with pytest.raises(InputError, match="expected one sample rate, got 100 Hz and then 50 Hz from 2"):
         read_csv(path, XYZ)
     half = put(tmp_path, table([f"{0.01 * k:.3f},{k if k % 2 == 0 else ''},0,1" for k in range(40)]), "h.csv")
     with pytest.raises(InputError, match="filled in every 2th row only: two rates in one file"):
@@ -340,14 +340,14 @@ def test_jitter_and_drop_outs_are_not_two_rates(tmp_path):
 
 def test_a_stated_rate_that_the_time_column_denies_is_refused(tmp_path):
     columns = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", sample_rate_hz=204.8)
-    with pytest.raises(InputError, match=r"wanted 204.8 Hz as stated, got 100 Hz from time column 't'"):
+    with pytest.raises(InputError, match=r"expected the specified 204.8 Hz, got 100 Hz from time column 't'"):
         read_csv(put(tmp_path, table(rows())), columns)
 
 
 def test_too_much_repair_is_refused(tmp_path):
     columns = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
     path = put(tmp_path, table([f"{10 - k},0,0,1" for k in range(10)]))
-    with pytest.raises(InputError, match="wanted time that mostly goes forward, got 9 of 10 rows to drop"):
+    with pytest.raises(InputError, match="expected time that mostly goes forward, got 9 of 10 rows to drop"):
         read_csv(path, columns)
 
 
@@ -357,7 +357,7 @@ def test_skipping_past_the_end_and_positions_outside_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"wanted column 9 \(from 0\), got 4 columns"):
         read_csv(path, columns)
     columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=1.0, layout=TextLayout(skip_rows=99))
-    with pytest.raises(FileFormatError, match="wanted rows after 99 skipped lines, got none"):
+    with pytest.raises(FileFormatError, match="expected rows after 99 skipped lines, got none"):
         read_csv(path, columns)
 
 

@@ -113,7 +113,7 @@ def test_opensense_gets_a_header_a_named_column_and_quaternions_scalar_first(tmp
 
 
 def test_a_name_that_opensense_cannot_have_as_a_column_is_refused(tmp_path):
-    with pytest.raises(InputError, match="wanted letters, digits and _ for a column"):
+    with pytest.raises(InputError, match="expected letters, digits and _ for a column"):
         write_orientation(*orientation(), tmp_path / "o.sto", body="my pelvis")
     assert list(tmp_path.iterdir()) == []
 

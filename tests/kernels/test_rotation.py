@@ -95,13 +95,13 @@ def test_a_buffer_is_filled_and_given_back():
 
 def test_shapes_that_disagree_and_gaps_are_refused():
     time = np.arange(5) * 0.01
-    with pytest.raises(InputError, match=r"wanted gyro \(N, 3\), time \(N,\), q \(4,\), got \(4, 3\)"):
+    with pytest.raises(InputError, match=r"expected gyro \(N, 3\), time \(N,\), q \(4,\), got \(4, 3\)"):
         integrate_strapdown(np.ones((4, 3)), time, LEVEL)
     gap = np.ones((5, 3))
     gap[2, 1] = np.nan
-    with pytest.raises(InputError, match="wanted a rate at every sample, got gaps; integrate each stretch"):
+    with pytest.raises(InputError, match="expected a rate at every sample, got gaps"):
         integrate_strapdown(gap, time, LEVEL)
-    with pytest.raises(InputError, match=r"wanted a float64 buffer of shape \(5, 4\) in C order"):
+    with pytest.raises(InputError, match=r"expected a float64 buffer of shape \(5, 4\) in C order"):
         integrate_strapdown(np.ones((5, 3)), time, LEVEL, out=np.empty((4, 5)).T)
 
 

@@ -68,7 +68,7 @@ def test_a_description_that_cannot_be_is_refused(options, text):
             r"wanted one of tcp:..., udp:..., serial:..., lsl:..., simulated:..., got 'tcp'; name how it is connected",
         ),
         ("can:0?rate=1", r"wanted one of tcp"),
-        ("tcp://h:1?rate", r"wanted options as name=value&name=value, got 'rate'"),
+        ("tcp://h:1?rate", r"expected options as name=value&name=value, got 'rate'"),
         ("tcp://h:1?rate=fast", r"'fast' is not a number for rate"),
         ("tcp://h:1?rate=1&speed=2", r"unknown option 'speed'"),
         ("tcp://h?rate=1", r"tcp://host:port, got 'tcp://h'"),
@@ -88,10 +88,10 @@ def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, t
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        ("rate = ", r"wanted TOML, got a line that is not"),
-        ("rate = 5", r"stream: wanted this key, got none; add it"),
-        ("[stream]\nspeed = 5", r"line 2: \[stream\], speed: wanted a known key, got this one; check its spelling"),
-        ("[stream]\nrate = '5'", r"line 2: \[stream\], rate: wanted a valid number, got '5'"),
+        ("rate = ", r"expected TOML, got"),
+        ("rate = 5", r"stream: this key is missing"),
+        ("[stream]\nspeed = 5", r"line 2: \[stream\], speed: this key is unknown. Check its spelling"),
+        ("[stream]\nrate = '5'", r"line 2: \[stream\], rate: expected a valid number, got '5'"),
         ("[stream]\nrate = 0", r"rate .*got 0"),
     ],
 )
@@ -103,7 +103,7 @@ def test_a_file_that_is_no_description_is_refused(tmp_path, content, text):
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"none.toml: wanted a file, got nothing of that name"):
+    with pytest.raises(InputError, match=r"none.toml: there is no file of that name"):
         read_description(tmp_path / "none.toml")
 
 

@@ -102,7 +102,7 @@ FAHRENHEIT = (r"(?:degF|fahrenheit)",)
 KELVIN = (r"temperature[^;]*(?:kelvin|\bK\b[^;]*not degC|in K\b)",)
 TEMP_COUNTS = (
     r"temperature[^;]*(?:count|code|wrong scale|scale\.temp)",
-    r"column '\w+': wanted readings up to 300 degc.*check",
+    r"column '\w+': expected readings up to 300 degc.*check",
 )
 TURN_ANGLE = (
     r"angles in deg, not rad",

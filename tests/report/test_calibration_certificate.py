@@ -207,9 +207,9 @@ def test_without_shares_one_line_states_all_sources(calibration: Calibration) ->
 
 def test_what_has_no_covariance_is_refused(calibration: Calibration) -> None:
     bare = replace(calibration, gyro=plain_triad("dps", "rad/s"))
-    with pytest.raises(InputError, match="wanted a covariance of the gyroscopes, got none"):
+    with pytest.raises(InputError, match="expected a covariance of the gyroscopes, got none"):
         certificate_content(bare)
-    with pytest.raises(InputError, match="wanted a calibrated gyroscope or accelerometer, got neither"):
+    with pytest.raises(InputError, match="expected a calibrated gyroscope or accelerometer, got neither"):
         certificate_content(replace(calibration, gyro=None, accel=None))
 
 
@@ -240,7 +240,7 @@ def test_turns_by_hand_keep_their_shares() -> None:
     np.testing.assert_allclose(expand(made.gyro).standard, made.gyro.standard_uncertainty, rtol=1e-12)
     content = certificate_content(made)
     assert "Rig: axis of turns" in [row[0] for row in content["triads"][0]["budget"]]
-    assert any(text.startswith("Angles: those stated for the turns.") for text in content["traceability"])
+    assert any(text.startswith("Angles: as entered for the turns.") for text in content["traceability"])
 
 
 # ---- what is beside the session

@@ -130,7 +130,7 @@ DRAWN = {
 WORDS = {
     "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
     "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset"),
-    "change alone": ("x (count)", "the same less the fit"),
+    "change alone": ("x (count)", "offset minus the fit"),
     "scale": ("scale factor against", "z (%)", "soaks, 95 %"),
     "dynamic": ("measured rate (deg/s)", "20 degC", "correction (deg/s)"),
     "choice": ("scale (chosen)", "scale + dynamic"),

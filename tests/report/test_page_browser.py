@@ -137,7 +137,7 @@ def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -
     for part in (
         "Residual of each pose and dwell",
         "Norm of the specific force",
-        "departures from the mean scale factor of the three axes; readings in count state no other.",
+        "departures from the mean scale factor of the three axes. For readings in count there is no nominal one.",
         "information (%)",
     ):
         assert part in text

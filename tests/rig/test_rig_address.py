@@ -40,7 +40,7 @@ def test_a_rig_that_is_none_of_ours_is_refused(address):
         ("limits=9", "unknown option 'limits'"),
         ("baud=fast", "'fast' is not a value for baud"),
         ("hardware_handshake=1", "'1' is not a value for hardware_handshake"),
-        ("baud", "wanted options as name=value"),
+        ("baud", "expected options as name=value"),
     ],
 )
 def test_an_option_that_is_none_is_refused(query, text):

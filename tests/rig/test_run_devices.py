@@ -27,7 +27,7 @@ class Failing(Device):
 
     def start(self, *, certain=True):
         if self.taken >= self.dead_from - 1:
-            raise LinkError("made: wanted a device that sends, got none")
+            raise LinkError("made: expected a device that sends, got none")
         super().start(certain=certain)
 
     def stop(self):
@@ -109,7 +109,7 @@ def test_a_device_that_is_gone_does_not_end_the_others_run_and_two_that_are_gone
     assert at_rest(bench)
     assert len(read_session(tmp_path / "one" / "a").records) == 7
     bench = simulated(devices=2)
-    with pytest.raises(LinkError, match="wanted a device that sends, got none"):
+    with pytest.raises(LinkError, match="expected a device that sends, got none"):
         run_two(bench, tmp_path / "both", first={"dead_from": 3}, second={"dead_from": 2})
     assert at_rest(bench)
     assert [len(read_session(tmp_path / "both" / name).records) for name in "ab"] == [2, 1]

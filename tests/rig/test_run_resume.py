@@ -136,7 +136,7 @@ def test_a_signal_or_a_stop_ends_at_rest_with_what_was_done(bench, tmp_path, pro
         process.signal(getattr(signal, way))
     code, _, err = process.result()
     assert code == 130, err
-    assert "stopped; nothing was left half written" in err
+    assert "stopped. No file was left incomplete" in err
     assert bench.at_rest()
     assert len(read_session(tmp_path / "run").records) >= 2
 
@@ -150,7 +150,7 @@ def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(bench, 
         time.sleep(0.01)
     code, _, err = process.result()
     assert code == 130, err
-    assert err.splitlines()[-1] == "undrift: stopped; nothing was left half written"
+    assert err.splitlines()[-1] == "undrift: stopped. No file was left incomplete"
     assert bench.at_rest()
 
 

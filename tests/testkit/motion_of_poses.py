@@ -20,8 +20,8 @@ def motion_from_poses(
     """Return what an ideal sensor at the body's origin would feel."""
     if (sample_rate_hz is None) == (time is None):
         raise InputError(
-            "motion: wanted either a sample rate or the instants, got "
-            f"{'neither' if time is None else 'both'}; give sample_rate_hz or time"
+            "motion: expected either a sample rate or the instants, got "
+            f"{'neither' if time is None else 'both'}. Give sample_rate_hz or time"
         )
     spline = fit_pose_spline(reference, settings)
     if time is not None:

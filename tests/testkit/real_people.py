@@ -232,20 +232,22 @@ class Stance:
 def read_stance(path: Path, *, mass_kg: float, condition: Condition, category: CategoryName = DEFAULT) -> Stance:
     """Read a stance from a public force-plate file, tab-separated, gzipped or not."""
     if not mass_kg > 0.0:
-        raise InputError(f"{path.name}: wanted the person's mass in kg, got {mass_kg:g}; state it")
+        raise InputError(f"{path.name}: expected the person's mass in kg, got {mass_kg:g}. State it")
     try:
         text = io.StringIO(read_bytes(path).decode())
         names = text.readline().split("\t")
         table = np.loadtxt(text, ndmin=2)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: wanted a table of numbers under one line of names, got {error}; check it") from error
+        raise InputError(
+            f"{path}: expected a table of numbers under one line of names, got {error}. Check it"
+        ) from error
     names = [name.strip() for name in names]
     for *wanted, scale in COLUMNS.values():
         if all(name in names for name in wanted):
             at = [names.index(str(name)) for name in wanted]
             if not (np.isfinite(table[:, at]).all() and (np.diff(table[:, at[0]]) > 0.0).all()):
                 raise InputError(
-                    f"{path}: wanted finite numbers at increasing times, got others; export the table again"
+                    f"{path}: expected finite numbers at increasing times, got others. Export the table again"
                 )
             force, pressure = table[:, at[1:3]], table[:, at[3:5]] * float(scale)
             return Stance(
@@ -257,8 +259,8 @@ def read_stance(path: Path, *, mass_kg: float, condition: Condition, category: C
                 category=category,
             )
     raise InputError(
-        f"{path.name}: wanted columns GRFNET_X, GRFNET_Z, COPNET_X, COPNET_Z or Fx[N], Fy[N], COPx[cm], COPy[cm], got "
-        f"{', '.join(names[:6])}; name them so"
+        f"{path.name}: expected columns GRFNET_X, GRFNET_Z, COPNET_X, COPNET_Z or Fx[N], Fy[N], COPx[cm], COPy[cm], got "
+        f"{', '.join(names[:6])}. Name them so"
     )
 
 

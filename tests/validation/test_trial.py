@@ -159,7 +159,7 @@ def test_what_cannot_be_judged_is_refused(perfect):
     record, reference = perfect
     with pytest.raises(InputError, match="gyroscope"):
         validate_trial(Record(time=record.time, accel=record.accel), reference)
-    with pytest.raises(InputError, match="wanted a physical unit, got count"):
+    with pytest.raises(InputError, match="expected a physical unit, got count"):
         validate_trial(replace(record, gyro_unit="count"), reference)
     with pytest.raises(AlignmentError, match=r"no pose at rest from -2\.0 s to 7\.5 s"):
         validate_trial(record, hidden(reference, -1.0, 7.6))

@@ -48,11 +48,11 @@ def test_a_town_a_latitude_or_gravity_state_the_place_and_nothing_states_none():
 @pytest.mark.parametrize(
     ("typed", "words"),
     [
-        (("Atlantis",), "town: wanted a town of the list, or its latitude in deg, got 'Atlantis'"),
-        (("91",), "latitude: wanted -90 to 90 deg, got 91"),
+        (("Atlantis",), "town: expected a town of the list, or its latitude in deg, got 'Atlantis'"),
+        (("91",), "latitude: expected -90 to 90 deg, got 91"),
         (("48", "high"), "height: wanted metres above the sea, got 'high'"),
-        (("48", "10000"), "height: wanted -500 to 9000 m"),
-        (("", "", "981"), "gravity: wanted 9.7 to 9.9 m/s2, got 981"),
+        (("48", "10000"), "height: expected -500 to 9000 m"),
+        (("", "", "981"), "gravity: expected 9.7 to 9.9 m/s2, got 981"),
     ],
 )
 def test_a_place_that_is_none_is_refused(typed, words):
@@ -118,7 +118,7 @@ def test_sides_that_were_chosen_define_the_pitch_of_orient_and_validate(bench):
 
 def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(bench):
     held, one = bench.visit.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
-    with pytest.raises(InputError, match="wanted the place where the device is worn, got none; choose it"):
+    with pytest.raises(InputError, match="choose the body segment"):
         asyncio.run(held.mount(one))
     held.form.worn, held.form.movement = "shank", "squat"
     found = {"statement": "Shank: side -z", "sides": {"forward": "-z", "up": "+x"}, "output": None}
@@ -158,7 +158,7 @@ def test_the_offset_that_was_chosen_is_subtracted_by_correct_orient_and_validate
 
 def test_a_recording_is_calibrated_by_its_motion_where_that_is_chosen(bench):
     held, one = bench.visit.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
-    with pytest.raises(InputError, match="serial number: wanted the one on the device, got none; type it"):
+    with pytest.raises(InputError, match="serial number: enter the number on the device"):
         asyncio.run(held.calibrate(one, turn_deg=None))
     one.serial = "A17"
     for motion in (False, True):

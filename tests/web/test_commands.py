@@ -33,7 +33,7 @@ def test_no_text_of_a_command_names_the_folders_of_the_bench(tmp_path: Path) -> 
     (place / "Gehversuch März.csv").write_text("nothing\n")
     for path in (place / "Gehversuch März.csv", Path("uploads/0123456789ab/Gehversuch März.csv")):
         outcome = asyncio.run(run_command(["info", path, "--report", place / "a.bmp"], tmp_path, lambda line: None))
-        assert outcome.error.startswith(("a.bmp: wanted a name ending", "Gehversuch März.csv: "))
+        assert outcome.error.startswith(("a.bmp: expected a name ending", "Gehversuch März.csv: "))
         assert str(tmp_path) not in json.dumps(outcome.answer, ensure_ascii=False)
         assert "uploads" not in json.dumps(outcome.answer, ensure_ascii=False)
 
@@ -64,7 +64,9 @@ def test_a_command_that_does_not_end_is_ended(tmp_path: Path) -> None:
     began = time.monotonic()
     words = ["rig", "check", "--rig", "simulated:?clock_speed=1", "--seconds", "600"]
     outcome = asyncio.run(run_command(words, tmp_path, lambda line: None, longest_s=3.0))
-    assert outcome == CommandOutcome(code=2, error="rig: wanted an end within 3 s, got none; use a shorter recording")
+    assert outcome == CommandOutcome(
+        code=2, error="rig: the command did not finish within 3 s. Use a shorter recording."
+    )
     assert time.monotonic() - began < 30.0
 
 

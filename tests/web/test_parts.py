@@ -55,7 +55,7 @@ def test_what_is_bound_follows_the_state_and_goes_with_the_part_that_is_drawn_an
 
 
 def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
-    answers = [InputError("wanted a device, got none; connect it"), "/result", None]
+    answers = [InputError("expected a device, got none. Connect it"), "/result", None]
 
     def handler():
         answer = answers.pop(0)
@@ -65,7 +65,7 @@ def test_a_refusal_stands_beside_its_button_until_the_next_click(client):
 
     button = parts.button("Go", handler)
     click(client, button)
-    assert words(client) == ["Go", "wanted a device, got none; connect it"]
+    assert words(client) == ["Go", "expected a device, got none. Connect it"]
     click(client, button)
     assert words(client) == ["Go"]
     click(client, button)

@@ -44,7 +44,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     page.get_by_label("Angle of its turns, deg").fill("360")
     shoot(page, "recordings-read")
     page.get_by_role("button", name="Calibrate", exact=True).click()
-    expect(page.locator(".bench-main")).to_contain_text("serial number: wanted the one on the device, got none")
+    expect(page.locator(".bench-main")).to_contain_text("serial number: enter the number on the device")
     state_serial(page)
     page.get_by_role("button", name="Calibrate", exact=True).click()
     page.wait_for_url("**/calibrate")
@@ -52,9 +52,7 @@ def test_a_table_is_mapped_calibrated_and_corrected_without_a_command_line(
     expect(verdict).to_have_text("Verdict: marginal")
     gravity = page.get_by_role("region", name="Gravity")
     page.get_by_role("button", name="Calibrate with this gravity").click()
-    expect(page.locator(".bench-main")).to_contain_text(
-        "gravity: wanted a town, a latitude or gravity itself, got none"
-    )
+    expect(page.locator(".bench-main")).to_contain_text("gravity: enter a town, a latitude or local gravity")
     gravity.get_by_label("Town, or latitude in deg").fill("Oslo")
     shoot(page, "result-of-a-recording")
     page.get_by_role("button", name="Calibrate with this gravity").click()
@@ -81,7 +79,7 @@ def test_a_recording_with_optics_is_oriented_and_validated(open_page: Callable[.
     page.get_by_role("heading", name="35_disturbed").wait_for()
     step(page, "Use")
     page.get_by_role("button", name="Validate").click()
-    wrong = "wanted the mounting, or a side that points forward and another that points up, got none and none"
+    wrong = "expected the mounting, or the sides that point forward and up, got none and none"
     expect(page.locator(".bench-main")).to_contain_text(wrong)
     name_sides(page, "+x", "+z")
     drawing = page.get_by_role(
@@ -120,7 +118,7 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
         page.get_by_label("Choose files").set_input_files(tmp_path / name)
         page.get_by_role("heading", name=name).wait_for()
     step(page, "Use")
-    page.get_by_role("button", name="What does each give here?").click()
+    page.get_by_role("button", name="How accurate is each sensor here?").click()
     main = page.locator(".bench-main")
     expect(main).to_contain_text("none: nothing is subtracted.", timeout=COMMAND_MS)
     for offset in ("rest", "motion"):
@@ -151,9 +149,7 @@ def test_the_mounting_is_found_from_a_walk_and_used(open_page: Callable[..., Pag
     step(page, "Use")
     wearing = page.get_by_role("region", name="How it is worn")
     wearing.get_by_role("button", name="Find the mounting").click()
-    expect(page.locator(".bench-main")).to_contain_text(
-        "wanted the place where the device is worn, got none; choose it"
-    )
+    expect(page.locator(".bench-main")).to_contain_text("choose the body segment on which the device is worn")
     wearing.get_by_label("Where it is worn").select_option("lower-back")
     shoot(page, f"recordings-worn-{width}")
     wearing.get_by_role("button", name="Find the mounting").click()
@@ -187,7 +183,7 @@ def test_a_file_without_time_is_read_at_the_rate_that_is_stated(open_page: Calla
     rate = page.get_by_label("Samples per second, Hz")
     rate.fill("0", timeout=COMMAND_MS)
     page.get_by_role("button", name="Read the file").click()
-    expect(page.locator(".bench-main")).to_contain_text("sample rate: wanted a number above 0, got '0'")
+    expect(page.locator(".bench-main")).to_contain_text("sample rate: expected a number above 0, got '0'")
     rate.fill("100")
     page.get_by_role("button", name="Read the file").click()
     expect(page.locator(".bench-main")).to_contain_text("samples at 100 Hz", timeout=COMMAND_MS)

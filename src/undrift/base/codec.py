@@ -119,7 +119,7 @@ class Named:
         """Return the table."""
         table = dict(pairs)
         if len(table) != len(pairs):
-            raise InputError(f"wanted each of the {self.what} once, got a name twice; name them apart")
+            raise InputError(f"expected each of the {self.what} once, got a name twice. Rename one of them.")
         return table
 
 
@@ -278,11 +278,11 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
         kind, version = (tree.get("kind"), tree.get("format")) if isinstance(tree, dict) else (None, None)
         if kind != how.kind:
             raise FileFormatError(
-                f"{name}: wanted kind {how.kind!r}, got {kind!r}; give {_called(how)} that undrift wrote"
+                f"{name}: expected kind {how.kind!r}, got {kind!r}. Use {_called(how)} that undrift wrote."
             )
         if version != how.format or isinstance(version, bool):
             raise FileFormatError(
-                f"{name}: wanted format {how.format}, got {version!r}; read it with the undrift that wrote it"
+                f"{name}: expected format {how.format}, got {version!r}. Read it with the undrift that wrote it."
             )
     try:
         tree = how.complete(tree) if how.complete and isinstance(tree, dict) else tree
@@ -321,7 +321,7 @@ class Refused(ValueError):
         if self.cause is not None:
             return self.in_json()
         wanted = f"{_called(how)} of format {how.format}" if how.kind else "known keys"
-        return f"wanted {wanted}, got {self.in_json()}; repair the file"
+        return f"expected {wanted}, got {self.in_json()}. Repair the file."
 
     def in_json(self) -> str:
         """Return the first problem by the path of its key."""
@@ -334,10 +334,10 @@ class Refused(ValueError):
         more = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
         if self.cause is not None and not self.place:
             return f"{self.cause}{more}"
-        message = problem["msg"].replace("Input should be ", "wanted ").splitlines()[0]
+        message = problem["msg"].replace("Input should be ", "expected ").splitlines()[0]
         what = {
-            **dict.fromkeys(_UNKNOWN_KEY, f"wanted a known key, got this one; check its spelling{self.near}"),
-            "missing": "wanted this key, got none; add it",
+            **dict.fromkeys(_UNKNOWN_KEY, f"this key is unknown. Check its spelling{self.near}."),
+            "missing": "this key is missing. Add it.",
             "value_error": str(self.cause),
         }.get(problem["type"], f"{message}, got {problem['input']!r}")
         return f"line {line_of(text, self.place)}: {entry_name(self.place)}: {what}{more}"
@@ -467,10 +467,10 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
         return tomllib.loads(text), text
     except UnicodeDecodeError as error:
         raise FileFormatError(
-            f"{path}: wanted UTF-8 text, got other bytes at {error.start}; save the file as UTF-8"
+            f"{path}: expected UTF-8 text, got another encoding (byte {error.start}). Save the file as UTF-8."
         ) from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FileFormatError(f"{path}: wanted TOML, got a line that is not: {error}") from error
+        raise FileFormatError(f"{path}: expected TOML, got an invalid line: {error}") from error
 
 
 def json_of(path: Path, cls: type) -> Any:
@@ -481,14 +481,14 @@ def json_of(path: Path, cls: type) -> Any:
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise FileFormatError(
-            f"{path}: wanted {_called(_STORED[cls])} file, got {error.strerror}; check the path"
+            f"{path}: expected {_called(_STORED[cls])} file, got {error.strerror}. Check the path."
         ) from error
     except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
-        raise FileFormatError(f"{path}: wanted JSON, got {error}; write the file anew") from error
+        raise FileFormatError(f"{path}: expected JSON, got {error}. Write the file again.") from error
 
 
 def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name}, which is no JSON number")
+    raise ValueError(f"{name}, which JSON cannot represent")
 
 
 def write(value: Any, path: Path | str) -> None:
@@ -504,7 +504,7 @@ def json_text(value: Any, name: str) -> str:
         _checked(type(value), tree)
     except Refused as refused:
         called = _called(_STORED[type(value)])
-        raise InputError(f"{name}: wanted {called} that reads back, got {refused}; mend the value") from refused
+        raise InputError(f"{name}: expected {called} that reads back, got {refused}. Correct the value.") from refused
     text = json.dumps(tree, indent=2, allow_nan=False)
     # put lists of plain values on one line; a JSON string cannot contain a raw line break
     lists = re.compile(r"\[\n\s*([^\[\]{}]*?)\n\s*\]")

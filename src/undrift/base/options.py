@@ -22,7 +22,7 @@ Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
 Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
 Details: TypeAlias = Annotated[
-    bool, Parameter(show_default=False, help="Show every finding, and those of a calibration that is read.")
+    bool, Parameter(show_default=False, help="Show every finding, and every finding of a calibration that is read.")
 ]
 Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]

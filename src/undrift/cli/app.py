@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
 
-INTERRUPTED, STOPPED = 130, "stopped; nothing was left half written"
+INTERRUPTED, STOPPED = 130, "stopped. No file was left incomplete."
 STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
-    "record": "What a device sends, to a file; a guide to its calibration.",
-    "info": "What a recording, session, calibration, reference or device holds.",
-    "calibrate": "Fit what a session allows, with verdict and findings.",
+    "record": "Record a device to a file, or be guided through its calibration.",
+    "info": "Describe a recording, session, calibration, reference or device.",
+    "calibrate": "Calibrate from a session, with verdict and findings.",
     "drift": "Tuning tables over temperature, from soaks, ramps or a warm-up.",
     "correct": "Turn raw recordings into rad/s and m/s2.",
     "orient": "Orientation by strapdown or a filter: inclination, pitch.",
-    "mount": "How a device is worn: device axes to body axes.",
+    "mount": "Determine how a device is worn: device axes to body axes.",
     "validate": "Compare with an optical reference, in degrees.",
     "twin": "Fit the device model to a real device, and predict other motions.",
     "export": "Write calibrations for firmware and other programs.",
     "certificate": "A calibration certificate with uncertainty budget, to print on A4.",
     "noise": "Angle random walk, bias instability, rate random walk.",
     "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
-    "rig": "Run a protocol on a rate table; check, stop; --json.",
+    "rig": "Run a protocol on a rate table, check the table, stop it.",
     "study": "Find the calibration protocol that is enough for a task.",
     "bench": "The guided bench in a browser: from six faces to a certificate.",
     "sample": "Recordings that come with undrift, to try it with.",
@@ -110,13 +110,13 @@ def _called(arguments: Sequence[str]) -> int:
     except OSError as error:
         from undrift.files import is_full  # not for help, which answers at once
 
-        text = f"{error.filename or 'file'}: {error.strerror or error}; "
-        text += "make room and run it again" if is_full(error) else "check the path and its permissions"
+        text = f"{error.filename or 'file'}: {error.strerror or error}. "
+        text += "Free disk space and run it again." if is_full(error) else "Check the path and its permissions."
         return _refuse(arguments, error, text, code=2)
     except Exception as error:
         if os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
-        text = f"internal error: {type(error).__name__}: {error}; please report it with the command"
+        text = f"internal error: {type(error).__name__}: {error}. Please report it with the command"
         return _refuse(arguments, error, f"{text} (UNDRIFT_TRACEBACK=1 shows where)", code=2)
     return code if isinstance(code, int) else 0
 
@@ -126,7 +126,7 @@ def _check_names(arguments: Sequence[str]) -> None:
     for word in arguments:
         shown = word.encode("utf-8", "backslashreplace").decode()
         if "\\udc" in shown and "\\udc" not in word:
-            raise InputError(f"{shown}: wanted a name in UTF-8, got other bytes; rename the file or folder")
+            raise InputError(f"{shown}: the name is not valid UTF-8. Rename the file or folder.")
 
 
 def _formatter() -> "HelpFormatter":
@@ -177,7 +177,7 @@ def app(arguments: Sequence[str]) -> object:
         command = " ".join(("undrift", *(error.command_chain or ())))
         if isinstance(error, UnusedCliTokensError):
             unused = " ".join(error.unused_tokens or ())
-            raise InputError(f"wanted fewer words, got also {unused}; say {command} --help") from error
+            raise InputError(f"unexpected argument {unused}. Run {command} --help.") from error
         raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
 
 
@@ -203,7 +203,7 @@ def complain(message: str, *, code: int) -> int:
 
 
 def _help() -> str:
-    rows = [*COMMANDS.items(), ("--version", "Show the version; -V does too.")]
+    rows = [*COMMANDS.items(), ("--version", "Show the version (also -V).")]
     lines = "\n".join(f"  {name:12}{text}" for name, text in rows)
     end = "undrift COMMAND --help explains its options.\nundrift --install-completion completes them in your shell."
     return f"Usage: undrift COMMAND\n\n{ABOUT}\n\n{lines}\n\n{end}\n\n{examples('')}\n"

@@ -42,16 +42,22 @@ def bench(
     try:
         from undrift.web.app import serve
     except ImportError as error:
-        raise InputError(f"bench: wanted nicegui, got none ({error.name}); pip install undrift[bench]") from error
+        raise InputError(
+            f"bench: the package nicegui is missing ({error.name}). Run pip install 'undrift[bench]'."
+        ) from error
     from undrift.files import data_folder
     from undrift.web.bench import ServerSettings
 
     if token not in ("", "none") and len(token) < 16:
-        raise InputError(f"--token: wanted 16 characters or more, got {len(token)}; leave it out for a fresh one")
+        raise InputError(
+            f"--token: expected 16 characters or more, got {len(token)}. Omit --token to create a new token."
+        )
     if not 0 <= port <= 65535:
-        raise InputError(f"--port: wanted 0 to 65535, got {port}; 0 takes a free one")
+        raise InputError(f"--port: expected 0 to 65535, got {port}. Use 0 for a free port.")
     if not upload_mb > 0.0:
-        raise InputError(f"--upload-mb: wanted more than 0, got {upload_mb:g}; state the largest file in MB")
+        raise InputError(
+            f"--upload-mb: expected more than 0, got {upload_mb:g}. Enter the size of the largest file in MB."
+        )
     settings = ServerSettings(
         folder=(folder or data_folder() / "bench").absolute(),
         port=port,

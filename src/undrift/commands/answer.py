@@ -13,8 +13,9 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 ANSWERED_S, MG_PER_PERCENT = 60.0, 10.0  # of the answer; of a scale factor at one g
 ANSWERED = (
-    "The pitch after 60 s: tilt by gravity, the offset, and what it changes by from rest to motion (0.02 deg/s an axis, assumed, "
-    "where no fit shows it). A turn adds the scale factor's share, heat and age of the device theirs."
+    "The pitch error after 60 s includes the tilt from gravity, the offset, and the change of the offset from rest "
+    "to motion "
+    "(without a fit, 0.02 deg/s per axis is assumed). Turns, heat and ageing add further errors."
 )
 NAMES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 OFFSETS = {"gyro": "zero-rate output", "accel": "zero-g offset"}
@@ -24,7 +25,7 @@ SHOWN = {  # unit, and how many are one SI
 }
 BLOCKS = {
     "scale": "scale factor", "cross": "cross-axis sensitivity", "offset": "offset", "g": "g-sensitivity",
-    "moving": "offset in motion less that at rest", "code": "offset of codes",
+    "moving": "offset in motion minus offset at rest", "code": "offset of codes",
 }  # fmt: skip
 
 
@@ -46,14 +47,14 @@ def answer_sentence(calibration: Calibration) -> str:
     pitch = math.hypot(ANSWERED_S * drift, ANSWERED_S * moved, level / 1e3 / RADIAN_PER_DEGREE)
     size, where = two_digits, "at the temperature of the calibration, 95 %"
     if not math.isfinite(pitch + gravity) or not drift + gravity:
-        return "How well the calibration is known is not stated."
+        return "This calibration has no uncertainty."
     if not drift:
         return f"Gravity is within {size(gravity)} mg ({where})."
     if not gravity:
         known = f"offset at rest {size(drift)} deg/s"
         return f"After {ANSWERED_S:g} s the pitch drifts by {size(pitch)} deg at most ({where}): {known}."
     known = f"offset at rest {size(drift)} deg/s, gravity within {size(gravity)} mg"
-    return f"After {ANSWERED_S:g} s the pitch is good to {size(pitch)} deg; {known} ({where})."
+    return f"After {ANSWERED_S:g} s the pitch is good to {size(pitch)} deg ({where}): {known}."
 
 
 def uncertainty_section(calibration: Calibration) -> Section:
@@ -95,7 +96,7 @@ def departures_words(name: str, triad: TriadModel) -> str:
     if is_physical(triad.unit_in):
         ideal = f"departures from the unit of the readings, {triad.unit_in}: the errors without calibration."
     else:
-        ideal = f"departures from the mean scale factor of the three axes; readings in {triad.unit_in} state no other."
+        ideal = f"departures from the mean scale factor of the three axes. For readings in {triad.unit_in} there is no nominal one."
     return f"{NAMES[name]}: {ideal}"
 
 

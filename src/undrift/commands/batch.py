@@ -136,7 +136,7 @@ def of_folder(
                 return function(*given, **stated)
             for name in are_given(alone, stated):
                 raise InputError(
-                    f"`{name}`: wanted a recording or a session, got the folder {given[0]}; name its files"
+                    f"`{name}`: expected a recording or a session, got the folder {given[0]}. Name the files in it."
                 )
             output, progress = stated.pop("output", None), stated.pop("progress", silent)
             job = _Job(function=function, ending=ending, settle=settle, stated=stated, output=output)
@@ -188,12 +188,12 @@ class _Job:
         command, output = self.function.__name__, self.output
         check_folder(output)
         if output is not None and (output.suffix or output.resolve() == folder.resolve()):
-            raise InputError(f"output: wanted a folder other than {folder}, got {output}; name it so")
+            raise InputError(f"output: expected a folder other than {folder}, got {output}. Choose another folder.")
         entries = list(_entries(folder, output and output.resolve()))
         files = [entry for entry in entries if command == "info" or is_recording(entry)]
         if not files:
             got = f"{len(entries)} entries that are none" if entries else "an empty folder"
-            raise InputError(f"{folder}: wanted a recording or a folder of recordings, got {got}; check the path")
+            raise InputError(f"{folder}: expected a recording or a folder of recordings, got {got}. Check the path.")
         places = [file.relative_to(folder) for file in files]
         names = Counter(place.with_name(name_of(place)) for place in places)
         earlier, rows, shared = dict[str, Row](), list[Row](), [*files_in(tuple(self.stated.values()))]

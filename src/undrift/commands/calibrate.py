@@ -37,8 +37,9 @@ if TYPE_CHECKING:
 NAMES = {"accel": "accelerometers", "gyro": "gyroscopes"}
 BARS = "Bars: expanded uncertainty, 95 %, as in the certificate."
 RESIDUALS = (
-    "These are residuals of the fit, on its own readings: what they all share, as tilted faces or a wrong gravity, is not in them. "
-    "The uncertainty above is that of other readings at this temperature."
+    "These are the residuals of the fitted readings. They do not include errors common to all readings, such as "
+    "tilted faces or a "
+    "wrong gravity. The uncertainty above applies to other readings at this temperature."
 )
 INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
 FIELD = ("field_ut", "below_horizon_deg", "disturbed_percent")
@@ -80,7 +81,7 @@ class Calibrated(Result):
         made, output, lacking = self.calibration, self.output, self.lacking
         recording, after = output and recording_of(self.files), list[str]()
         if lacking:
-            raw = f"no model of the {' and '.join(lacking)}, whose readings stay raw; the verdict says why"
+            raw = f"no model of the {' and '.join(lacking)} (see the verdict). Their readings stay raw"
             after.append(f"Not complete: {raw}")
         if output is None:
             after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
@@ -205,14 +206,16 @@ def _turns_of_log(session: "Session", path: Path, settings: "CalibrateSettings")
     from undrift.rate_log import LEAST_S, align_clocks, cut_dwells, read_rate_log
 
     if session.turns or session.stills:
-        raise InputError(f"`rates`: wanted bare recordings, got a session that states pieces; leave {path} out")
+        raise InputError(
+            f"`rates`: expected recordings without a session, got a session with its own phases. Omit {path}."
+        )
     log = read_rate_log(path)
     lines = [align_clocks(log, record) for record in session.records]
     turns, missed = cut_dwells(log, list(zip(session.records, lines, strict=True)))
     if not turns:
         raise InputError(
-            f"{path}: wanted steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out); "
-            "check the log"
+            f"{path}: expected steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out). "
+            "Check the log."
         )
     largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
     figures = {
@@ -238,7 +241,8 @@ NOTABLE_DRIFT = 1e-3  # of the clocks: a scale factor is wrong by as much if the
 
 def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
     lines = [
-        f"dwells from the log: {log['dwells']}, left out {log['left_out']}; standard uncertainty of rates up to "
+        f"dwells from the log: {log['dwells']}, left out {log['left_out']}, standard uncertainty of rates up to "
+        f""
         f"{log['largest_uncertainty_dps']:.2g} deg/s"
     ]
     for each in log["clocks"]:
@@ -247,7 +251,10 @@ def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
             f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
         )
         if abs(each["drift"]) > NOTABLE_DRIFT:
-            lines.append(f"the clocks differ by {abs(each['drift']):.2%}; rates are the table's: check both")
+            lines.append(
+                f"the clocks differ by {abs(each['drift']):.2%}. The rates are on the clock of the table. "
+                f"Check both clocks."
+            )
     return tuple(lines)
 
 
@@ -329,7 +336,8 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
         Section(
             title=f"{NAMES.get(name, name).capitalize()}: {triad.method}",
             text=(
-                f"corrected = matrix @ (raw - offset); matrix in {triad.unit_out} per {triad.unit_in}, standard uncertainty of "
+                f"corrected = matrix @ (raw - offset). The matrix is in {triad.unit_out} per {triad.unit_in}, "
+                f"standard uncertainty of "
                 "the last digits in brackets.",
                 *_triad_notes(triad),
                 *(_field_notes(made) if name == "magnetometer" else ()),
@@ -352,7 +360,7 @@ def _field_notes(made: "Calibration") -> Iterator[str]:
     """Yield what else is known of a magnetometer: its lag, its unit and its frame."""
     if (mag := made.magnetometer) is not None:
         lag = concise(1e3 * mag.lag_s, 1e3 * mag.lag_uncertainty_s)
-        yield f"axes of the gyroscopes, which it lags by {lag} ms; determinant 1: the size of the field is as it was read"
+        yield f"axes of the gyroscopes, which it lags by {lag} ms, with determinant 1: the magnitude of the field is as measured"
 
 
 def _triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:

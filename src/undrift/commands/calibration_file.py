@@ -51,12 +51,12 @@ def choose_calibration(named: Path | None, recordings: Sequence[Path], opening: 
             ", ".join(sorted({model.device or "without serial number" for _, model in calibrations}))
             or "no calibration"
         )
-        raise InputError(f"{named}: no calibration of {serial} in this folder, which holds {others}. Name the file.")
+        raise InputError(f"{named}: no calibration of {serial} in this folder. It contains {others}. Name the file.")
     newest = [match for match in matches if match[0] == matches[-1][0]]
     if len(newest) > 1:
         names = ", ".join(str(path.relative_to(named)) for _, path, _ in newest)
         raise InputError(
-            f"{named}: several newest calibrations of {serial} state the same date: {names}. Name one of these files."
+            f"{named}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
         )
     (date, path, model), count = newest[0], len(matches)
     made = "no stated date" if date == datetime.min.replace(tzinfo=UTC) else f"{date:%Y-%m-%d}"
@@ -77,7 +77,7 @@ def calibration_files(folder: Path) -> Iterator[Path]:
             content = json.loads(path.read_bytes())
         except ValueError as error:
             raise InputError(
-                f"{path}: this file is no JSON, so it cannot be told whether it is a newer calibration. Repair or remove it."
+                f"{path}: this file is not JSON, so its age cannot be checked. Repair or remove it."
             ) from error
         if isinstance(content, dict) and content.get("kind") == KIND:
             yield path

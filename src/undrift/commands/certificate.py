@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # Row of the budget, how it is evaluated (GUM 4.2, 4.3), and which triads have it
 SOURCE_ROWS = {
     "rate": ("Rig: stated rate", "B", "gyro"),
-    "angle": ("Rig: stated angle of turns", "B", "gyro"),
+    "angle": ("Rig: entered angle of turns", "B", "gyro"),
     "axis": ("Rig: axis of turns", "B", "gyro"),
     "ripple": ("Rig: rate that ripples or differs from dwell to dwell", "A", "gyro"),
     "mounting": ("Rig: mounting, level of the table and wobble", "A, B", "gyro"),
@@ -53,7 +53,7 @@ SOURCE_ROWS = {
     "adc": ("ADC: rounding to codes", "B", ""),
     "instability": ("Fit: instability of the offset", "A", ""),
     "repeatability": ("Repeatability: scatter beyond the noise", "A", ""),
-    "prior": ("Fit: what the session does not show", "B", ""),
+    "prior": ("Fit: not determined by the session", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
 LONGEST = 200  # characters of what is stated
@@ -73,8 +73,9 @@ LIMITS = {  # keys of a file of limits: triad, kind of parameter
 }
 JUDGED = ("quantity", "largest departure", "U", "limit", "unit", "result")
 RULE = (
-    "Decision rule: simple acceptance (ILAC-G8:09/2019). Within, if the departure is at most the limit, whatever U; near the limit "
-    "every second statement may be wrong. Departures are the largest of the readings from nominal, before correction."
+    "Decision rule: simple acceptance (ILAC-G8:09/2019). A departure of at most the limit is reported as within, "
+    "whatever U is. Near the limit, every second statement may be wrong. Departures are the largest deviations of "
+    "the readings from nominal, before correction."
 )
 
 
@@ -136,7 +137,7 @@ class Statement:
         for name in ("number", "laboratory", "operator"):
             if not (text := getattr(self, name)).isprintable() or len(text) > LONGEST:
                 raise InputError(
-                    f"`{name}`: wanted one line of at most {LONGEST} characters, got {text[:20]!r}...; shorten it"
+                    f"`{name}`: expected one line of at most {LONGEST} characters, got {text[:20]!r}.... Shorten it."
                 )
         return {name: getattr(self, name).strip() for name in ("number", "laboratory", "operator")}
 
@@ -175,11 +176,11 @@ def read_limits(path: Path) -> dict[str, float]:
         limits = tomllib.loads(checked_file(path).read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError(
-            f"{path}: wanted limits as TOML, got {error}; write for example accel_offset_mg = 50"
+            f"{path}: expected limits as TOML, got {error}. Write for example accel_offset_mg = 50."
         ) from error
     for key, limit in limits.items():
         if key not in LIMITS or not isinstance(limit, int | float) or not 0.0 < limit < math.inf:
-            raise InputError(f"{path}: wanted one of {', '.join(LIMITS)} above 0, got {key} = {limit}; correct it")
+            raise InputError(f"{path}: expected one of {', '.join(LIMITS)} above 0, got {key} = {limit}. Correct it.")
     return {key: float(limit) for key, limit in limits.items()}
 
 
@@ -191,11 +192,12 @@ def certificate_content(
 
     triads = {name: triad for name in NAMES if (triad := getattr(calibration, name)) is not None}
     if not triads:
-        raise InputError("certificate: wanted a calibrated gyroscope or accelerometer, got neither; calibrate first")
+        raise InputError("certificate: expected a calibrated gyroscope or accelerometer, got neither. Calibrate first.")
     for name, triad in triads.items():
         if not (triad.parameters and np.isfinite(triad.covariance).all() and triad.covariance.any()):
             raise InputError(
-                f"certificate: wanted a covariance of the {NAMES[name].lower()}, got none; calibrate from recordings by undrift"
+                f"certificate: expected a covariance of the {NAMES[name].lower()}, got none. Calibrate from "
+                f"recordings with undrift."
             )
     made, entries = calibration.provenance, statement.entries()
     labels = {"number": "Certificate number", "laboratory": "Laboratory", "operator": "Calibrated by"}
@@ -376,10 +378,10 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
             ("table_level_deg", "level of the table", "deg"), ("wobble_deg", "wobble", "deg"),
         )  # fmt: skip
         each = ", ".join(f"{label} {settings[key]} {unit}" for key, label, unit in named if key in settings)
-        yield f"Rates: those stated for the rate table. Standard uncertainties: {each or 'not stated'}."
+        yield f"Rates: as entered for the rate table. Standard uncertainties: {each or 'not stated'}."
     elif methods.get("gyro") == "known-rotation":
         angle, axis = (settings.get(f"{name}_uncertainty_deg", "not stated") for name in ("angle", "axis"))
-        yield f"Angles: those stated for the turns. Standard uncertainties: angle {angle} deg, axis of the turns {axis} deg."
+        yield f"Angles: as entered for the turns. Standard uncertainties: angle {angle} deg, axis of the turns {axis} deg."
     elif "gyro" in methods and methods["gyro"] != "rest":
         yield f"Gyroscopes: {method_words(methods['gyro'])}; see the procedure."
     if "accel" in triads:
@@ -390,7 +392,7 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
             f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {source}), {how}. "
             "A relative error of it is the same relative error of the accelerometers' scale factor."
         )
-    yield "This document states no certificate of these references and claims no accreditation."
+    yield "This document lists no certificates of these references and claims no accreditation."
 
 
 def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> Iterator[str]:
@@ -400,13 +402,13 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
         low, high = (value * (1.0 if name == "accel" else SHOWN[name][1]) for value in triad.valid_range)
         unit = "m/s²" if name == "accel" else "deg/s"
         if high > low:
-            yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values; not covered beyond."
+            yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values. Larger values are not covered."
     if "accel" in triads:
         method, size = triads["accel"].method, "of a data sheet's size (2e-4 per m/s²) is included in U of their offset"
         held = "is part of their offset, and not included in U"
         if method.startswith(("six-face", "multi-position")):
             six = method.startswith("six-face")
-            held = f"{size}; 18 free poses would show it" if six else f"{size}, as far as the poses leave it open"
+            held = f"{size}. 18 free poses would determine it" if six else f"{size}, as far as the poses leave it open"
         yield f"The accelerometers are taken as linear within 1 g. A quadratic term {held}."
     tables = calibration.drift
     if tables is None or tables.static is None:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from undrift.record import Record, Still
 
 READ = 0.8  # of a recording that is corrected once it is read as a whole
-RESTS = "Each by its mean, of the first 65,536 samples if Parquet is written; raw counts by the mean scale and offset of the axes."
+RESTS = "Each value is a mean, over the first 65,536 samples if Parquet is written. Raw counts use the mean scale and offset."
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
@@ -248,13 +248,13 @@ def targets_of(records: tuple[Path, ...], output: Path, read: tuple[Path | None,
         if output.suffix and not output.is_dir():
             named = f"a name ending in {', '.join(endings[:-1])} or {endings[-1]}"
             wanted = "a folder for several recordings" if len(records) > 1 else named
-            raise InputError(f"output: wanted {wanted}, got {output}; name it so")
+            raise InputError(f"output: expected {wanted}, got {output}. Correct the name.")
         check_folder(output)
         targets = [output / (name_of(record) + ".parquet") for record in records]
     doubled = sorted({t.name for t in targets if targets.count(t) > 1})
     if doubled:
         raise InputError(
-            f"output: wanted another name for each recording, got {', '.join(doubled)} twice; correct them apart"
+            f"output: several recordings would be written to {', '.join(doubled)}. Correct them in separate runs."
         )
     if output in targets or output.is_dir():
         for target in targets:
@@ -401,7 +401,7 @@ def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":
 
     named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     suspicions = [
-        finding("correct.sensors_differ", "warn", what=f"no {what} in the recording; check the names of the columns")
+        finding("correct.sensors_differ", "warn", what=f"no {what} in the recording. Check the names of the columns.")
         for what, triad, values in named
         if triad is not None and values is None
     ]

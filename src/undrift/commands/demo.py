@@ -63,8 +63,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
         if not isinstance(disk := error.__cause__, OSError):
             raise
         raise InputError(
-            f"{out}: wanted to write what its table measures, got '{disk.strerror or disk}'; make room and run it again: "
-            "it begins anew"
+            f"{out}: the recordings cannot be written ({disk.strerror or disk}). Free disk space and run the demo again."
         ) from disk
     tell("fitting calibration and tables, judging a worn trial", after_s)
     fit, trials = _judged(device, out)
@@ -81,7 +80,9 @@ def _check_fresh(out: Path) -> None:
     """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
     check_folder(out)
     if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
-        raise InputError(f"{out}: wanted a new folder, or that of an earlier demo, got other files; name another")
+        raise InputError(
+            f"{out}: expected a new folder or the folder of an earlier demo, got other files. Choose another folder."
+        )
     out.mkdir(exist_ok=True)
     for name in RUNS:
         if (out / name).is_dir():
@@ -174,7 +175,7 @@ def _checks(checks: tuple["Check", ...]) -> Section:
         ("at most", lambda check: f"{check.limit:.2g}"),
         ("passed", lambda check: "yes" if check.passed else "NO"),
     )
-    text = f"The device is drawn at random from a seed. Only these checks know its true parameters; the fits do not. {passed}"
+    text = f"The device is drawn at random from a seed. Only these checks use its true parameters. The fits do not. {passed}"
     return table_section("Compared with the hidden truth", checks, cells, text=(text,))
 
 
@@ -188,15 +189,17 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]
     after = np.nanmax(np.abs(trials[0].error.pitch)) / RADIAN_PER_DEGREE
     return Section(
-        title="A sit-to-stand with the device warmed by its wearer",
+        title="A sit-to-stand task with a device warmed by its wearer",
         text=(
             f"A wearable device is calibrated on a simulated rate table and in a simulated chamber. Then a simulated "
             f"person wears it. {NOTE}",
             f"The person has worn the device for half an hour, and it is {EXCURSION_K:g} K warmer than on the bench. During the "
             f"motion, the tables remove {largest[0] - largest[2]:.2f} deg of the largest pitch error against simulated optics (the "
             f"note, Figure 3: more than 3.2). Without tables, but with the offset of the rest before the motion, {largest[3]:.2f} "
-            "deg are left, from scale and dynamic drift. Integration begins half a second before the motion. After the motion the "
-            "person stands; these figures do not include that time. With a constant calibration the error then grows to "
+            "deg are left, from scale and dynamic drift. Integration begins half a second before the motion. After "
+            "the motion the "
+            "person stays upright. These figures do not include that time. With a constant "
+            "calibration the error then grows to "
             f"{after:.1f} deg.",
             SLOPE_OF_THE_NOTE,
         ),
@@ -222,7 +225,7 @@ def _bench(run: "BenchRun") -> Section:
         "A run drives them as it drives hardware.",
         f"It took {run.host_s:.0f} s of this computer: simulated time does not wait. The chamber heats by 10 K a "
         f"second and the board follows within seconds. A set-point counts as reached after {SOAK.window_s:g} s within "
-        f"{SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min; a real one needs 0.1 K/min over five minutes.",
+        f"{SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min. A real chamber needs 0.1 K/min over five minutes.",
     )
     return table_section(
         "The simulated bench", ((plan.bench, run.bench), (plan.thermal, run.thermal)), cells, text=text

@@ -75,7 +75,7 @@ def drift(
     from undrift.io.store import calibration_json, write_calibration
 
     if not 0.0 < step_c < math.inf:
-        raise InputError(f"step-c: wanted more than 0 degC, got {step_c:g}; 0.5 is the note's")
+        raise InputError(f"step-c: expected more than 0 degC, got {step_c:g}. The application note uses 0.5.")
     settings = DriftSettings(
         range_c=None if span is None else ends_of("`range_c`", span),
         step_c=step_c,

@@ -108,7 +108,8 @@ class Opening:
                 raise
             text = str(error).removeprefix(f"{path}: ")
             raise InputError(
-                f"{path}: does not fit the map that {self.kept.path} keeps of its device: {text}; name its own with `column_map`",
+                f"{path}: the file does not match the map stored in {self.kept.path} for its device: {text}. Name "
+                f"another map with `column_map`.",
                 **error.numbers,
             ) from error
 
@@ -137,7 +138,7 @@ class Opening:
             return self.record(path)
         records = read_session(path).records
         if len(records) > 1:
-            raise InputError(f"{path}: wanted one recording, got a session of {len(records)}; name the file of one")
+            raise InputError(f"{path}: expected one recording, got a session of {len(records)}. Name one of its files.")
         return records[0]
 
 
@@ -221,8 +222,9 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
         raise InputError(
-            f"{stated[0]}: wanted one session, or recordings, got a session and {len(files) - 1} more; name the session alone, "
-            "or state the recordings in its session.toml"
+            f"{stated[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only "
+            f"the session, "
+            "or list the recordings in its session.toml."
         )
     session = read_session(stated[0])
     given: dict[str, object] = {"--map": opening.column_map}
@@ -231,9 +233,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
     given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}
     used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
     if used:
-        raise InputError(
-            f"{stated[0]}: wanted none of {', '.join(used)} beside a session, got {len(used)}; its session.toml states them"
-        )
+        raise InputError(f"{stated[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml.")
     if session.gravity_source == "standard":
         gravity_m_s2, source = place.gravity(of_session=True)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
@@ -308,8 +308,8 @@ def check_physical(record: "Record", path: Path) -> None:
     for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
         if values is not None and not is_physical(unit):
             raise InputError(
-                f"{path}: wanted physical units, or the calibration of the device, got {name} in {unit}; "
-                "say `calibration` calibration.json"
+                f"{path}: expected physical units or a calibration of the device, got {name} in {unit}. Add "
+                f"`calibration` calibration.json."
             )
 
 
@@ -397,8 +397,8 @@ class Optics:
             paths = records
         if len(paths) != len(records):
             raise InputError(
-                f"{command}: wanted one reference for each recording, got {len(paths)} for {len(records)}; "
-                "say `reference` once for each, in the same order"
+                f"{command}: expected one reference for each recording, got {len(paths)} for {len(records)}. "
+                "Repeat `reference` for each recording, in the same order."
             )
         read = [opening.read(record) for record in records] if session is None else session.records
         return list(zip(read, self.read(paths), strict=True))
@@ -417,7 +417,7 @@ class Optics:
         columns = None if self.reference_map is None else read_reference_map(self.reference_map)
         if self.reference_map is not None and columns is None:
             raise InputError(
-                f"{self.reference_map}: wanted a map of orientations, got none; state columns = {{ quaternion = [w, x, y, z] }}"
+                f"{self.reference_map}: expected a map of orientations, got none. Set columns = {{ quaternion = [w, x, y, z] }}."
             )
         return [_poses(path, columns, labels, self.reference_up) for path in paths]
 
@@ -436,12 +436,13 @@ def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] |
         if up is not None or error.numbers.get("missing") != "up":
             raise
         raise InputError(
-            f"{path}: wanted the axis that points up, got none; say `reference_up` y or `reference_up` z"
+            f"{path}: expected the axis that points up, got none. Set `reference_up` y or `reference_up` z."
         ) from error
     if labels is None:
         raise InputError(
-            f"{path}: wanted the labels of one rigid cluster, got none; say `markers` with three or more, commas between, of "
-            f"{', '.join(markers.labels)}"
+            f"{path}: expected the labels of one rigid cluster, got none. Set `markers` to three or more, separated "
+            f"by commas, of "
+            f"{', '.join(markers.labels)}."
         )
     return pose_from_cluster(markers, labels)
 
@@ -454,9 +455,13 @@ def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceMo
     if name in PRESETS:
         return random_device_of(name, rng) if draw else preset(name)
     if not Path(name).exists():
-        raise InputError(f"device: wanted a device.json or one of {', '.join(PRESETS)}, got '{name}'; name one of them")
+        raise InputError(
+            f"device: expected a device.json or one of {', '.join(PRESETS)}, got '{name}'. Choose one of them."
+        )
     if draw:
-        raise InputError(f"`draw`: wanted a preset to draw a unit of, got {name}; leave it out for a device.json")
+        raise InputError(
+            f"`draw`: expected a preset from which a device is drawn, got {name}. Omit `draw` with a device.json."
+        )
     return read_device(Path(name))
 
 
@@ -466,9 +471,9 @@ def ends_of(option: str, text: str, unit: str = "degC") -> tuple[float, float]:
     try:
         ends = float(low), float(high)
     except ValueError:
-        raise InputError(f"{option}: wanted LOW:HIGH in {unit}, got '{text}'; for example 15:35") from None
+        raise InputError(f"{option}: expected LOW:HIGH in {unit}, got '{text}'. Write, for example, 15:35.") from None
     if not ends[0] < ends[1] or (unit == "degC" and not -273.15 < ends[0] < ends[1] < 1000.0):
-        raise InputError(f"{option}: wanted LOW below HIGH in {unit}, got '{text}'; for example 15:35")
+        raise InputError(f"{option}: expected LOW below HIGH in {unit}, got '{text}'. Write, for example, 15:35.")
     return ends
 
 
@@ -483,15 +488,15 @@ def check_output(
         return
     if not path.name.lower().endswith(endings):
         either = endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
-        raise InputError(f"{path}: wanted a name ending in {either}, got another; name the format so")
+        raise InputError(f"{path}: expected a name ending in {either}. Change the ending.")
     if path.is_dir():
-        raise InputError(f"{path}: wanted the name of a file to write, got a folder; name a file in it")
+        raise InputError(f"{path}: expected the name of a file to write, got a folder. Add the name of a file.")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+        raise InputError(f"{path}: the folder {path.parent} does not exist. Create it first.")
     held = [read for read in reads if read is not None]
     for file in (path, *beside):
         if file.exists() and any(_holds(read, file) for read in held):
-            raise InputError(f"{file}: wanted another file to write than those that are read; name another")
+            raise InputError(f"{file}: this file is also read and cannot be written. Choose another name.")
 
 
 def check_report(path: Path | None, *, reads: Iterable[Path | None] = ()) -> None:
@@ -504,9 +509,9 @@ def check_folder(path: Path | None) -> None:
     if path is None:
         return
     if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: wanted a folder to write to, got a file of that name; name another")
+        raise InputError(f"{path}: expected a folder to write to, got a file of that name. Choose another name.")
     if not path.exists() and not path.parent.is_dir():
-        raise InputError(f"{path}: wanted a folder that exists, got none named {path.parent}; make it first")
+        raise InputError(f"{path}: the folder {path.parent} does not exist. Create it first.")
 
 
 def name_of(path: Path) -> str:

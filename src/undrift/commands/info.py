@@ -61,7 +61,7 @@ class Proposal:
         option = next((one.name for one in fields(self)[1:] if getattr(self, one.name) is not None), "")
         if option and self.write_map is None:
             raise InputError(
-                f"`{option}`: wanted `write_map` beside it, got none; add `write_map` map.toml, or leave it out"
+                f"`{option}`: this option requires `write_map`. Add `write_map` map.toml, or omit `{option}`."
             )
 
 
@@ -100,15 +100,15 @@ def info(
 
     if write_session is not None:
         if proposal != Proposal():
-            raise InputError("`write_session`: expected no `write_map` with it; run two commands")
+            raise InputError("`write_session` and `write_map` cannot be combined. Run two commands.")
         return _write_session(files, write_session, opening, turn_deg, progress)
     if turn_deg is not None:
         raise InputError("`turn_deg` requires `write_session`: add the folder of the session, or omit `turn_deg`")
     if len(files) > 1:
-        raise InputError(f"info: expected one file or folder without `write_session`, got {len(files)}; name one")
+        raise InputError(f"info: expected one file or folder without `write_session`, got {len(files)}. Name only one.")
     (file,) = files
     if output is not None:
-        raise InputError(f"output: wanted a folder of recordings for a table, got {file}; leave `output` out")
+        raise InputError(f"output: expected a folder of recordings for a table, got {file}. Omit `output`.")
     proposal.check(reads=(file, opening.column_map))
     with reading(progress, 0.8, file):
         found, opening = _described(file, opening, reference_up)
@@ -166,9 +166,7 @@ def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Op
     text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
     write_whole(path, text)
     lines, complete = text.splitlines(), '"?"' not in text
-    advice = f"put what is true where {path} has ?" + ", or repeat with `gyro_unit` or `accel_unit`" * (
-        not of_poses(found)
-    )
+    advice = f"replace each ? in {path}" + ", or repeat with `gyro_unit` or `accel_unit`" * (not of_poses(found))
     made = {"kind": found.kind, "format": found.format, "output": str(path)}
     return Summary(
         title=f"Map of {Path(found.path).name}",
@@ -194,9 +192,9 @@ def _write_session(
     folder = path.parent if path.name == NAME else path
     check_folder(folder)
     if (folder / NAME).exists():
-        raise InputError(f"{folder / NAME}: wanted a new session, got one that exists; edit it, or name another folder")
+        raise InputError(f"{folder / NAME}: the session exists already. Edit it, or choose another folder.")
     if any((file / NAME).is_file() or file.name == NAME for file in files):
-        raise InputError(f"{files[0]}: wanted bare recordings, got a session; edit its session.toml")
+        raise InputError(f"{files[0]}: expected recordings without a session, got a session. Edit its session.toml.")
     with reading(progress, 0.5, *files):
         bare = session_of(files, Place(), opening)
         for file, record in zip(files, bare.records, strict=False):
@@ -210,7 +208,7 @@ def _write_session(
     faces = list(dict.fromkeys(still.face for still in found.stills if still.face is not None))
     lines = (
         f"faces: {', '.join(faces) or 'not all six, free poses'}",
-        f"steady turns, their rate to be stated: {len(steady)}",
+        f"steady turns whose rate must be entered: {len(steady)}",
         f"gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
     )
     counts = {"recordings": len(found.records), "faces": faces, "stills": len(found.stills), "turns": len(found.turns)}
@@ -352,8 +350,9 @@ def _hints(found: "Description") -> list[str]:
         return []
     rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in found.example else ""
     return [
-        f"write the lines below into map.toml (`write_map` map.toml{rate} does so, with what the readings show), put what is true "
-        f"where it says ?, and give it with {'`reference_map`' if of_poses(found) else '`column_map`'} map.toml",
+        f"write the lines below into map.toml (`write_map` map.toml{rate} does so and proposes units), replace each "
+        f"?, and read the "
+        f"file with {'`reference_map`' if of_poses(found) else '`column_map`'} map.toml",
         *found.example,
     ]
 

@@ -109,9 +109,11 @@ def _agreement(table: "LevelTable") -> Section:
             best = summary
     heads = ("group", "level", "people", "bias (deg)", "95 % limits", "ICC(2,1)", "95 %", "MDC95 (deg)")
     text = (
-        f"Agreement of device and optics on the {table.measure}, one mean per person, from ten people on: Bland and Altman's "
-        "limits, ICC(2,1) within one task, and the smallest change that is more than measurement error. An ICC depends on how much "
-        "the people differ.",
+        f"Agreement of device and optics on the {table.measure}, one mean per person, for ten people or more. The "
+        f"columns are Bland "
+        "and Altman's limits, ICC(2,1) within a single task, and the smallest change that "
+        "exceeds measurement error. An ICC depends "
+        "on how much the people differ.",
     )
     if best is None:
         return Section(title="Agreement with the optics")
@@ -135,8 +137,10 @@ def _simulated(table: "LevelTable") -> Section:
             rows.append((name, *means, number(errors.difference_deg[both].max()), within))
     heads = ("level", "actual (deg)", "simulated", "difference", "most", f"within {NOTE_DIFFERENCE_DEG:g} deg")
     text = (
-        "simulated: a device with this calibration in the motion that the reference saw, corrected in the same way. difference: "
-        "largest difference between the two errors of a trial, mean and maximum; the note states "
+        "simulated: a device with this calibration, in the motion of the reference, corrected in the same way. "
+        "difference: "
+        "largest difference between the two errors of a trial, mean and maximum. The limit of the "
+        "application note is "
         f"{NOTE_DIFFERENCE_DEG:g} deg over 4 s.",
     )
     return Section(title="Simulated against actual", columns=heads, rows=tuple(rows), text=text if rows else ())
@@ -225,13 +229,19 @@ class PeopleValidated(Result):
             calibrated += f", {others} by a fit to the other recordings of their device (leave one out)"
         return (
             f"{len(table.trials)} recordings of {people} people in {tasks} tasks with {devices} inertial sensors were "
-            f"compared with optical motion capture by undrift {__version__}. {calibrated}; the offset of the gyroscopes was taken "
-            "from the calibration, from the first rest, or from gravity during the motion. Orientation was integrated from the "
-            "gyroscopes (strapdown, started from the rest before the motion) or estimated by VQF (offline, without magnetometer), "
-            "and compared after the lag between the clocks was removed if it exceeds 10 ms. Errors are root mean squares over the "
-            f"motion of each trial ({table.quantity}), averaged by person; means over people have Student's 95 % interval, and "
-            f"paired differences are judged against a margin of {table.margin_deg:g} deg by one two-sided and two one-sided t "
-            f"tests with Bonferroni's correction. Agreement on the {table.measure}, one mean per person, is given by Bland and "
+            f"compared with optical motion capture by undrift {__version__}. {calibrated}. The offset of the gyroscopes was taken "
+            "from the calibration, from the first rest, or from gravity during the motion. Orientation was "
+            "integrated from the "
+            "gyroscopes (strapdown, started from the rest before the motion) or estimated "
+            "with VQF (offline, without magnetometer). "
+            "Lags between the clocks of more than 10 ms were removed "
+            "before the comparison. Errors are root mean squares over the "
+            f"motion of each trial ({table.quantity}), averaged by person. Means over people have Student's 95 % "
+            f"interval. "
+            f"Paired differences are judged against a margin of {table.margin_deg:g} deg with a "
+            f"two-sided t test and two single-sided t "
+            f"tests, with Bonferroni's correction. Agreement on the "
+            f"{table.measure}, one mean per person, is given by Bland and "
             "Altman's 95 % limits and "
             "ICC(2,1) with its 95 % interval."
         )
@@ -284,32 +294,32 @@ def _rows(table: Path) -> Iterator[dict[str, str]]:
     if lacking or unknown:
         got = f"no {', '.join(lacking)}" if lacking else f"also {', '.join(unknown)}"
         raise InputError(
-            f"{table}: wanted columns {', '.join(NEEDED)}, and of {', '.join(OPTIONAL)}, got {got}; correct the heads"
+            f"{table}: expected columns {', '.join(NEEDED)}, and of {', '.join(OPTIONAL)}, got {got}. Correct the header line."
         )
     empty, rows = dict.fromkeys((*NEEDED, *OPTIONAL), ""), 0
     for line, row in enumerate(reader, start=2):
         cells = empty | {head.strip(): (value or "").strip() for head, value in row.items() if head}
         if missing := [name for name in NEEDED if not cells[name]]:
             raise InputError(
-                f"{table}: wanted {', '.join(missing)} in line {line}, got none; fill it in, or leave the line out"
+                f"{table}: {', '.join(missing)} is missing in line {line}. Fill it in, or delete the line."
             )
         rows += 1
         yield cells
     if not rows:
-        raise InputError(f"{table}: wanted a row for each recording, got none; add them")
+        raise InputError(f"{table}: expected a row for each recording, got none. Add the rows.")
 
 
 def _check_rows(table: Path, rows: list[dict[str, str]]) -> None:
     """Refuse a recording in two rows, which would correct itself, and a device that is calibrated in some rows only."""
     names = [(row["recording"], row["sensor"]) for row in rows]
     if twice := sorted({name for name, _ in names if names.count((name, _)) > 1}):
-        raise InputError(f"{table}: wanted each recording once, got {twice[0]} in several rows; leave one")
+        raise InputError(f"{table}: expected each recording once, got {twice[0]} in several rows. Keep one row.")
     for device in dict.fromkeys(row["device"] for row in rows):
         calibrated = [bool(row["calibration"]) for row in rows if row["device"] == device]
         if any(calibrated) and not all(calibrated):
             raise InputError(
-                f"{table}: wanted a calibration in every row of device {device} or in none, got {sum(calibrated)} of "
-                f"{len(calibrated)}; fill it in"
+                f"{table}: expected a calibration in every row of device {device} or in none, got {sum(calibrated)} of "
+                f"{len(calibrated)}. Fill it in."
             )
 
 

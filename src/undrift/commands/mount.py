@@ -56,7 +56,9 @@ def mount(
 
     check_output(output, endings=(".json",), reads=(*records, opening.column_map))
     if output and not calibration:
-        raise InputError(f"{output}: wanted a calibration to add the mounting to, got none; name it (`calibration`)")
+        raise InputError(
+            f"{output}: expected a calibration to add the mounting to, got none. Name it with `calibration`."
+        )
     model = None if calibration is None else read_calibration(calibration)
     readings = []
     for path in records:
@@ -78,7 +80,7 @@ def _mount_summary(
     data: dict[str, Any] = {"mounting": worn and tree_of(worn), "basis": fit.basis, "output": None}
     about = Summary(
         title=f"Mounting by {', '.join(path.name for path in records)}",
-        answer="How the device is worn is not shown whole; nothing was written.",
+        answer="The recording does not determine the whole mounting. Nothing was written.",
         data=data | {"verdict": verdict_json(verdict)}, sections=(basis,), verdict=verdict,
     )  # fmt: skip
     if worn is None:
@@ -113,7 +115,7 @@ def sides_of(worn: "BodyMounting") -> str:
     (forward, ahead), _, (up, upright) = (_nearest(way) for way in worn.matrix)
     return (
         f"{worn.place.capitalize().replace('-', ' ')}: side {forward} of the device points forward ({ahead:.1f} deg off) and {up} "
-        f"up ({upright:.1f} deg off); standard uncertainty {worn.uncertainty / RADIAN_PER_DEGREE:.1f} deg"
+        f"up ({upright:.1f} deg off), with a standard uncertainty of {worn.uncertainty / RADIAN_PER_DEGREE:.1f} deg"
     )
 
 

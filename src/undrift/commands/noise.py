@@ -74,7 +74,8 @@ class Noise(Result):
         return Summary(
             title=f"Noise of {self.record.name}",
             answer=_meaning(fit)
-            or f"{fit.duration_s:.4g} s at rest show {' and '.join(seen) or 'no coefficient'}; a calibration gives degrees.",
+            or f"{fit.duration_s:.4g} s at rest determine {' and '.join(seen) or 'no coefficient'}. A calibration "
+            f"converts them to degrees.",
             data=_data(fit)
             | (after if physical else {})
             | {"verdict": verdict_json(self.verdict), "notes": self.notes},

@@ -68,9 +68,9 @@ class Oriented(Result):
         angles, (low, _, high) = self.orientation, _spread(self.orientation.pitch)
         text = f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg"
         if self.band is None or not np.isfinite(self.band).any():
-            return f"{text}; tilt at the start: {angles.tilt.statement}."
+            return f"{text}. Tilt at the start: {angles.tilt.statement}."
         worst, turn = int(np.nanargmax(self.band)), math.degrees(angles.tilt.expanded_uncertainty)
-        text += f"; after {abs(angles.time[worst] - angles.time[self.anchor]):.0f} s it is good to "
+        text += f". After {abs(angles.time[worst] - angles.time[self.anchor]):.0f} s it is good to "
         offset = f"offset within {NORMAL_95 * math.degrees(angles.offset_uncertainty):.2g} deg/s"
         return f"{text}{math.degrees(self.band[worst]):.2g} deg (95 %): {offset}, gravity within {turn:.2g} deg."
 

@@ -86,16 +86,20 @@ def record(
         return _senders(screen)
     where = address_of(named)
     if output is None:
-        raise InputError(f"record: wanted a file to write, got none; say `output` walk.parquet to record {where}")
+        raise InputError(f"record: expected a file to write, got none. Add `output` walk.parquet to record {where}.")
     check_output(output, endings=FORMATS)
     folder = output.with_name(output.name.partition(".")[0])
     calibration = folder.with_name(f"{folder.name}.json")
     for path in (output, *((folder, calibration) if guide else ())):
         if path.exists():
-            raise InputError(f"{path}: wanted a new name, got one that exists; no recording is written over")
+            raise InputError(
+                f"{path}: the file exists already, and recordings are never overwritten. Choose another name."
+            )
     if output.suffix in LINES:
         if guide is not None:
-            raise InputError(f"`guide`: wanted a file of readings, got {output}, of lines; say `output` walk.parquet")
+            raise InputError(
+                f"`guide`: expected a file of readings, got {output}, a file of lines. Set `output` to walk.parquet."
+            )
         return _record_lines(where, output, duration_s, screen)
     recording = _Recording(where, output, screen)
     guides = _guides(guide, folder, place)
@@ -118,7 +122,9 @@ def address_of(named: list[str]) -> str:
 
     found = named or [f"serial://{name}" for name, _ in serial_ports()]
     if len(found) != 1:
-        raise InputError(f"record: wanted one device, got {len(found)} ({', '.join(found)}); name it, as `port` NAME")
+        raise InputError(
+            f"record: expected one device, got {len(found)} ({', '.join(found)}). Choose one with `port` NAME."
+        )
     return f"serial://{found[0]}" if found[0].startswith("/") or found[0].upper().startswith("COM") else found[0]
 
 
@@ -157,7 +163,9 @@ def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -
 
     source = source_at(where, ANY)
     if where.partition(":")[0] not in BYTE_WAYS or not isinstance(source, ByteSource):
-        raise InputError(f"{where}: wanted a device that prints lines, got another way; say `output` walk.parquet")
+        raise InputError(
+            f"{where}: only a device that prints lines can be recorded as lines. Set `output` to walk.parquet."
+        )
     screen.over(f"Listening to {where} ...")
     ended, count, stamp, rest = "stopped", 0, 0.0, b""
     try:
@@ -264,7 +272,10 @@ class _Recording:
         try:
             whole, where, failed = self._made(full)
         except UndriftError as error:
-            got = full or f"{self.source.name}: wanted readings, got none or one before it was stopped; try again"
+            got = (
+                full
+                or f"{self.source.name}: fewer than two readings arrived before the recording was stopped. Try again."
+            )
             raise InputError(got) from error
         kept = f"the {whole.duration_s:.1f} s until then are in {where}"
         if failed:

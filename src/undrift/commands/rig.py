@@ -92,10 +92,12 @@ class Ran(Result):
         return Summary(
             title=f"Rig run: {self.output.name}, on {result.rig}",
             answer=(
-                f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in {_clock(result.duration_s)}; "
-                f"achieved rates differ from nominal ones by up to {off:.3g} deg/s and stand in session.toml; {missing} "
+                f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in "
+                f"{_clock(result.duration_s)}. Achieved rates differ from nominal ones by up to {off:.3g} deg/s and "
+                f"are stored in session.toml, "
+                f"{missing} "
                 "readings missing"
-                + "".join(f"; {path}: {len(each.pieces)} dwells of another device" for path, each in beside)
+                + "".join(f", {path}: {len(each.pieces)} dwells of another device" for path, each in beside)
             ),
             data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
             pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
@@ -208,7 +210,8 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
     sources = (device,) if isinstance(device, str) else device
     if len(sources) > 1 and (serial or len({*sources}) < len(sources)):
         raise InputError(
-            "rig run: wanted another address for each of several devices and no `serial`, got other; each address states its own"
+            "rig run: several devices need different addresses and no `serial`. Set each serial number in the "
+            "address of its device."
         )
     return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
 
@@ -230,7 +233,8 @@ def _simulated(
         return None
     if not all(alike):
         raise InputError(
-            f"rig run: wanted a whole bench simulated or none of it, got {', '.join(named)}; say simulated: for each"
+            f"rig run: rig, chamber and devices must be either all simulated or all real, got {', '.join(named)}. "
+            f"Use simulated: for each."
         )
     models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
     for text in devices:
@@ -238,10 +242,14 @@ def _simulated(
         try:
             seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
         except ValueError as error:
-            raise InputError(f"device: wanted numbers for seed and tilt_deg, got '{text}'; mend the address") from error
+            raise InputError(
+                f"device: expected numbers for seed and tilt_deg, got '{text}'. Correct the address."
+            ) from error
         name = told.pop("device", "")
         if told:
-            raise InputError(f"device: wanted options out of seed, device, tilt_deg, got '{text}'; mend the address")
+            raise InputError(
+                f"device: expected the options seed, device and tilt_deg only, got '{text}'. Correct the address."
+            )
         rng = np.random.default_rng(seed)
         models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
         settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * RADIAN_PER_DEGREE)
@@ -321,14 +329,14 @@ class _Shown:
         steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
         self._screen.say(
             *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
-            f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time; with {left.mountings} mountings and the chamber about "
+            f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time. With {left.mountings} mountings and the chamber about "
             f"{_clock(left.total_s)}",
             *([f"{len(done)} dwells are on the disk already"] if done else []),
         )
         with suppress(EOFError):
             yes = yes or self._screen.ask("Start? (y/N) ").strip().lower() in ("y", "yes")
         if not yes:
-            raise InputError("rig run: wanted a yes to start, got none; nothing moved, say y or `yes`")
+            raise InputError("rig run: the start was not confirmed, and nothing moved. Answer y, or use `yes`.")
 
     def __call__(self, progress: "Progress") -> None:
         """Take where the run is; in a log a step is one line, once there are readings of it."""
@@ -364,8 +372,8 @@ class Accepted(Result):
         error, servo, verdict = found.error, found.servo, verdict_json(found.verdict)
         rms_deg, max_deg, limit_deg = error.rms / dps, error.largest / dps, settings.limit / dps
         lines = (
-            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate; limit {limit_deg:g} deg",
-            f"gains KP {servo.kp:g}, KD {servo.kd:g}, KI {servo.ki:g}; sample period {1e6 * servo.sample_s:g} us",
+            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate, limit {limit_deg:g} deg",
+            f"gains KP {servo.kp:g}, KD {servo.kd:g}, KI {servo.ki:g}, sample period {1e6 * servo.sample_s:g} us",
         )
         wave = {"seconds": settings.duration_s, "turn_rate_dps": settings.turn_rate / dps}
         wave |= {"achieved_dps": error.turn_rate / dps, "acceleration_dps2": settings.acceleration / dps}
@@ -428,7 +436,7 @@ def check(
     )
     kind, _, asked = parse_address(rig, asked)
     if kind == "manual":
-        raise InputError("rig check: wanted a table with a motor, got manual:; name the address of a table")
+        raise InputError("rig check: expected a table with a motor, got manual:. Name the address of a table.")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())

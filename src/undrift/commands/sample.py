@@ -20,7 +20,7 @@ def sample(folder: Path = Path("sample"), /) -> Summary:
     write_sample(folder)
     return Summary(
         title="Recordings to try",
-        answer="Recordings of one simulated device to try undrift with.",
+        answer="Recordings of a simulated device, to try undrift.",
         data={"folder": str(folder)},
         written=(folder,),
         next=("info", folder / "bench"),

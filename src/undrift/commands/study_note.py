@@ -14,7 +14,7 @@ NOTE = (
 )
 SLOPE_OF_THE_NOTE = (
     "The slope of the offset over temperature in the preset was chosen to match Figure 3 of the note. The error without "
-    "compensation therefore confirms nothing; only the error that each compensation leaves can be compared with the note."
+    "compensation therefore confirms nothing. Compare only the remaining errors with the note."
 )
 
 
@@ -56,8 +56,10 @@ def table_1(task: "TaskOutcome", name: str) -> Section:
         (row for key, row in TABLE_1.items() if key == task.task.name and task.task.around == row.numbers), None
     )
     text = [
-        "Each number is varied by itself; the other three keep their values. F is that of repeated measures with the correction of "
-        "Greenhouse and Geisser. The verdict uses the margin of the study, because p falls with every device that is added."
+        "Each number is varied by itself. The other three keep their values. F is from repeated-measures ANOVA with "
+        "the "
+        "Greenhouse-Geisser correction. The verdict uses the margin of the study, because p falls with every "
+        "device that is added."
     ]
     if note is not None:
         text.append(f"The p of this row in the note is {note.p_value:g}." + f" {note.erratum}" * bool(note.erratum))
@@ -112,7 +114,7 @@ def figure3_section(figure: "Figure3") -> Section:
     heads = ("level", "simulated: largest (deg)", "actual: largest (deg)", "largest difference (deg)", "correlation")
     picture = figure_of("note:draw_figure3", figure, COMPARED)
     return Section(
-        title="Figure 3: sit-to-stand, simulated and actual device",
+        title="Figure 3: sit-to-stand task, simulated and actual device",
         columns=heads,
         rows=rows,
         text=text,
@@ -142,6 +144,6 @@ def methods_section(outcome: "StudyOutcome") -> Section:
     text = (
         "Mean error of the pitch with its 95 % interval. All methods calibrate the same devices, which perform the same trials. "
         "Tilt is measured by the accelerometers only. A triad that a method does not calibrate keeps its data sheet, with the "
-        "offset of a rest. Each rival has one stated error of its instrument.",
+        "offset of a rest. Each rival has one specified instrument error.",
     )
     return Section(title="Methods and rivals", columns=heads, rows=rows, text=text if rows else (), folded=True)

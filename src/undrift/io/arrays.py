@@ -34,11 +34,14 @@ def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]
     listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
     for column in wanted:
         if column not in lengths:
-            raise InputError(f"{path}: wanted array {column!r}, got {listed}; check the mapping")
+            raise InputError(f"{path}: expected array {column!r}, got {listed}. Check the mapping.")
     rows = {str(column): lengths[str(column)] for column in wanted}
     if len(set(rows.values())) != 1:
         shown = ", ".join(f"{name} {count}" for name, count in rows.items())
-        raise InputError(f"{path}: wanted arrays of one length, got {shown} rows; two clocks need two records")
+        raise InputError(
+            f"{path}: expected arrays of one length, got {shown} rows. Read arrays with different "
+            f"clocks into separate records."
+        )
     length = next(iter(rows.values()))
     found: dict[str, NDArray[Any]] = {}
     for name, array in arrays:
@@ -53,8 +56,9 @@ def parse_mat(path: Path, **_: Any) -> Parsed:
     objects, arrays = tree.pop("None", None), dict(_flat("", tree))
     if objects is not None and not arrays:  # objects of classes, which no reader of the file takes apart
         raise FileFormatError(
-            f"{path}: wanted arrays, got objects of MATLAB, such as the timetables of MATLAB Mobile; write each as text there, "
-            'writetimetable(Acceleration, "Acceleration.csv") and AngularVelocity alike, and give both files'
+            f"{path}: expected arrays, got MATLAB objects, such as the timetables of MATLAB Mobile. In MATLAB, "
+            f"write each as text, "
+            'for example writetimetable(Acceleration, "Acceleration.csv"), and read the text files.'
         )
     return Parsed(table=arrays)
 

@@ -52,14 +52,15 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
     """Fit a regular clock to stamps (N,), s, which never go back, and to the device's counter (N,) where there is one."""
     if len(stamps) < LEAST_SAMPLES:
         raise InputError(
-            f"clock: wanted {LEAST_SAMPLES} samples or more for a regular clock, got {len(stamps)}; state sample_rate_hz without a "
-            "time column"
+            f"clock: expected {LEAST_SAMPLES} samples or more for a regular clock, got {len(stamps)}. Set "
+            f"sample_rate_hz and map no "
+            "time column."
         )
     if (np.diff(stamps) < 0.0).any():
         row = int(np.flatnonzero(np.diff(stamps) < 0.0)[0]) + 1
         raise InputError(
-            f"clock: wanted stamps that never go back, got {stamps[row - 1]:.9g} s then {stamps[row]:.9g} s in data row {row + 1}; "
-            "set repair_time = true to drop such rows"
+            f"clock: expected increasing time stamps, got {stamps[row - 1]:.9g} s then {stamps[row]:.9g} s in data row {row + 1}. "
+            "Set repair_time = true to drop such rows."
         )
     own = stamps - stamps[0]
     number = np.arange(len(own)) if counter is None else unwrapped(counter)
@@ -79,8 +80,8 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
     lost = np.diff(number) - 1
     if lost.sum() > _LONGEST_LOSS * number[-1]:
         raise InputError(
-            f"clock: wanted a recording with most of its samples, got {int(lost.sum())} of {int(number[-1]) + 1} missing; check "
-            "the time column and the counter"
+            f"clock: expected a recording with most of its samples, got {int(lost.sum())} of {int(number[-1]) + 1} missing. Check "
+            "the time column and the counter."
         )
     return ClockFit(
         time=stamps[0] + start + step * number,
@@ -195,7 +196,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
     """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample and may wrap."""
     if not np.isfinite(counter).all():
         raise InputError(
-            f"counter: wanted a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells; repair the file"
+            f"counter: expected a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells. Repair the file."
         )
     steps: IntArray = np.asarray(np.rint(np.diff(counter)), np.int64)
     sizes, times = np.unique(steps[steps > 0], return_counts=True)
@@ -203,8 +204,8 @@ def unwrapped(counter: FloatArray) -> IntArray:
     usual = int(np.gcd.reduce(often)) if len(often) else 0
     if usual not in often:
         raise InputError(
-            f"counter: wanted one that goes up with every sample, got {len(sizes)} different steps up, and "
-            f"{int((steps == 0).sum())} of none; name a counter of samples, or leave it out"
+            f"counter: expected an increase with every sample, got {len(sizes)} different steps and "
+            f"{int((steps == 0).sum())} samples without a step. Name a counter of samples, or omit the counter."
         )
     if (steps < 0).any():
         size = usual - int(steps.min())  # of a wrap at which no sample was lost
@@ -215,8 +216,8 @@ def unwrapped(counter: FloatArray) -> IntArray:
     if len(wrong):
         row = int(wrong[0]) + 1
         raise InputError(
-            f"counter: wanted one that counts every sample up by {usual}, got {counter[row - 1]:g} then {counter[row]:g} in "
-            f"data row {row + 1}; name a counter of samples, or leave it out"
+            f"counter: expected an increase of {usual} with every sample, got {counter[row - 1]:g} then {counter[row]:g} in "
+            f"data row {row + 1}. Name a counter of samples, or omit the counter."
         )
     return np.concatenate(([0], np.cumsum(steps // usual)))
 

@@ -73,12 +73,12 @@ class TextLayout:
     def __post_init__(self) -> None:
         if len(self.delimiter) != 1 or self.delimiter in "\r\n":
             raise InputError(
-                f"delimiter: wanted one character, got {self.delimiter!r}; ',' ';' '\\t', or ' ' for any number of blanks"
+                f"delimiter: expected one character, got {self.delimiter!r}. Use ',' ';' '\\t', or ' ' for any number of blanks."
             )
         if self.decimal not in (".", ",") or self.decimal == self.delimiter:
-            raise InputError(f"decimal: wanted '.' or ',' and not the delimiter, got {self.decimal!r}")
+            raise InputError(f"decimal: expected '.' or ',' and not the delimiter, got {self.decimal!r}")
         if self.skip_rows < 0:
-            raise InputError(f"skip_rows: wanted 0 or more, got {self.skip_rows}")
+            raise InputError(f"skip_rows: expected 0 or more, got {self.skip_rows}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,20 +113,22 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         if self.gyro is None and self.accel is None:
-            raise InputError(f"columns: wanted gyro or accel, got neither; for example columns = {{ {EXAMPLE} }}")
+            raise InputError(
+                f"columns: expected gyro or accel, got neither. Write, for example, columns = {{ {EXAMPLE} }}."
+            )
         for channel in CHANNELS:
             self._check_channel(channel)
         for one, other in itertools.combinations(CHANNELS, 2):
             both = [column for column in self.columns_of(one) if column in self.columns_of(other)]
             if both:
                 raise InputError(
-                    f"columns: wanted other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
-                    "both; name each column once"
+                    f"columns: expected other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
+                    "both. Name each column once."
                 )
         if self.time is None and self.sample_rate_hz is None:
-            raise InputError("columns: wanted a time column or sample_rate_hz, got neither; the rate is never assumed")
+            raise InputError("columns: expected a time column or sample_rate_hz, got neither. Add one of them.")
         if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < 1e7:
-            raise InputError(f"sample_rate_hz: wanted Hz above 0, got {self.sample_rate_hz:g}")
+            raise InputError(f"sample_rate_hz: expected Hz above 0, got {self.sample_rate_hz:g}")
         if self.gaps not in ("raise", "keep"):
             raise InputError(f"gaps: wanted 'raise' or 'keep', got {self.gaps!r}")
         if self.clock not in ("file", "regular"):
@@ -158,10 +160,10 @@ class ColumnMap:
     def _check_channel(self, channel: Channel) -> None:
         columns, unit = self.columns_of(channel), getattr(self, f"{channel}_unit")
         if channel in ("gyro", "accel", "mag") and len(columns) not in (0, 1, 3):
-            raise InputError(f"columns.{channel}: wanted three columns x, y, z, got {len(columns)}; name all three")
+            raise InputError(f"columns.{channel}: expected three columns x, y, z, got {len(columns)}. Name all three.")
         if columns and len(set(columns)) != len(columns):
             raise InputError(
-                f"columns.{channel}: wanted three different columns, got {list(columns)}; name each axis once"
+                f"columns.{channel}: expected three different columns, got {list(columns)}. Name each axis once."
             )
         scale: ChannelScale | None = None if channel == "time" else getattr(self, f"{channel}_scale")
         if (
@@ -169,14 +171,17 @@ class ColumnMap:
             and scale is not None
             and (isinstance(scale.gain, tuple) or isinstance(scale.offset, tuple))
         ):
-            raise InputError("scale.temp: wanted one number for gain and offset, got three; a thermometer has one axis")
+            raise InputError(
+                "scale.temp: expected one number for gain and offset, got three. Use one number, "
+                "because a thermometer has one axis."
+            )
         if columns and not unit:
-            raise InputError(f"units.{channel}: wanted the unit of {channel}, got none; nothing is assumed")
+            raise InputError(f"units.{channel}: expected the unit of {channel}, got none. Add the unit.")
         if columns and canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):
             wanted = "degC" if channel == "temp" else "uT"
             raise InputError(
-                f"units.{channel}: wanted {wanted}, got {unit}; give scale.{channel} (gain and offset to {wanted}) "
-                f'and units.{channel} = "{wanted}", or leave {channel} out'
+                f"units.{channel}: expected {wanted}, got {unit}. Set scale.{channel} (gain and offset to {wanted}) "
+                f'and units.{channel} = "{wanted}", or omit {channel}.'
             )
 
 
@@ -236,8 +241,9 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
             shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
             more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
-                f"columns: wanted names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}; undrift info FILE "
-                "--write-map map.toml proposes a map of them; give it with `column_map`"
+                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}. Run undrift info "
+                f"FILE "
+                "--write-map map.toml to propose a map, and name the map with `column_map`."
             )
         held["temp"], held["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
@@ -252,11 +258,11 @@ def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> Colum
     try:
         force = ForceUncertainty(**held["accel_uncertainty"]) if held.get("accel_uncertainty") else None
     except (TypeError, InputError) as error:
-        raise FileFormatError(f"{otherwise}; write the file anew") from error
+        raise FileFormatError(f"{otherwise}. Write the file again.") from error
     rate = held.get("offset_uncertainty")
     known_rate = rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)
     if frame not in frames or state not in states or not isinstance(device, str) or not known_rate:
-        raise FileFormatError(f"{otherwise}; write the file anew")
+        raise FileFormatError(f"{otherwise}. Write the file again.")
     known: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
     return replace(columns, frame=frames[frame], state=states[state], device=device, **known)
 
@@ -286,13 +292,13 @@ def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tupl
         here = [name for name in triple if name in names]
         if here and len(here) < 3:
             raise InputError(
-                f"columns: wanted {', '.join(triple)}, got only {', '.join(here)}; add the missing axes or map the columns"
+                f"columns: expected {', '.join(triple)}, got only {', '.join(here)}. Add the missing axes or map the columns."
             )
         if here:
             found.append((triple, unit))
     if len(found) > 1:
         raise InputError(
-            f"columns: wanted {channel} in one unit, got {found[0][1]} and {found[1][1]}; map the one to use"
+            f"columns: expected {channel} in one unit, got {found[0][1]} and {found[1][1]}. Map the columns to use."
         )
     return found[0] if found else (None, "")
 
@@ -330,8 +336,8 @@ class RawTable:
         row = next((k for k, cell in enumerate(values) if not is_number(cell)), 0)
         cell = str(values[row])[:40] if len(values) else ""
         raise FileFormatError(
-            f"{self.source}: column {self.names[position]!r}: wanted numbers, got {cell!r} in data row {self.row(row)}; "
-            "repair the file, or set drop_bad_rows"
+            f"{self.source}: column {self.names[position]!r}: expected numbers, got {cell!r} in data row {self.row(row)}. "
+            "Repair the file, or set drop_bad_rows."
         )
 
     def row(self, index: int) -> int:
@@ -361,14 +367,14 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
         bad = next((k for k, hit in enumerate(hits) if hit is None), None)
         if bad is not None:
             raise FileFormatError(
-                f"{table.source}: column {table.names[at]!r}: wanted dates such as 2026-01-31 12:00:00.250, got "
-                f"{str(_text(values[bad]))[:40]!r} in data row {table.row(bad)}; repair the file, or state another unit of time"
+                f"{table.source}: column {table.names[at]!r}: expected dates such as 2026-01-31 12:00:00.250, got "
+                f"{str(_text(values[bad]))[:40]!r} in data row {table.row(bad)}. Repair the file, or set another unit of time."
             )
         try:
             values = np.array([_iso(hit) for hit in hits if hit], dtype="M8[ns]")
         except ValueError as error:
             raise FileFormatError(
-                f"{table.source}: column {table.names[at]!r}: wanted dates, got none ({error}); repair the file"
+                f"{table.source}: column {table.names[at]!r}: expected dates, got none ({error}). Repair the file."
             ) from error
         if not any(hit and hit[1] for hit in hits):
             midnights = np.concatenate(([0], np.cumsum(np.diff(values) < np.timedelta64(-12, "h"))))
@@ -409,15 +415,17 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
     if isinstance(column, int):
         if 0 <= column < len(names):
             return column
-        raise InputError(f"{source}: wanted column {column} (from 0), got {len(names)} columns; check the positions")
+        raise InputError(f"{source}: expected column {column} (from 0), got {len(names)} columns. Check the positions.")
     hits = [i for i, name in enumerate(names) if name == column]
     hits = hits or [i for i, name in enumerate(names) if name.strip() == column.strip()]
     if len(hits) == 1:
         return hits[0]
     held = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
     if hits:
-        raise InputError(f"{source}: wanted one column {column!r}, got {len(hits)}; map by position from 0")
-    raise InputError(f"{source}: wanted column {column!r}, got {held or 'no columns'}; check the mapping")
+        raise InputError(
+            f"{source}: expected one column {column!r}, got {len(hits)}. Map the column by its position from 0."
+        )
+    raise InputError(f"{source}: expected column {column!r}, got {held or 'no columns'}. Check the mapping.")
 
 
 # ---- from a table and a map to a Record
@@ -446,7 +454,9 @@ class ReadResult:
 def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
     """Return the record in a table, with every value checked."""
     if len(table) < 2:
-        raise FileFormatError(f"{table.source}: wanted two rows or more, got {len(table)}; the file holds no recording")
+        raise FileFormatError(
+            f"{table.source}: expected two rows or more, got {len(table)}. The file contains no recording."
+        )
     if columns.time is not None and columns.unit_of("time") == "date":
         table = in_seconds(table, columns.time)
     time = _time(table, columns)
@@ -482,14 +492,14 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
 def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
     """Return the one that `sensor` names, by its whole name or an ending that only it has; the only one where none is named."""
     if not names:
-        raise FileFormatError(f"{path}: wanted a {kind} with readings, got none; the file holds no recording")
+        raise FileFormatError(f"{path}: expected a {kind} with readings, got none. The file contains no recording.")
     hits = names if sensor is None else [name for name in names if name == sensor]
     hits = hits or [name for name in names if name.endswith(f".{sensor}")]
     if len(hits) == 1:
         return hits[0]
     wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
     raise InputError(
-        f"{path}: wanted {wanted}, got a file with {', '.join(names)}; name one of them (`sensor`)",
+        f"{path}: expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
         missing="sensor",
         names=names,
     )
@@ -541,8 +551,9 @@ def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArra
         wanted = tuple(f"{wanted[0]}[{k}]" for k in range(3))
         if wanted[2] not in table.names or f"{columns.columns_of(channel)[0]}[3]" in table.names:
             raise InputError(
-                f"{table.source}: wanted an array {columns.columns_of(channel)[0]!r} of shape (N, 3), got none; it holds "
-                f"{', '.join(table.names[:16])}"
+                f"{table.source}: expected an array {columns.columns_of(channel)[0]!r} of shape (N, 3), got none. "
+                f"The file contains "
+                f"{', '.join(table.names[:16])}."
             )
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
     limit = _LARGEST["ut" if channel == "mag" else unit]
@@ -564,8 +575,8 @@ def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, 
     if len(wild):
         row = table.row(int(wild[0]))
         raise FileFormatError(
-            f"{table.source}: column {name!r}: wanted readings up to {limit:g} {unit}, got {values[wild[0]]:g} in data row {row} "
-            f"({len(wild)} such){_other_unit(values[wild], unit)}; repair the row or check unit and scale",
+            f"{table.source}: column {name!r}: expected readings up to {limit:g} {unit}, got {values[wild[0]]:g} in data row {row} "
+            f"({len(wild)} such){_other_unit(values[wild], unit)}. Repair the row or check unit and scale.",
             row=row,
         )
 
@@ -583,11 +594,11 @@ def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnM
     if gap.any() and columns.gaps == "raise":
         row, steps = table.row(int(np.flatnonzero(gap)[0])), np.unique(np.diff(np.flatnonzero(~gap)))
         regular = "" if len(steps) != 1 or steps[0] == 1 or len(gap) - gap.sum() < 3 else (
-            f" (filled in every {steps[0]}th row only: two rates in one file; export each rate to its own file)"
+            f" (filled in every {steps[0]}th row only: two rates in one file, export each to its own file)"
         )  # fmt: skip
         raise InputError(
-            f"{table.source}: column {name!r}: wanted a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{regular}; set gaps = "keep" in a map (`column_map` FILE) or its [[recording]] to keep them as gaps',
+            f"{table.source}: column {name!r}: expected a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
+            f'data row {row}{regular}. Set gaps = "keep" in a map (`column_map` FILE) or its [[recording]] to keep them as gaps.',
             row=row,
         )
     return gap
@@ -602,8 +613,8 @@ def _time(table: RawTable, columns: ColumnMap) -> FloatArray:
     if len(bad):
         row = table.row(int(bad[0]))
         raise InputError(
-            f"{table.source}: time column {columns.time!r}: wanted a number in every row, got {len(bad)} empty or NaN cells, "
-            f"first in data row {row}; repair the file",
+            f"{table.source}: time column {columns.time!r}: expected a number in every row, got {len(bad)} empty or NaN cells, "
+            f"first in data row {row}. Repair the file.",
             row=row,
         )
     factor = si_factor(columns.unit_of("time"), "time")
@@ -621,14 +632,16 @@ def _forward(table: RawTable, time: FloatArray, columns: ColumnMap) -> BoolArray
         if keep.sum() >= 0.5 * len(time):
             return keep
         raise InputError(
-            f"{table.source}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of "
-            f"{len(time)} rows to drop; check that this is the time column"
+            f"{table.source}: time column {columns.time!r}: expected time that mostly goes forward, got {int((~keep).sum())} of "
+            f"{len(time)} rows to drop. Check that this is the time column."
         )
     kind = "doubled" if steps[row - 1] == 0.0 else "backward"
     raise InputError(
-        f"{table.source}: time column {columns.time!r}: wanted strictly increasing time, got {int((steps <= 0).sum())} steps back "
-        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s); set repair_time = "
-        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' where a host stamped them",
+        f"{table.source}: time column {columns.time!r}: expected strictly increasing time, got "
+        f"{int((steps <= 0).sum())} steps back "
+        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s). Set repair_time = "
+        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' if a host "
+        "computer stamped them.",
         row=table.row(row),
     )
 
@@ -641,14 +654,15 @@ def _check_rate(table: RawTable, time: FloatArray, columns: ColumnMap) -> None:
         held, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
         if min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
             raise InputError(
-                f"{table.source}: wanted {stated:g} Hz as stated, got {held:.4g} Hz from time column {columns.time!r}; correct "
-                "sample_rate_hz or units.time"
+                f"{table.source}: expected the specified {stated:g} Hz, got {held:.4g} Hz from time column "
+                f"{columns.time!r}. Correct "
+                "sample_rate_hz or units.time."
             )
     rates = two_rates(time)
     if rates is not None:
         raise InputError(
-            f"{table.source}: wanted one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on; "
-            "cut the file there and read each part by itself"
+            f"{table.source}: expected one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on. "
+            "Split the file there and read the parts separately."
         )
 
 

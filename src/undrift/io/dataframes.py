@@ -48,7 +48,7 @@ def read_frame(
         unknown = sorted(set(given) - set(CHANNELS))
         if unknown:
             raise InputError(
-                f"from_frame: wanted {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}; name the channels so"
+                f"from_frame: expected {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}. Use these names."
             )
     data, index, marks = _columns_of(frame)
     time, native = dict(columns or NAMES).get("time"), columns is None and is_native(tuple(data))
@@ -69,7 +69,9 @@ def read_frame(
         stating |= {f"{key}_unit": unit for key, unit in {**units, **clock}.items()}
         found = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
     found = stated(
-        found, {**marks, "device": device or marks.get("device", "")}, f"{SOURCE}: wanted attrs of undrift, got others"
+        found,
+        {**marks, "device": device or marks.get("device", "")},
+        f"{SOURCE}: the attrs were not written by undrift",
     )
     return build_record(table, found).record
 
@@ -86,7 +88,9 @@ def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:
         table = pa.table(frame)
     except TypeError as error:
         got = type(frame).__name__
-        raise InputError(f"{SOURCE}: wanted a table of pandas, polars or Arrow, got {got}; make one") from error
+        raise InputError(
+            f"{SOURCE}: expected a table of pandas, polars or Arrow, got {got}. Convert it to one of these."
+        ) from error
     return {name: table[name].to_numpy() for name in table.column_names}, None, raw
 
 
@@ -106,7 +110,7 @@ def _frame(names: Sequence[str], columns: Sequence[FloatArray]) -> "pd.DataFrame
     try:
         import pandas as pd
     except ImportError as error:
-        raise InputError("to_frame: wanted pandas, got none; pip install pandas") from error
+        raise InputError("to_frame: the package pandas is missing. Run pip install pandas.") from error
     return pd.DataFrame(dict(zip(names, columns, strict=True)))
 
 

@@ -108,7 +108,7 @@ class Dialect(MapTable):
         found = sorted(path.glob(self.folder))
         if len(found) != 1:
             names = ", ".join(file.name for file in found) or "none there"
-            raise InputError(f"{path}: wanted one {self.folder}, got {names}; name the file")
+            raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
         return found[0]
 
     def _labelled(self, sheet: Sheet) -> Sheet:
@@ -143,8 +143,8 @@ class Dialect(MapTable):
         absolute = self.stamps is not None and self.stamps.absolute
         if absolute and (packets is None or stamps is None):
             raise FileFormatError(
-                f"{sheet.path}: wanted the columns of the packet counter and of its stamps, got {', '.join(sheet.names[:8])}; "
-                "export them too"
+                f"{sheet.path}: expected the columns of the packet counter and of its stamps, got {', '.join(sheet.names[:8])}. "
+                "Export them too."
             )
 
         def by_rate(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
@@ -219,8 +219,9 @@ def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> 
     steps = np.mod(np.diff(counts), size)
     if (back := np.flatnonzero(steps > size // 2)).size:
         raise FileFormatError(
-            f"{sheet.path}: wanted a counter that goes forward, got {counts[back[0]]:.10g} and then {counts[back[0] + 1]:.10g} in "
-            f"data row {back[0] + 2}; it is damaged, or holds two recordings: cut it there"
+            f"{sheet.path}: expected a counter that goes forward, got {counts[back[0]]:.10g} and then "
+            f"{counts[back[0] + 1]:.10g} in "
+            f"data row {back[0] + 2}. The file is damaged or contains two recordings. Split it there."
         )
     return np.concatenate(([0.0], np.cumsum(steps)))
 
@@ -245,13 +246,13 @@ def poses_of(sheet: Sheet) -> Reference:
 
     if sheet.clock is None:
         raise InputError(
-            f"{sheet.path}: wanted the sample rate, got a file without it; give sample_rate_hz in a map",
+            f"{sheet.path}: the sample rate is missing. Set sample_rate_hz in a map.",
             missing="sample_rate_hz",
         )
     forms = ([sheet.position(pattern) for pattern in patterns] for patterns in _ORIENTATIONS)
     columns = next(([k for k in form if k is not None] for form in forms if None not in form), None)
     if columns is None:
-        raise FileFormatError(f"{sheet.path}: wanted columns of orientations, got none; export orientations")
+        raise FileFormatError(f"{sheet.path}: expected columns of orientations, got none. Export orientations.")
     values = sheet.array(columns)
     finite = np.isfinite(values).all(axis=1)
     q_nb = np.full((len(values), 4), np.nan)
@@ -260,7 +261,7 @@ def poses_of(sheet: Sheet) -> Reference:
     elif len(columns) == 9:
         matrices = values[finite].reshape(-1, 3, 3)
         if (np.abs(np.linalg.det(matrices) - 1.0) > NEARLY_UNIT).any():
-            raise FileFormatError(f"{sheet.path}: wanted rotation matrices, got others; export orientations again")
+            raise FileFormatError(f"{sheet.path}: the matrices are not rotation matrices. Export orientations again.")
         q_nb[finite] = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
     else:
         q_nb[finite] = Rotation.from_euler("ZYX", values[finite], degrees=True).as_quat(scalar_first=True)

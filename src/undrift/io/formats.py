@@ -143,9 +143,11 @@ def _is_prose(path: Path, head: bytes) -> bool:
     return not all(is_number(cell) or is_date(cell) for line in body for cell in line.split())
 
 
-_MARKERS = "marker trajectories; read them as a reference (labels of one rigid cluster, and which axis is up)"
+_MARKERS = (
+    "marker trajectories. Read them as a reference, with the labels of one rigid cluster and the axis that points up."
+)
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
-_UNPACKED = "a zip archive or an Excel workbook; unpack it and name the folder, or save the sheet as CSV"
+_UNPACKED = "a zip archive or an Excel workbook. Unpack it and name the folder, or save the sheet as CSV."
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(
@@ -162,10 +164,10 @@ FORMATS: dict[str, Format] = {
         reference=lambda p, c: read_array_poses(mat_arrays(p), p, c),
         by_map=True,
     ),
-    "hdf5": Format(_starts(_HDF5), instead="HDF5; make a frame of its arrays in Python and use Record.from_frame"),
+    "hdf5": Format(_starts(_HDF5), instead="HDF5. Make a frame of its arrays in Python and use Record.from_frame."),
     "npz": Format(
         lambda path, head: head.startswith(b"PK\x03\x04") and _suffix(path) == ".npz",
-        instead="numpy arrays; make a frame of them in Python and use Record.from_frame",
+        instead="numpy arrays. Make a frame of them in Python and use Record.from_frame.",
     ),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
@@ -176,7 +178,7 @@ FORMATS: dict[str, Format] = {
     "gt3x": Format(_is_zip_with("log.bin"), record=reader("logger"), repairs=True),
     "gt3x_activity": Format(
         _is_zip_with("activity.bin"),
-        instead="an ActiGraph file of the older layout (activity.bin), which no library reads; export CSV with ActiLife",
+        instead="an ActiGraph file of the older layout (activity.bin), which no library reads. Export CSV with ActiLife.",
     ),
     "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True, repairs=True),
     "ros": Format(
@@ -191,12 +193,12 @@ FORMATS: dict[str, Format] = {
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
         markers=read_c3d,
-        instead="marker trajectories; read them as a reference (labels of one rigid cluster)",
+        instead="marker trajectories. Read them as a reference, with the labels of one rigid cluster.",
     ),
     "trc": Format(_starts(b"PathFileType"), markers=read_trc, instead=_MARKERS),
     "session": Format(
         lambda path, head: not head and (path / "session.toml").is_file(),
-        instead="a session of recordings; read it as a session",
+        instead="a session of recordings. Read it as a session.",
     ),
     "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, repairs=True),
     "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, repairs=True),
@@ -206,12 +208,13 @@ FORMATS: dict[str, Format] = {
     "sto": Format(
         _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
         bodies=read_sto,
-        instead="orientations; read them as a reference",
+        instead="orientations. Read them as a reference.",
     ),
     "opensim": Format(
         _has(rb"^endheader\s*$"),
-        instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor; a reference for undrift validate "
-        "is the .sto file of orientations (DataType=Quaternion)",
+        instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor. The reference for "
+        "undrift validate "
+        "is the .sto file of orientations (DataType=Quaternion).",
     ),
     # The shipped maps and the formats of other packages come here.
     "zip": Format(_starts(b"PK\x03\x04"), instead=_UNPACKED, generic=True),
@@ -227,7 +230,7 @@ FORMATS: dict[str, Format] = {
     ),
     "binary": Format(
         lambda _, head: b"\0" in head,
-        instead="binary data of an unknown kind; export it to CSV",
+        instead="binary data of an unknown kind. Export it to CSV.",
         generic=True,
     ),
     "labelled": Format(
@@ -268,8 +271,8 @@ def format_of(path: str | Path) -> tuple[str, Format]:
             return name, entry
     folders = ", ".join(f"{dialect.folder} ({dialect.maker})" for dialect in dialects().values() if dialect.folder)
     raise InputError(
-        f"{path}: wanted a file, or a folder with session.toml, {folders}, Gyroscope.csv and an accelerometer's (phone) or "
-        "metadata.yaml (ROS 2), got another directory; name a file in it"
+        f"{path}: expected a file, or a folder with session.toml, {folders}, Gyroscope.csv and an accelerometer's (phone) or "
+        "metadata.yaml (ROS 2), got another directory. Name a file in it."
     )
 
 
@@ -327,11 +330,12 @@ def read_counted(
         if not entry.by_map and (entry.record or name == "text"):  # a map makes a table of any text
             entry = FORMATS["csv"]
     if entry.record is None:
-        raise FileFormatError(f"{path}: wanted a recording, got {entry.instead or name}")
+        raise FileFormatError(f"{path}: expected a recording, got {entry.instead or name}")
     if columns is None and (settings.repair_time or settings.drop_bad_rows) and not entry.repairs:
         raise InputError(
-            f"{path}: wanted a table for repair_time and drop_bad_rows, got {name}; name the columns in the map, or leave these "
-            "keys out"
+            f"{path}: expected a table for repair_time and drop_bad_rows, got {name}. Name the columns in the map, "
+            f"or omit these "
+            "keys."
         )
     held = entry.record(path, columns, settings)
     found = held if isinstance(held, ReadResult) else ReadResult(record=held)
@@ -360,12 +364,13 @@ def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
         out |= (among := (time >= start) & (time < stop))
         if not among.any():
             raise InputError(
-                f"leave_out: wanted a stretch of the recording, which goes from {time[0]:.6g} to {time[-1]:.6g} s, got "
-                f"{start:g} to {stop:g} s; name another"
+                f"leave_out: expected a stretch within {time[0]:.6g} to {time[-1]:.6g} s, the time of the "
+                f"recording, got "
+                f"{start:g} to {stop:g} s. Change it."
             )
     stays = np.flatnonzero(~out)
     if len(stays) < 2:
-        raise InputError(f"leave_out: wanted two samples or more that stay, got {len(stays)}; leave out less")
+        raise InputError(f"leave_out: expected two remaining samples or more, got {len(stays)}. Leave out less.")
     channels = {name: getattr(record, name) for name in ("gyro", "accel", "temp_c", "mag_ut")}
     gaps: dict[str, Any] = {
         k: np.where(out if v.ndim == 1 else out[:, None], np.nan, v) for k, v in channels.items() if v is not None
@@ -386,7 +391,7 @@ def iter_record(
         yield from chunks(Path(path), columns, settings, rows)
         return
     if rows < 2:
-        raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
+        raise InputError(f"rows: expected two samples or more in a chunk, got {rows}")
     record = read_record(path, columns, settings=settings)
     start = 0
     while start < len(record):
@@ -460,15 +465,16 @@ def read_reference(
         markers = entry.markers(path, up)
         if not labels:
             raise InputError(
-                f"{path}: wanted the labels of one rigid cluster, got none; choose from {', '.join(markers.labels)}"
+                f"{path}: expected the labels of one rigid cluster, got none. Choose three or more from "
+                f"{', '.join(markers.labels)}."
             )
         return pose_from_cluster(markers, labels)
     if entry.bodies is not None:
         if labels is not None and len(labels) > 1:
-            raise InputError(f"{path}: wanted the name of one body, got {', '.join(labels)}; name one")
+            raise InputError(f"{path}: expected the name of one body, got {', '.join(labels)}. Name one of them.")
         return entry.bodies(path, labels[0] if labels else None, up)
     if entry.reference is None:
-        raise FileFormatError(f"{path}: wanted poses (C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
+        raise FileFormatError(f"{path}: expected poses (C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
     return entry.reference(path, columns)
 
 
@@ -483,5 +489,5 @@ def read_markers(path: str | Path, *, up: Up | None = None) -> Markers:
     """Read marker trajectories from C3D or TRC."""
     name, entry = format_of(path)
     if entry.markers is None:
-        raise FileFormatError(f"{path}: wanted markers (C3D or TRC), got {name}; check the path")
+        raise FileFormatError(f"{path}: expected markers (C3D or TRC), got {name}. Check the path.")
     return entry.markers(Path(path), up)

@@ -97,8 +97,9 @@ def foreign_kind(text: Text) -> str | None:
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return (
-            f"a table without names of three axes ({', '.join(names[:8])}); a recording of an inertial sensor needs a map by "
-            "positions"
+            f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs "
+            f"a map by "
+            "positions."
         )
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
         return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"

@@ -74,14 +74,17 @@ def _read_imucal(text: str) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{WHAT}: wanted JSON, got {error}; save it anew from imucal") from error
+        raise FileFormatError(f"{WHAT}: expected JSON, got {error}. Save it again from imucal.") from error
     kind = content.get("cal_type") if isinstance(content, dict) else None
     if kind != KIND:
-        raise FileFormatError(f"{WHAT}: wanted cal_type {KIND!r}, got {kind!r}; other kinds are not read")
+        raise FileFormatError(
+            f"{WHAT}: expected cal_type {KIND!r}, got {kind!r}, which is not supported. Save a "
+            f"calibration of that kind."
+        )
     version = content.get("_format_version", VERSION if "from_acc_unit" in content else "1.0.0")
     if version != VERSION:
         raise FileFormatError(
-            f"{WHAT}: wanted format {VERSION}, got {version!r}; convert it with imucal's legacy helpers first"
+            f"{WHAT}: expected format {VERSION}, got {version!r}. Convert it with imucal's legacy helpers first."
         )
     return dict(content)
 
@@ -105,7 +108,7 @@ def _unit(content: dict[str, Any], key: str, quantity: Any) -> str:
     except InputError:
         found = ""
     if not found or (not key.startswith("from") and not is_physical(found)):
-        raise FileFormatError(f"{WHAT}: wanted a unit for {key}, got {unit!r}; write it into the file")
+        raise FileFormatError(f"{WHAT}: expected a unit for {key}, got {unit!r}. Write it into the file.")
     return found
 
 
@@ -115,16 +118,14 @@ def _array(content: dict[str, Any], key: str, shape: tuple[int, ...]) -> FloatAr
     except (TypeError, ValueError):
         array = np.empty(0)
     if array.shape != shape or not np.isfinite(array).all():
-        raise FileFormatError(f"{WHAT}: wanted {key} as finite numbers of shape {shape}, got others; save it anew")
+        raise FileFormatError(f"{WHAT}: expected {key} as finite numbers of shape {shape}. Save the file again.")
     return array
 
 
 def _inverse(content: dict[str, Any], gains: str, axes: str) -> FloatArray:
     forward = _array(content, gains, (3, 3)) @ _array(content, axes, (3, 3))
     if np.linalg.matrix_rank(forward) < 3:
-        raise FileFormatError(
-            f"{WHAT}: wanted a matrix {gains} {axes} that has an inverse, got one that has none; calibrate anew"
-        )
+        raise FileFormatError(f"{WHAT}: the matrix {gains} {axes} has no inverse. Calibrate again.")
     inverse: FloatArray = np.linalg.inv(forward)
     return inverse
 

@@ -296,7 +296,7 @@ def describe(
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in found.columns)
         if unread:
-            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}; a column map reads them"
+            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}. Read them with a column map."
             left = finding("recording.how_read", "info", what=what)
             found = replace(found, findings=(*found.findings, left))
     return found
@@ -389,7 +389,7 @@ def _needs(path: Path, name: str) -> Description | None:
     if native_reference(names) is not None:
         return _reference(path, name)
     if text is not None and (poses := reference_map(text, names)):
-        what = "a table of orientations, to be read as a reference; needs a map"
+        what = "a table of orientations, which is read as a reference with a map"
         return replace(_not_read(path, name, names, what), example=poses)
     foreign = None if text is None else foreign_kind(text)
     if foreign is not None:
@@ -402,14 +402,14 @@ def _needs(path: Path, name: str) -> Description | None:
         what = f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
         return _not_read(path, name, names, what)
     if text is not None and len(names) < 3:
-        what = "a table of fewer than three columns; a recording needs the three axes of a sensor in one file"
+        what = "a table of fewer than three columns. A recording needs the three axes of a sensor in one file."
         return _not_read(path, name, names, what)
     example = example_map(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
     shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
-    needed = f"{what}; needs a map with the true units, for example {', '.join(example)}"
+    needed = f"{what}. It needs a map with the true units, for example {', '.join(example)}"
     return replace(_not_read(path, name, shown, needed), example=example)
 
 
@@ -436,7 +436,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         names = tuple(map(str, held))
         reference = read_reference(path, labels=names[:1])
     seen = int(reference.valid.sum())
-    more = f" of each of {len(names)} bodies ({', '.join(names)}); name one" if names else ""
+    more = f" of each of {len(names)} bodies ({', '.join(names)}). Name one body." if names else ""
     of_reading = columns is not None or may_hold_poses(name)
     more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
     return Description(
@@ -517,7 +517,7 @@ def _settings(path: Path, name: str, clock: Clock | None) -> Description:
     try:
         content = json.loads(read_tree(path))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: wanted JSON, got something else: {error}; repair the file") from error
+        raise InputError(f"{path}: expected JSON, got something else: {error}. Repair the file.") from error
     keys = content if isinstance(content, dict) else {}
     summary = f"JSON, not a recording: {', '.join(list(keys)[:8]) or type(content).__name__}"
     if str(keys.get("kind")).startswith("undrift."):

@@ -43,9 +43,11 @@ def read_isolated(path: Path, kind: str, settings: ReadSettings | None = None, *
     try:
         done = subprocess.run(words, env=environment, capture_output=True, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired as error:
-        raise FileFormatError(f"{path}: the parser did not end within {limit_s:.0f} s; copy the file again") from error
+        raise FileFormatError(
+            f"{path}: the parser did not finish within {limit_s:.0f} s. Copy the file again."
+        ) from error
     if done.returncode:
-        raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}); copy the file again")
+        raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}). Copy the file again.")
     parsed: Parsed | InputError = pickle.loads(done.stdout)
     if isinstance(parsed, InputError):
         raise parsed
@@ -58,9 +60,7 @@ def library(module: str) -> Any:
         return import_module(module)
     except ImportError as error:
         name = module.split(".")[0]
-        raise InputError(
-            f"wanted {name} to read it, got no such library; run pip install 'undrift[formats]'"
-        ) from error
+        raise InputError(f"the library {name} is required to read it. Run pip install 'undrift[formats]'.") from error
 
 
 def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError:
@@ -74,7 +74,7 @@ def parse(path: Path, kind: str, options: dict[str, Any]) -> Parsed | InputError
         return type(error)(text if text.startswith(str(path)) else f"{path}: {text}", **error.numbers)
     except Exception as error:  # noqa: BLE001 - a library may raise anything on a damaged file
         why = f"{type(error).__name__}: {first_line(error)}"
-        return FileFormatError(f"{path}: damaged or cut file ({why}); copy it again")
+        return FileFormatError(f"{path}: the file is damaged or truncated ({why}). Copy it again.")
 
 
 def answer() -> None:

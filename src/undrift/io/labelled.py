@@ -96,8 +96,8 @@ class Sheet:
         for k, held in zip(self.counters, counts, strict=True):
             if not np.isfinite(held).all():
                 raise FileFormatError(
-                    f"{self.path}: column {self.names[k]!r}: wanted a count in every row, got none in data row "
-                    f"{int(np.isfinite(held).argmin()) + 1}; repair the file"
+                    f"{self.path}: column {self.names[k]!r}: expected a count in every row, got none in data row "
+                    f"{int(np.isfinite(held).argmin()) + 1}. Repair the file."
                 )
         return (np.empty(0), ()) if self.clock is None else self.clock(*counts)
 
@@ -115,10 +115,12 @@ def open_sheet(path: str | Path, *, header: bool = True) -> Sheet:
     path = Path(path)
     sheet = sheet_of(path, read_bytes(path))
     if sheet is None or (header and not any(sheet.names)):
-        raise FileFormatError(f"{path}: wanted a header line over rows of numbers, got none; check the export")
+        raise FileFormatError(f"{path}: expected a header line above rows of numbers, got none. Check the export.")
     first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
     if header and not sheet.names[-1] and len(first) == len(sheet.names) and first[-1]:
-        raise FileFormatError(f"{path}: wanted a name for each of {len(first)} columns, got fewer; repair the header")
+        raise FileFormatError(
+            f"{path}: expected a name for each of {len(first)} columns, got fewer. Repair the header."
+        )
     return sheet
 
 
@@ -369,14 +371,16 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     rates = {label.rate_hz for label in used if label}
     if len(rates) > 1:
         listed = ", ".join(f"{rate:g} Hz" for rate in sorted(rate for rate in rates if rate))
-        raise InputError(f"{sheet.path}: wanted one sample rate in one sensor, got {listed}; export them apart")
+        raise InputError(
+            f"{sheet.path}: expected one sample rate in one sensor, got {listed}. Export each rate to its own file."
+        )
     positions = [k for columns in chosen.values() for k in columns] + ([] if temp is None else [temp])
     time, parsed, clocked, epoch_s = _time(sheet, used[0], settings, positions)
     rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
     if time is None and rate is None:
         raise InputError(
-            f"{sheet.path}: wanted the sample rate, got no column that is named time; give `sample_rate_hz`, or a map "
-            "(`column_map` FILE)",
+            f"{sheet.path}: there is no time column and no sample rate. Set `sample_rate_hz`, or use a map "
+            "(`column_map` FILE).",
             missing="sample_rate_hz",
         )
     table, trimmed = _trimmed(parsed, time, chosen) if None not in rates else (_timed(parsed, time), ())
@@ -400,15 +404,17 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
     free = [name for name, label in zip(sheet.names, sheet.labels, strict=True) if label and label.channel == "free"]
     if free:
         raise FileFormatError(
-            f"{sheet.path}: wanted accelerometer readings with gravity, got {free[0]!r}, in which gravity is removed; record or "
-            "export the acceleration with gravity",
+            f"{sheet.path}: expected accelerometer readings with gravity, got {free[0]!r}, acceleration without "
+            f"gravity. Record or "
+            "export the acceleration with gravity.",
             missing="readings",
             gravity_removed=True,
         )
     held = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
-        f"{sheet.path}: wanted gyroscope or accelerometer columns x, y, z with a unit, got {held}; export them, or give a map "
-        "(`column_map` FILE)",
+        f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {held}. Export them, "
+        f"or use a map "
+        "(`column_map` FILE).",
         missing="readings",
     )
 
@@ -424,7 +430,8 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(
-            f"{sheet.path}: wanted the name of one sensor, got {got}; the file holds {', '.join(names)}: name one (`sensor`)",
+            f"{sheet.path}: expected the name of one sensor, got {got}. The file contains {', '.join(names)}. "
+            f"Choose one with `sensor`.",
             missing="sensor",
             names=names,
         )

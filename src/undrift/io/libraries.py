@@ -81,7 +81,9 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     }
     full = {n: s for n, s in named.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
     if sensor in named and sensor not in full:
-        raise InputError(f"wanted a stream of readings, got text or no samples in {sensor!r}; name another (`sensor`)")
+        raise InputError(
+            f"expected a stream of readings, got text or no samples in {sensor!r}. Choose another stream with `sensor`."
+        )
     name = chosen(path, "stream", tuple(full), sensor)
     info, values = full[name]["info"], np.asarray(full[name]["time_series"], dtype=np.float64)
     listed = [held for desc in info["desc"] or [] if desc for held in desc.get("channels", []) if held]
@@ -90,7 +92,7 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     label, kind, unit = ([(c.get(key) or [""])[0] or "" for c in described] for key in ("label", "type", "unit"))
     labels = [text or str(k) for k, text in enumerate(label)]
     time, rate_hz = np.asarray(full[name]["time_stamps"], dtype=np.float64), float(info["nominal_srate"][0])
-    note = f"stream {name}: clocks synchronised, time stamps as recorded (not de-jittered); stated rate {rate_hz:g} Hz"
+    note = f"stream {name}: clocks synchronised, time stamps as recorded (not de-jittered), nominal rate {rate_hz:g} Hz"
     if mapped:
         return Parsed(table=dict(zip((*labels, "time_s"), (*values.T, time), strict=True)), notes=[note])
     found: Channels = {}
@@ -103,7 +105,7 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     if not found.keys() & {"gyro", "accel"}:
         shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
-            f"wanted channels of {name} labelled as accelerometer or gyroscope with units, got {shown}; name them in a "
+            f"expected channels of {name} labelled as accelerometer or gyroscope with units, got {shown}. Name them in a "
             'map (`column_map`), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
@@ -129,7 +131,9 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         rows = list(messages(topic, _IMU))
         stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
         if len(rows) < stated and not drop:
-            raise ValueError(f"{len(rows)} of {stated} messages are there; drop_bad_rows = true in a map reads them")
+            raise ValueError(
+                f"{len(rows)} of {stated} messages are present. Set drop_bad_rows = true in a map to read them."
+            )
         parent = topic.rpartition("/")[0]
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted((s, m.temperature) for t in near if len(near) == 1 for s, m in messages(t, _TEMPERATURE))
@@ -144,7 +148,7 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
             vectors = [getattr(row, name) for _, row in rows]
             found.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
     if not found.channels:
-        raise InputError(f"{path}: wanted readings in {topic}, got none (covariance -1); name another topic")
+        raise InputError(f"{path}: expected readings in {topic}, got none (covariance -1). Name another topic.")
     if slow:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
         found.channels["temp"] = (np.interp(found.time, clock, [temp_c for _, temp_c in slow]), "degC")
@@ -166,7 +170,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
     with contextlib.redirect_stdout(io.StringIO()):  # the library prints what it finds wrong
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not drop:
-        raise ValueError("messages are cut or damaged; drop_bad_rows = true in a map reads the rest")
+        raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")
     topics = {(d.name, d.multi_id): d.data for d in log.data_list if len(d.data["timestamp"])}
     numbers = sorted({number for name, number in topics if name in ("sensor_gyro", "sensor_accel")})
     names = (*(["sensor_combined"] if ("sensor_combined", 0) in topics else []), *map(str, numbers))
@@ -201,7 +205,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         values: FloatArray = np.stack([data[axis] for axis in "xyz"], axis=1).astype(np.float64)
         if not np.array_equal(clock(data), found.time):
             values, missing = onto_clock(found.time, clock(data), values)
-            lost = f"; {missing} samples in its drop-outs are gaps" if missing else ""
+            lost = f", {missing} samples in its drop-outs are gaps" if missing else ""
             found.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
         found.channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():
@@ -223,7 +227,9 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
         try:
             data = nilspodlib.Dataset.from_bin_file(str(path), legacy_support=legacy)
         except nilspodlib.exceptions.VersionError as error:
-            raise FileFormatError(f"wanted firmware that nilspodlib knows, got {version}; export it to CSV") from error
+            raise FileFormatError(
+                f"expected firmware that nilspodlib supports, got {version}. Export it to CSV."
+            ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
         found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
@@ -235,7 +241,7 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
         raise ValueError(f"its header states {end - start} s, it has {lasts_s:.4g} s")
     found.notes = [
-        f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied; magnetometer left out (no unit)",
+        f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
@@ -249,12 +255,14 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     fast = series.get("high_frequency") or series["acceleration"]
     slow, stamps = series.get("low_frequency", {}), np.asarray(fast["datetime"], dtype=np.int64)
     if not len(stamps):
-        raise FileFormatError("wanted accelerometer readings, got none; export CSV with the maker's program")
+        raise FileFormatError("expected accelerometer readings, got none. Export CSV with the maker's program.")
     if kind.startswith("Axivity") and path.stat().st_size % 512 and not drop:
-        raise ValueError("it ends within a sector; drop_bad_rows = true in a map reads the whole sectors")
+        raise ValueError(
+            "the file ends within a sector. Set drop_bad_rows = true in a map to read the complete sectors."
+        )
     pages = str(about.get("Memory Status", {}).get("Number of Pages", ""))
     if pages.isdigit() and len(stamps) < 300 * int(pages) and not drop:
-        raise ValueError(f"samples of {pages} pages are missing; drop_bad_rows = true in a map reads the rest")
+        raise ValueError(f"samples of {pages} pages are missing. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
     found = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])])
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
@@ -266,7 +274,7 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
         temp_c = np.asarray(slow["temperature"], dtype=np.float64)
         at = found.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
         found.channels["temp"] = (np.interp(found.time, at, temp_c), "degC")
-        found.notes.append("one temperature for each block of samples, interpolated; programs differ in its formula")
+        found.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
     device, identity = about.get("device", {}), about.get("Device Identity", about.get("info", {}))
     number = device.get("device_id", identity.get("Device Unique Serial Code", identity.get("Serial Number", "")))
     found.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}

@@ -253,7 +253,9 @@ def read_readings(path: Path) -> SerialLog:
     """Return the readings of a log."""
     log = _readings_of(path, path.stat().st_size, path.stat().st_mtime_ns)
     if log is None:
-        raise InputError(f"{path}: wanted lines of one shape with numbers, got none; log only what the readings print")
+        raise InputError(
+            f"{path}: expected lines of one shape with numbers, got none. Log only the lines with readings."
+        )
     return log
 
 
@@ -286,10 +288,11 @@ def read_log(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> R
         found = read_sheet(sheet, settings)
     else:
         raise InputError(
-            f"{path}: wanted units in a log, got {', '.join(log.names[:8])} without; undrift info FILE --write-map "
-            "map.toml proposes a map; give it with `column_map`"
+            f"{path}: expected units in a log, got {', '.join(log.names[:8])} without. Run undrift info FILE "
+            f"--write-map "
+            "map.toml to propose a map, and name the map with `column_map`."
         )
-    note = f"a log of {len(found.record)} readings" + f"; lines before the first left out: {log.before}" * bool(
+    note = f"a log of {len(found.record)} readings" + f", lines left out before the first: {log.before}" * bool(
         log.before
     )
     return replace(found, notes=(note, *found.notes), dropped_rows=found.dropped_rows + log.lost)

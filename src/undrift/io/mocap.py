@@ -46,7 +46,7 @@ class Markers:
         set_(self, "points", frozen(self.points, (len(self.time), len(self.labels), 3), "points"))
         if len(set(self.labels)) != len(self.labels):
             twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
-            raise InputError(f"markers: wanted different labels, got {', '.join(twice)} more than once; number them")
+            raise InputError(f"markers: expected different labels, got {', '.join(twice)} more than once. Number them.")
         check_time(self.time)
 
     def __len__(self) -> int:
@@ -64,7 +64,7 @@ class Markers:
                 near = [other for other in self.labels if label.lower() in other.lower()]
                 hint = f"name {' or '.join(near[:3])}" if near else "check the label"
                 raise InputError(
-                    f"{self.name or 'markers'}: wanted marker {label!r}, got {', '.join(self.labels)}; {hint}"
+                    f"{self.name or 'markers'}: expected marker {label!r}, got {', '.join(self.labels)}. {hint}."
                 )
         return self.points[:, [self.labels.index(label) for label in labels]]
 
@@ -90,19 +90,19 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
 
     if len(labels) < 3 or len(set(labels)) != len(labels):
         raise InputError(
-            f"cluster: wanted three different markers or more, got {', '.join(labels) or 'none'}; name them"
+            f"cluster: expected three different markers or more, got {', '.join(labels) or 'none'}. Name three."
         )
     points = markers.pick(labels)
     seen: BoolArray = np.all(np.isfinite(points), axis=2)
     whole: BoolArray = np.all(seen, axis=1)
     if not whole.any():
         rarest = labels[int(seen.sum(axis=0).argmin())]
-        raise InputError(f"cluster: wanted a frame with all of {', '.join(labels)}, got none; leave out {rarest}")
+        raise InputError(f"cluster: expected a frame with all of {', '.join(labels)}, got none. Omit {rarest}.")
     template = _mean_shape(points, whole)
     spread = np.linalg.svd(template, compute_uv=False)
     if spread[1] < _FLAT * spread[0]:
         raise InputError(
-            f"cluster: wanted markers that span a plane, got {', '.join(labels)} on one line; add one beside it"
+            f"cluster: expected markers that span a plane, got {', '.join(labels)} on one line. Add a marker off this line."
         )
     turn, shift, good = _fit(points, seen, template)
     left = points - (np.einsum("nij,kj->nki", turn, template) + shift[:, None])
@@ -126,7 +126,7 @@ def level_from(points: FloatArray, up: Up) -> FloatArray:
         return points
     if up == "y":
         return np.stack((points[..., 0], -points[..., 2], points[..., 1]), axis=-1)
-    raise InputError(f'up: wanted "y" or "z", got {up!r}; name the axis of the laboratory that points up')
+    raise InputError(f'up: expected "y" or "z", got {up!r}. Name the laboratory axis that points up.')
 
 
 def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
@@ -145,7 +145,8 @@ def stated_up(path: Path, up: Up | None, why: str) -> Up:
     """Return the axis that points up. InputError if it is not given."""
     if up is None:
         raise InputError(
-            f'{path}: wanted the axis that points up, got none; {why} does not say: state up = "y" or "z"', missing="up"
+            f'{path}: expected the axis that points up, got none. {why} does not contain it. Set up = "y" or "z".',
+            missing="up",
         )
     return up
 
@@ -215,20 +216,24 @@ def parse_c3d(path: Path, **_: Any) -> Parsed:
     count, frames = xyz.shape[:2]
     if count == 0 or frames < 2:
         raise FileFormatError(
-            f"{path}: wanted marker points over two frames or more, got {count} markers, {frames} frames"
+            f"{path}: expected marker points over two frames or more, got {count} markers, {frames} frames"
         )
     # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
     lost = np.asarray(held["data"]["meta_points"]["residuals"])[0] < 0.0
     xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
     farthest = float(np.abs(xyz).max(initial=0.0, where=np.isfinite(xyz)))
     if farthest > _FARTHEST:
-        raise FileFormatError(f"{path}: wanted positions up to {_FARTHEST:g}, got {farthest:.3g}; the file is damaged")
+        raise FileFormatError(
+            f"{path}: expected positions up to {_FARTHEST:g}, got {farthest:.3g}. The file is damaged."
+        )
     rate, first = float(held["header"]["points"]["frame_rate"]), int(held["header"]["points"]["first_frame"])
     if not rate > 0.0:
-        raise FileFormatError(f"{path}: wanted a frame rate above 0, got {rate:g} Hz; the header is damaged")
+        raise FileFormatError(f"{path}: expected a frame rate above 0, got {rate:g} Hz. The header is damaged.")
     unit, screen = (next(iter(point[key]["value"]), "") if key in point else "" for key in ("UNITS", "Y_SCREEN"))
     if not unit.strip():
-        raise FileFormatError(f"{path}: wanted the unit of length in POINT:UNITS, got none; the parameters are damaged")
+        raise FileFormatError(
+            f"{path}: expected the unit of length in POINT:UNITS, got none. The parameters are damaged."
+        )
     labels: list[str] = []
     for k in range(1, 100):  # LABELS2, LABELS3, ... continue LABELS
         key = "LABELS" if k == 1 else f"LABELS{k}"
@@ -258,7 +263,7 @@ def _load(path: Path) -> Any:
     # With another count of analog values points are read at other places
     if analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size:
         raise FileFormatError(
-            f"{path}: wanted {analogs} analog values a frame, got others in the parameters; it is damaged"
+            f"{path}: the parameters do not give {analogs} analog values per frame. The file is damaged."
         )
     return trial
 
@@ -266,10 +271,10 @@ def _load(path: Path) -> Any:
 def _check_size(content: bytes, path: Path) -> int:
     """Return the analog values of a frame; refuse what is not C3D, or not as long as its header promises, before it is parsed."""
     if not is_c3d(content):
-        raise FileFormatError(f"{path}: wanted a C3D file, got other content; check the path")
+        raise FileFormatError(f"{path}: expected a C3D file, got other content. Check the path.")
     block = (content[0] - 1) * 512
     if len(content) < block + 4:
-        raise FileFormatError(f"{path}: wanted a whole C3D file, got one cut before its parameters; copy it again")
+        raise FileFormatError(f"{path}: the C3D file is truncated before its parameters. Copy it again.")
     processor = content[block + 3] - 83  # 1 Intel, 2 DEC (Intel's order of bytes in words), 3 MIPS
     words = np.frombuffer(content[:512], dtype=">u2" if processor == 3 else "<u2")
     points, analogs, first, last, start = (int(words[k]) for k in (1, 2, 3, 4, 8))
@@ -280,7 +285,7 @@ def _check_size(content: bytes, path: Path) -> int:
     one_more = len(content) == whole + 512 and not any(content[whole:])  # some writers end with an empty block
     if len(content) < need or (frames and len(content) not in (need, whole) and not one_more):
         raise FileFormatError(
-            f"{path}: wanted {need} bytes as its header promises, got {len(content)}; the file is damaged, copy it again"
+            f"{path}: expected {need} bytes as its header promises, got {len(content)}. The file is damaged. Copy it again."
         )
     return analogs
 
@@ -300,29 +305,30 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
         lines = read_bytes(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise FileFormatError(
-            f"{path}: wanted a TRC file in UTF-8, got other bytes at {error.start}; save it again"
+            f"{path}: expected a TRC file in UTF-8, got other bytes at {error.start}. Save it again."
         ) from error
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise FileFormatError(
-            f"{path}: wanted a TRC file (first word PathFileType), got {lines[0][:40] if lines else ''!r}"
+            f"{path}: expected a TRC file (first word PathFileType), got {lines[0][:40] if lines else ''!r}"
         )
     keys, values = lines[1].split("\t"), lines[2].split("\t")
     head = dict(zip((key.strip() for key in keys), (value.strip() for value in values), strict=False))
     if not all(head.get(key) for key in _HEAD):
         raise FileFormatError(
-            f"{path}: wanted {', '.join(_HEAD)} in lines 2 and 3, got {', '.join(filter(None, head))}"
+            f"{path}: expected {', '.join(_HEAD)} in lines 2 and 3, got {', '.join(filter(None, head))}"
         )
     labels = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
     if not head["NumMarkers"].isdigit() or int(head["NumMarkers"]) < 1:
-        raise FileFormatError(f"{path}: wanted NumMarkers of 1 or more in line 3, got {head['NumMarkers']!r}")
+        raise FileFormatError(f"{path}: expected NumMarkers of 1 or more in line 3, got {head['NumMarkers']!r}")
     wanted = int(head["NumMarkers"])
     if len(labels) != wanted:
-        raise FileFormatError(f"{path}: wanted {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
+        raise FileFormatError(f"{path}: expected {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
     time, cells, short = _rows(lines, 2 + 3 * wanted, path)
     stated = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
     if len(time) < max(stated, 2):
         raise FileFormatError(
-            f"{path}: wanted {max(stated, 2)} frames (NumFrames in line 3), got {len(time)}; the file is cut: copy it again"
+            f"{path}: expected {max(stated, 2)} frames (NumFrames in line 3), got {len(time)}. The file is "
+            f"truncated. Copy it again."
         )
     points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")
     points[~np.isfinite(points).all(axis=2) | (points == 0.0).all(axis=2)] = np.nan
@@ -338,12 +344,12 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
         torn = len(cells) < width and len("\t".join(cells).rstrip().split("\t")) % 3 != 2
         if extra or len(cells) < 2 or torn:
             raise FileFormatError(
-                f"{path}: wanted {width} columns in line {number}, got {len(cells)}; the header disagrees"
+                f"{path}: expected {width} columns in line {number}, got {len(cells)}. Correct the line or the header."
             )
         try:
             out[row, : min(width, len(cells))] = [float(cell) if cell.strip() else np.nan for cell in cells[:width]]
         except ValueError as error:
             raise FileFormatError(
-                f"{path}: wanted numbers in line {number}, got text ({error}); repair the line"
+                f"{path}: expected numbers in line {number}, got text ({error}). Repair the line."
             ) from error
     return out[:, 1], out[:, 2:], sum(len(cells) < width for _, cells in rows)

@@ -65,17 +65,20 @@ def iter_parquet(
 ) -> Iterator[Record]:
     """Read a record in chunks: constant memory, whatever the size of the file."""
     if rows < 2:
-        raise InputError(f"rows: wanted two samples or more in a chunk, got {rows}")
+        raise InputError(f"rows: expected two samples or more in a chunk, got {rows}")
     last: float | None = None
     with _open(path, stream=True) as handle:
         columns = columns or _native_map(Path(path), handle, settings)
         if columns.time is None:
-            raise InputError(f"{path}: wanted a time column to read in chunks, got none; add time_s or read it whole")
+            raise InputError(
+                f"{path}: expected a time column to read in chunks, got none. Add time_s, or read the "
+                f"file in one piece."
+            )
         for part in _batches(path, handle, rows):
             record = build_record(_table(path, part), columns).record
             if last is not None and record.time[0] <= last:
                 raise InputError(
-                    f"{path}: wanted strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s; repair the file"
+                    f"{path}: expected strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s. Repair the file."
                 )
             last = float(record.time[-1])
             yield record
@@ -143,12 +146,13 @@ class ParquetWriter:
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
-                f"{self.path}: wanted chunks of one record, got {schema.names} after {self._schema.names} or another "
+                f"{self.path}: expected chunks of one record, got {schema.names} after {self._schema.names} or "
+                f"another "
                 "frame, state or device"
             )
         if record.time[0] <= self._last:
             raise InputError(
-                f"{self.path}: wanted chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
+                f"{self.path}: expected chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
             )
         self._last = float(record.time[-1])
         table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
@@ -193,7 +197,7 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
         return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=buffer, page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError) as error:
         raise FileFormatError(
-            f"{path}: wanted a Parquet file, got something else or a cut one; {first_line(error)}"
+            f"{path}: expected a Parquet file, got another or a truncated file. {first_line(error)}."
         ) from error
 
 
@@ -234,13 +238,13 @@ def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
     if not metadata or _KEY not in metadata:
         return columns
     if metadata.get(_CRC, crc := _crc(handle.schema_arrow.names, metadata[_KEY])) != crc:
-        raise FileFormatError(f"{path}: wanted the head as it was written, got it changed (CRC-32); restore the file")
+        raise FileFormatError(f"{path}: the file header was changed after it was written (CRC-32). Restore the file.")
     held = json.loads(metadata[_KEY])
     if held.get("kind") != KIND or held.get("format") != FORMAT:
         raise FileFormatError(
-            f"{path}: wanted {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}; read it with the "
-            "undrift that wrote it"
+            f"{path}: expected {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}. Read it with the "
+            "undrift that wrote it."
         )
     # undrift wrote it: NaN in it is a gap
     columns = replace(columns, gaps=settings.gaps or "keep")
-    return stated(columns, held, f"{path}: wanted frame, state and device of a recording, got others")
+    return stated(columns, held, f"{path}: expected the frame, state and device of a recording, got other keys")

@@ -22,7 +22,7 @@ from undrift.io.columns import AXES, READ_SETTINGS, ColumnMap, ReadResult, ReadS
 from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet
 
 OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
-UNKNOWN_SIGN = "sign of acceleration not stated by the file (iOS and Android differ); export Metadata.csv too"
+UNKNOWN_SIGN = "the file does not give the sign of acceleration (iOS and Android differ). Export Metadata.csv too."
 _GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
 _ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
 _UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # manual of Sensor Logger
@@ -60,14 +60,12 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
         return replace(result, notes=(*result.notes, str(error).removeprefix(f"{path}/")))
     gyro, accel = result.record, accel_result.record
     if accel.accel is None or gyro.gyro is None:
-        raise FileFormatError(f"{path}: wanted a gyroscope in {name} and an accelerometer in {other}, got others")
+        raise FileFormatError(f"{path}: expected a gyroscope in {name} and an accelerometer in {other}, got others")
     later_s = (accel_start - start) / np.timedelta64(10**9, "ns") + accel_result.epoch_s - result.epoch_s
     accel_time = accel.time + later_s
     inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
     if len(inside) < 2:
-        raise FileFormatError(
-            f"{path}: wanted {name} and {other} of the same time, got two times apart; read one of them"
-        )
+        raise FileFormatError(f"{path}: {name} and {other} do not overlap in time. Read only one of them.")
     part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
     values, missing = onto_clock(part.time, accel_time, accel.accel)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
@@ -141,11 +139,11 @@ def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
     size = float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else np.nan
     if ios is not None and ios != (size < _NO_GRAVITY):
         raise FileFormatError(
-            f"{sheet.path}: wanted {'g' if ios else 'm/s2'} by platform and standardisation in Metadata.csv, got a median of "
-            f"{size:.3g}; the two do not belong together: leave Metadata.csv out"
+            f"{sheet.path}: expected {'g' if ios else 'm/s2'} by platform and standardisation in Metadata.csv, got a median of "
+            f"{size:.3g}. The two files do not belong together. Omit Metadata.csv."
         )
     if size < _NO_GRAVITY:
-        how = f"acceleration in g: its median is {size:.3g}; iOS writes this file in g, Android in m/s2"
+        how = f"acceleration in g: its median is {size:.3g} (iOS writes this file in g, Android in m/s2)"
         return "g", -1.0, [how, OPPOSITE_SIGN]
     return "m/s2", 1.0, []
 

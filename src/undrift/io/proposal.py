@@ -35,15 +35,14 @@ def map_of(
     """Return the text of the map that a description proposes, each unit with its reason; "?" where nothing shows it."""
     if not found.example:
         raise InputError(
-            f"{found.path}: wanted a table that needs a map, got {found.kind} ({found.format}): {found.summary}; leave out "
-            "--write-map"
+            f"{found.path}: expected a table that needs a map, got {found.kind} ({found.format}): {found.summary}. "
+            f"Omit "
+            "--write-map."
         )
     lines = [line for line in found.example if not line.startswith(("units", "sample_rate_hz = ?"))]
     if "sample_rate_hz = ?" in found.example:
         if sample_rate_hz is None:
-            raise InputError(
-                f"{found.path}: wanted the sample rate of a table without time, got none; add `sample_rate_hz`"
-            )
+            raise InputError(f"{found.path}: a table without time needs its sample rate. Add `sample_rate_hz`.")
         lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
     stated = next((line for line in found.example if line.startswith("units")), "units = {}")
     proposed, given = tomllib.loads(stated)["units"], {k: u for k, u in (units or {}).items() if u is not None}
@@ -54,7 +53,7 @@ def map_of(
     # gravity is a better witness than the size of the readings
     if by_size and (turned := _turned(found, lines, proposed)):
         proposed["gyro"], why["gyro"] = turned
-    text = [f"# How {Path(found.path).name} is read; the keys are in docs/maps.md. Check each unit."]
+    text = [f"# How {Path(found.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
     shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
     return "\n".join([*text, lines[0], *([f"units = {{ {shown} }}"] if shown else []), *lines[1:]]) + "\n"
@@ -63,7 +62,7 @@ def map_of(
 def _why(key: str, unit: str, line: str) -> str:
     """Return where a proposed unit comes from: the name of its column, or the size of the readings."""
     if unit == "?":
-        return "which no name and no reading shows: put what is true"
+        return "not determined by name or readings: enter the unit"
     reasons = dict(part.split(" by ", 1) for part in line.partition("# proposed: ")[2].split("; ") if " by " in part)
     return f"proposed by {reasons[key]}" if key in reasons else "by the name of its column"
 
@@ -129,12 +128,12 @@ def session_text(
     standard = session.gravity_source == "standard"
     head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
     blocks = [
-        "# Written by undrift info --write-session from what was found; edit what is not so.\n"
+        "# Written by undrift info --write-session from the recordings. Correct anything that is wrong.\n"
         + toml_text({"session": tree_of(head)})
     ]
     if standard:
         blocks[0] += (
-            "# gravity_m_s2 = ?   # not stated: standard gravity is assumed; state yours, or latitude_deg and height_m\n"
+            "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
         )
     stated = {} if file_map is None else json.loads(file_map.text)
     for number in range(len(session.records)):

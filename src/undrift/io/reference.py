@@ -72,7 +72,7 @@ def find_body(markers: Markers, name: BodyName) -> Body:
         return _pelvis(markers)
     if name == "trunk":
         return _trunk(markers)
-    raise InputError(f"body: wanted {', '.join(get_args(BodyName))}, got {name!r}; choose one")
+    raise InputError(f"body: expected {', '.join(get_args(BodyName))}, got {name!r}. Choose one.")
 
 
 def device_on(
@@ -88,7 +88,7 @@ def device_on(
     mount = np.array(q_bd)
     if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
         raise InputError(
-            f"device: wanted a unit quaternion w-x-y-z from case to body, got length {np.linalg.norm(mount):.6g}; divide by it"
+            f"device: expected a unit quaternion w-x-y-z from case to body, got length {np.linalg.norm(mount):.6g}. Divide by it."
         )
     poses = body.reference
     origin = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
@@ -117,8 +117,8 @@ def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
     missing = [name for name, label in zip(names, found, strict=True) if label is None]
     if missing:
         raise InputError(
-            f"{markers.name or 'markers'}: {body}: wanted markers {', '.join(names)}, got none called {', '.join(missing)}; "
-            "rename them or take a cluster"
+            f"{markers.name or 'markers'}: {body}: expected markers {', '.join(names)}, but {', '.join(missing)} "
+            f"are missing. Rename the markers, or use a cluster."
         )
     return [label for label in found if label is not None]
 
@@ -174,7 +174,7 @@ def _trunk(markers: Markers) -> Body:
     turn = _axes(up=x[:, 4] - low, forward=frame[:, :, 0])
     seen: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
     if not seen.any():
-        raise InputError(f"{markers.name or 'markers'}: trunk: wanted frames with all of its markers, got none")
+        raise InputError(f"{markers.name or 'markers'}: trunk: expected frames with all of its markers, got none")
     q = np.full((len(x), 4), np.nan)
     q[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
     poses = Reference(
@@ -223,17 +223,15 @@ class ReferenceMap:
 
     def __post_init__(self) -> None:
         if self.time is None and self.sample_rate_hz is None:
-            raise InputError(
-                "reference: wanted a time column or sample_rate_hz, got neither; the rate is never assumed"
-            )
+            raise InputError("reference: expected a time column or sample_rate_hz, got neither. Add one of them.")
         si_factor(self.time_unit if self.time is not None else "s", "time")
         si_factor(self.position_unit if self.position is not None else "m", "length")
         si_factor(self.markers_unit if self.markers else "m", "length")
         if self.turns not in ("body_to_level", "level_to_body"):
-            raise InputError(f"turns: wanted body_to_level or level_to_body, got {self.turns!r}")
+            raise InputError(f"turns: expected body_to_level or level_to_body, got {self.turns!r}")
         if self.up not in _LEVELLED:
             raise InputError(
-                f"up: wanted the axis of the laboratory that points up, one of {', '.join(_LEVELLED)}, got {self.up!r}"
+                f"up: expected the axis of the laboratory that points up, one of {', '.join(_LEVELLED)}, got {self.up!r}"
             )
 
     def wanted(self) -> tuple[Column, ...]:
@@ -290,7 +288,7 @@ def write_reference(reference: Reference, path: str | Path) -> None:
         held = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
         write_whole(path, lambda part: pq.write_table(pa.table(held), str(part), use_dictionary=False))
     else:
-        raise InputError(f"{path}: wanted a name ending in .parquet or .csv, got another; name the format so")
+        raise InputError(f"{path}: expected a name ending in .parquet or .csv. Change the ending.")
 
 
 def native_reference(names: tuple[str, ...]) -> ReferenceMap | None:
@@ -310,7 +308,8 @@ def _native_map(path: Path, names: tuple[str, ...]) -> ReferenceMap:
     found = native_reference(names)
     if found is None:
         raise InputError(
-            f"{path}: wanted columns time_s, q_w, q_x, q_y, q_z, got {', '.join(repr(name) for name in names[:12])}; map them with "
+            f"{path}: expected columns time_s, q_w, q_x, q_y, q_z, got "
+            f"{', '.join(repr(name) for name in names[:12])}. Map them with "
             'ReferenceMap(time="t", time_unit="s", quaternion=("W", "X", "Y", "Z"))'
         )
     return found
@@ -331,13 +330,14 @@ def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
     keep = forward if columns.repair_time else np.ones(len(time), dtype=np.bool_)
     if keep.mean() < 0.5:
         raise InputError(
-            f"{path}: time column {columns.time!r}: wanted time that mostly goes forward, got {int((~keep).sum())} of {len(time)} "
-            "rows to leave out; check that this is the time column"
+            f"{path}: time column {columns.time!r}: expected time that mostly goes forward, got "
+            f"{int((~keep).sum())} of {len(time)} "
+            "rows to leave out. Check that this is the time column."
         )
     if not (forward | np.isnan(time)).all() and not columns.repair_time:
         raise InputError(
-            f"{path}: time column {columns.time!r}: wanted time that goes forward, got {int((~forward).sum())} rows that do not, "
-            f"first row {int(np.argmin(forward)) + 1}; state repair_time = true in the map if they may be left out"
+            f"{path}: time column {columns.time!r}: expected time that goes forward, got {int((~forward).sum())} rows that do not, "
+            f"first row {int(np.argmin(forward)) + 1}. Set repair_time = true in the map to drop them."
         )
     moving = None if columns.moving is None else table.numbers(columns.moving)[keep]
     lost = int((~keep).sum())
@@ -377,7 +377,7 @@ def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
     if name not in names:
         got = "none" if name is None else repr(name)
         raise InputError(
-            f"{path}: wanted the name of one body, got {got}; the file holds {', '.join(names)}: name one (`markers`)",
+            f"{path}: expected the name of one body, got {got}. The file contains {', '.join(names)}. Choose one with `markers`.",
             names=names,
         )
     return name
@@ -389,7 +389,9 @@ def _table(path: Path, rows: bytes, width: int) -> FloatArray:
     sheet = Sheet(path=path, names=names, layout=layout, rows=rows)
     values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
     if len(values) < 2:
-        raise FileFormatError(f"{path}: wanted two frames or more, got {len(values)}; the file is cut")
+        raise FileFormatError(
+            f"{path}: expected two frames or more, got {len(values)}. The file is truncated. Copy it again."
+        )
     return values
 
 
@@ -400,7 +402,9 @@ def reference_of(
     size = np.linalg.norm(q_nb, axis=1)
     seen = np.abs(size - 1.0) < NEARLY_UNIT
     if np.isfinite(size).any() and not seen.any():
-        raise FileFormatError(f"{path}: wanted unit quaternions, got length {np.nanmedian(size):.3g}; check the export")
+        raise FileFormatError(
+            f"{path}: expected unit quaternions, got length {np.nanmedian(size):.3g}. Check the export."
+        )
     q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
     with naming(path):
         return Reference(
@@ -421,7 +425,7 @@ def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Refer
     names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
     if len(names) < 2 or names[0].lower() != "time":
         raise FileFormatError(
-            f"{path}: wanted 'time' and sensor names after endheader, got {header[:40]!r}; check the export"
+            f"{path}: expected 'time' and sensor names after endheader, got {header[:40]!r}. Check the export."
         )
     chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
     values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)

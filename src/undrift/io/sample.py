@@ -11,9 +11,9 @@ from undrift.files import hidden_folder, no_folder
 def write_sample(folder: Path) -> None:
     """Copy the sample into a new folder, all of it or nothing."""
     if folder.exists():
-        raise InputError(f"{folder}: wanted a folder that does not exist yet, got one that does; name another")
+        raise InputError(f"{folder}: the folder exists already. Choose another name.")
     if not folder.parent.is_dir():
-        raise InputError(f"{folder}: wanted a folder that exists, got none named {folder.parent}; make it first")
+        raise InputError(f"{folder}: the folder {folder.parent} does not exist. Create it first.")
     try:
         with as_file(files("undrift").joinpath("sample_data")) as source, hidden_folder(folder.parent) as hidden:
             part = hidden / folder.name

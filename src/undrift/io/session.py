@@ -182,8 +182,9 @@ def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSe
     if not entry.columns and (not given or given - NATIVE_KEYS):
         got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
         raise InputError(
-            f"{path}: wanted one table of columns, got 0 and {got}; add columns = {{ ... }}, or for a file with undrift's own "
-            f"names only {', '.join(sorted(NATIVE_KEYS))}"
+            f"{path}: expected one table of columns, got 0 and {got}. Add columns = {{ ... }}. A file with "
+            f"undrift's own "
+            f"names needs only {', '.join(sorted(NATIVE_KEYS))}."
         )
     with naming(path):
         return _chosen(entry, choices, Path(path).parent)
@@ -199,7 +200,7 @@ def _chosen(entry: MapEntry, choices: Mapping[str, Any], folder: Path) -> tuple[
     maps = entry.maps()
     if len(maps) > 1:
         raise InputError(
-            f"wanted {len(maps)} files side by side, got one; give a map of it, or state them together in session.toml"
+            f"the map describes {len(maps)} files, but only one is named. Use a map of one file, or list the files in session.toml."
         )
     return maps[0] if maps else None, _settings(entry, folder)
 
@@ -352,7 +353,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     path = Path(folder)
     path = path / NAME if path.is_dir() else path
     if not path.exists():
-        raise InputError(f"{folder}: wanted a folder with {NAME}, got none; write one or check the path")
+        raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
     tree, text = codec.toml_of(path)
     held = codec.value_of(SessionFile, tree, str(path), text)
     _check_seal(path, text)
@@ -366,7 +367,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             digests = [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
             if entry.sha256 and entry.sha256 not in (digest for _, digest in digests):
                 raise FileFormatError(
-                    f"{names[0]}: wanted the readings as they were written, got others (sha256); restore the file, or record again"
+                    f"{names[0]}: the readings were changed after they were written (sha256). Restore the file, or record again."
                 )
         inputs += digests
     clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
@@ -415,7 +416,7 @@ def session_from_files(
     width = 2 if phone_pair(list(map(Path, files))) and not entry.columns else width
     if not files or len(files) % width:
         wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
-        raise InputError(f"session: wanted {wanted}, got {len(files)}; name them")
+        raise InputError(f"session: expected {wanted}, got {len(files)}. Name them.")
     records, inputs, groups = [], [], list[list[str]]()
     for start in range(0, len(files), width):
         names = [str(file) for file in files[start : start + width]]
@@ -461,7 +462,7 @@ def write_session(session: Session, folder: str | Path) -> None:
         The folder cannot be written.
     """
     if session.means:
-        raise InputError("session: wanted recordings to write, got means of set-points; write their frame")
+        raise InputError("session: expected recordings, got means of set-points. Write them as a data frame.")
     folder = Path(folder)
     head = HeadEntry(
         kind=session.kind,
@@ -485,13 +486,13 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
     maps: tuple[ColumnMap | None, ...] = entry.maps()
     if maps and len(maps) != len(names):
         raise InputError(
-            f"wanted one table of columns for each file, got {len(maps)} for {len(names)} files; "
-            "columns = [{ ... }, { ... }] in the order of the files"
+            f"expected one table of columns for each file, got {len(maps)} for {len(names)} files. "
+            "Set columns = [{ ... }, { ... }] in the order of the files."
         )
     unused = entry.model_fields_set - {"file", "columns", "sensor", "sha256"} - NATIVE_KEYS
     if not maps and unused:
         raise InputError(
-            f"wanted columns beside {', '.join(sorted(unused))}, got none; a file without a map needs only its name"
+            f"{', '.join(sorted(unused))} cannot be used without columns. Add columns, or omit these keys."
         )
     settings = _settings(entry, folder)
     settings = settings if clock is None else replace(settings, clock=clock)
@@ -502,19 +503,21 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
         for k, (name, columns) in enumerate(zip(names, maps or (None,) * len(names), strict=True))
     )
     if not records:
-        raise InputError("file: wanted one file or more, got an empty list")
+        raise InputError("file: expected one file or more, got an empty list")
     first = joined = records[0]
     for record, name in zip(records[1:], names[1:], strict=True):
         if len(record) != len(first) or np.abs(record.time - first.time).max() > 0.1 / first.sample_rate_hz:
             raise InputError(
-                f"{name}: wanted the {len(first)} samples and times of {names[0]}, got {len(record)} samples or other times; "
-                "files side by side need one time base"
+                f"{name}: expected the {len(first)} samples and times of {names[0]}, got {len(record)} samples or other times. "
+                "Files that form one recording need one time base."
             )
         added: dict[str, Any] = {}
         for channel in ("gyro", "accel", "temp_c", "mag_ut"):
             if getattr(record, channel) is not None:
                 if getattr(joined, channel) is not None:
-                    raise InputError(f"{name}: wanted channels that {names[0]} lacks, got {channel} again; map it once")
+                    raise InputError(
+                        f"{name}: expected channels that {names[0]} lacks, got {channel} again. Map {channel} once."
+                    )
                 keys = (channel, f"{channel}_unit") if channel in ("gyro", "accel") else (channel,)
                 added |= {key: getattr(record, key) for key in keys}
         joined = replace(joined, **added)
@@ -531,30 +534,32 @@ def gravity_of(
     if place == (None, None):
         return (STANDARD_GRAVITY, "standard") if gravity_m_s2 is None else (gravity_m_s2, "stated")
     got = "only one of the last two" if gravity_m_s2 is None else "both"
-    raise InputError(f"wanted gravity_m_s2, or latitude_deg and height_m, got {got}; state local gravity once")
+    raise InputError(f"expected gravity_m_s2, or latitude_deg and height_m, got {got}. Enter local gravity once.")
 
 
 def _turn(entry: TurnEntry, clocks: list[Times]) -> Turn:
     if entry.turn_rate is not None and entry.angle is not None:
-        raise FileFormatError("wanted turn_rate_dps or angle_deg, got both; keep the one that was measured")
+        raise FileFormatError("expected turn_rate_dps or angle_deg, got both. Keep the quantity that was measured.")
     if entry.angle == 0.0:
-        raise FileFormatError("wanted angle_deg other than 0, got 0; state the angle turned, 360 for a full turn")
+        raise FileFormatError(
+            "expected angle_deg other than 0, got 0. Enter the angle turned, for example 360 for a full turn."
+        )
     return Turn(axis=entry.axis, turn_rate=entry.turn_rate, angle=entry.angle, **_samples(entry, clocks))
 
 
 def _samples(entry: StillEntry | TurnEntry, clocks: list[Times]) -> dict[str, Any]:
     """Return the samples [start, stop) of a stated span of time, and what else both kinds of piece have."""
     if not 0 <= entry.recording < len(clocks):
-        raise FileFormatError(f"wanted recording 0 to {len(clocks) - 1}, got {entry.recording}")
+        raise FileFormatError(f"expected recording 0 to {len(clocks) - 1}, got {entry.recording}")
     time, step = clocks[entry.recording]
     first, last = float(time[0]), float(time[-1]) + step
     if not first - step <= entry.start_s < entry.stop_s <= last + step:
         raise FileFormatError(
-            f"wanted {first:g} <= start_s < stop_s <= {last:g} s as in its recording, got {entry.start_s:g} to {entry.stop_s:g} s"
+            f"expected {first:g} <= start_s < stop_s <= {last:g} s as in its recording, got {entry.start_s:g} to {entry.stop_s:g} s"
         )
     start, stop = np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step))
     if stop <= start:
-        raise FileFormatError(f"wanted a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
+        raise FileFormatError(f"expected a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
     return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
 
 
@@ -582,8 +587,9 @@ def _check_seal(path: Path, text: str) -> None:
     """Refuse a session that a run wrote and that was changed since."""
     if text.startswith(_SEAL) and sealed(text.partition("\n")[2]) != text:
         raise FileFormatError(
-            f"{path}: wanted the session as the run wrote it, got it changed (sha256 in its first line); restore it, or delete "
-            "that line where the change is meant"
+            f"{path}: the session was changed after the run wrote it (sha256 in its first line). Restore it. "
+            "If "
+            "the change is intended, delete that line."
         )
 
 

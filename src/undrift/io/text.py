@@ -118,19 +118,19 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings
         held = None
     if not isinstance(held, dict) or held.get("kind") != KIND:
         if b'"undrift.' in content:
-            raise FileFormatError(f"{beside}: wanted JSON as undrift wrote it, got it changed; restore the file")
+            raise FileFormatError(f"{beside}: this JSON file was changed after undrift wrote it. Restore the file.")
         return columns  # of another program
     if held.get("format") != FORMAT:
         raise FileFormatError(
-            f"{beside}: wanted {KIND} format {FORMAT}, got format {held.get('format')}; read it with the undrift that wrote it"
+            f"{beside}: expected {KIND} format {FORMAT}, got format {held.get('format')}. Read it with the undrift that wrote it."
         )
     if [*held.get("columns", ())] != [*names]:
         raise FileFormatError(
-            f"{beside}: wanted the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}; "
-            "it belongs to another table: move it away"
+            f"{beside}: expected the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}. "
+            "It belongs to another table. Move it away."
         )
     columns = replace(columns, gaps=settings.gaps or "keep")  # undrift wrote it: an empty cell is a gap
-    return stated(columns, held, f"{beside}: wanted frame, state and device of a recording, got others")
+    return stated(columns, held, f"{beside}: expected the frame, state and device of a recording, got other keys")
 
 
 def write_rows(
@@ -224,17 +224,17 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
         content = packed(content)
     head = content[:_HEAD] if content is not None else read_bytes(path, _HEAD)
     if b"\0" in head[:4096]:
-        raise FileFormatError(f"{path}: wanted UTF-8 text, got binary data or UTF-16; save it as UTF-8 text")
+        raise FileFormatError(f"{path}: expected UTF-8 text, got binary data or UTF-16. Save it as UTF-8 text.")
     skip = layout.skip_rows
     lines = head.splitlines()[skip : skip + 64]
     if not lines:
-        raise FileFormatError(f"{path}: wanted rows after {skip} skipped lines, got none; check skip_rows")
+        raise FileFormatError(f"{path}: expected rows after {skip} skipped lines, got none. Check skip_rows.")
     if layout.header:
         try:
             header = lines[0].removeprefix(b"\xef\xbb\xbf").decode("utf-8")
         except UnicodeDecodeError as error:
             raise FileFormatError(
-                f"{path}: wanted UTF-8 text, got byte 0x{lines[0][error.start]:02x} in the header; save the file as UTF-8"
+                f"{path}: expected UTF-8 text, got byte 0x{lines[0][error.start]:02x} in the header. Save the file as UTF-8."
             ) from error
         names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
         if _is_row(names, layout.decimal):
@@ -306,9 +306,9 @@ def _with_closed_quotes(text: Text) -> Text:
     torn = _torn(lines, text.skip)
     if torn and not text.layout.drop_bad_rows:
         raise FileFormatError(
-            f"{text.path}: wanted quotes that close in their row, got {lines[torn[0]][:40].decode('utf-8', 'replace')!r} in "
-            f"data row {torn[0] - text.skip + 1} ({len(torn)} such rows); repair them, or set drop_bad_rows = true in a map "
-            "(`column_map` FILE)",
+            f"{text.path}: expected quotes that close in their row, got {lines[torn[0]][:40].decode('utf-8', 'replace')!r} in "
+            f"data row {torn[0] - text.skip + 1} ({len(torn)} such rows). Repair them, or set drop_bad_rows = true in a map "
+            "(`column_map` FILE).",
             row=torn[0] - text.skip + 1,
         )
     for i in torn:
@@ -355,14 +355,15 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
         parsed = _parsed(text, content, None, bad_row=skip, skip_rows=text.skip, use_threads=False)
     except pa.ArrowInvalid as error:
         raise FileFormatError(
-            f"{text.path}: wanted rows of text, got something else: {str(error).splitlines()[0]}; check the file and the delimiter"
+            f"{text.path}: expected rows of text, got something else: {str(error).splitlines()[0]}. Check the file "
+            f"and the delimiter."
         ) from error
     if ragged and not text.layout.drop_bad_rows:
         row = ragged[0]
         raise FileFormatError(
-            f"{text.path}: wanted {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
-            f"{row.number - text.skip} ({row.text[:40]!r}; {len(ragged)} such rows); repair them, or set "
-            "drop_bad_rows = true in a map (`column_map` FILE)",
+            f"{text.path}: expected {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
+            f"{row.number - text.skip} ({row.text[:40]!r}, {len(ragged)} such rows). Repair them, or set "
+            "drop_bad_rows = true in a map (`column_map` FILE).",
             row=row.number - text.skip,
         )
     lost = np.array([row.number - text.skip - 1 for row in ragged], dtype=np.int64)
@@ -378,9 +379,9 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
             first = int(np.flatnonzero(~fine)[0])
             cell = columns[i][first].as_py()[:40].decode("utf-8", "replace")
             raise FileFormatError(
-                f"{text.path}: column {text.names[i]!r}: wanted numbers, got {cell!r} in data row "
-                f"{rows[first] + 1} ({int((~fine).sum())} such rows); repair the file, or set drop_bad_rows = true "
-                "in a map (`column_map` FILE)",
+                f"{text.path}: column {text.names[i]!r}: expected numbers, got {cell!r} in data row "
+                f"{rows[first] + 1} ({int((~fine).sum())} such rows). Repair the file, or set drop_bad_rows = true "
+                "in a map (`column_map` FILE).",
                 row=int(rows[first]) + 1,
             )
         good &= fine

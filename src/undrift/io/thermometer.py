@@ -16,7 +16,7 @@ def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Re
     """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and held at the ends."""
     known = np.isfinite(time) & np.isfinite(temp_c)
     if not known.any():
-        raise InputError("temperature: wanted one reading or more, got none; leave the temperature file out")
+        raise InputError("temperature: expected one reading or more, got none. Omit the temperature file.")
     order = np.argsort(time[known], kind="stable")
     return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
 
@@ -33,8 +33,9 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
     known = time[np.isfinite(time) & np.isfinite(temp_c)]
     if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
         raise InputError(
-            f"{thermometer.path}: wanted temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the recording's clock, "
-            f"got {known.min():.6g} to {known.max():.6g} s; set temp_file.shift_s, in s"
+            f"{thermometer.path}: expected temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the "
+            f"recording's clock, "
+            f"got {known.min():.6g} to {known.max():.6g} s. Set temp_file.shift_s, in s."
         )
     with naming(thermometer.path):
         return with_temperature(record, time, temp_c)

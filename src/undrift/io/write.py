@@ -57,7 +57,9 @@ def _writer(path: Path, writers: Mapping[str, Callable[..., None]]) -> Callable[
         if path.name.lower().endswith(ending):
             return write
     *most, last = writers
-    raise InputError(f"{path}: wanted a name ending in {', '.join(most)} or {last}, got another; name the format so")
+    raise InputError(
+        f"{path}: expected a name ending in {', '.join(most)} or {last}, got another ending. Change the ending."
+    )
 
 
 # ---- own tables
@@ -79,7 +81,9 @@ def _orientation_sto(table: Columns, path: Path, body: str) -> None:
     """Write the quaternions, scalar first; OpenSense looks for a column BODY_imu and for a level frame with z up (see docs)."""
     time, *q = table[1][:5]
     if not re.fullmatch(r"\w+", body):
-        raise InputError(f"`body`: wanted letters, digits and _ for a column of {path}, got '{body}'; name a body")
+        raise InputError(
+            f"`body`: expected letters, digits and _ for a column of {path}, got '{body}'. Choose another name."
+        )
     head = (
         f"DataRate={sample_rate_of(time):.6f}", "DataType=Quaternion", "version=3", "OpenSimVersion=4.5", "endheader",
         f"time\t{body.removesuffix('_imu')}_imu",

@@ -337,9 +337,7 @@ def source_of(address: Address) -> HandHeldSource:
     if address.place:
         device = _HELD.get(f"{KIND}:{address.place}")
         if device is None:
-            raise InputError(
-                f"device: there is no device 'simulated:{address.place}' in this process. Omit the number."
-            )
+            raise InputError(f"device: unknown device 'simulated:{address.place}' in this process. Omit the number.")
         return HandHeldSource(device, owns_device=False)
     seed, speed = address.option("seed", ""), number_of(address.option("clock_speed", "1"))
     if (

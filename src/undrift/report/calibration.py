@@ -97,7 +97,7 @@ def draw_calibration(calibration: Calibration) -> "Figure":
     Ideal: no cross-axis terms, and the gain of the unit; the mean gain for readings in counts or volts."""
     triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
     if not triads:
-        raise InputError("plot: wanted a calibrated gyroscope or accelerometer, got neither; nothing is there to draw")
+        raise InputError("plot: expected a calibrated gyroscope or accelerometer, got neither. Calibrate first.")
     figure, panels = figures.new_figure(2 * len(triads), height=1.6, share_x=False)
     elements = [row + column for row in AXES for column in AXES]
     style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}

@@ -48,7 +48,7 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
         axes.set_xlabel("temperature (degC)")
     against = "" if summary.against == "zero" else f" less {summary.against}"
     panels[0].set_title(f"offset{against}", loc="left", fontsize=10)
-    second = "the same less the table" if len(summary.block_temp_c) else "uncertainty of the table"
+    second = "offset minus the table" if len(summary.block_temp_c) else "uncertainty of the table"
     panels[1].set_title(second, loc="left", fontsize=10)
     if not len(summary.block_temp_c):
         figures.entitle(figure, "All poses together: a pose has no single offset")
@@ -60,7 +60,7 @@ def draw_drift(fit: "DriftFit") -> "Figure":
     """Draw the offsets over temperature, of the gyroscopes where they were fitted."""
     summary = fit.gyro_summary or fit.accel_summary
     if summary is None:
-        raise InputError("plot: wanted offsets over temperature, got none; the fit has no static table to draw")
+        raise InputError("plot: expected offsets over temperature, got none. Fit a static table first.")
     return draw_offsets(summary)
 
 

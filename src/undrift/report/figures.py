@@ -199,7 +199,7 @@ def _in_lines(text: str, room_pt: float, size: float) -> tuple[str, float]:
 def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as SVG, PNG or PDF, by the ending of the name."""
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise InputError(f"{path}: wanted a name ending in .svg, .png or .pdf, got another; name the format so")
+        raise InputError(f"{path}: expected a name ending in .svg, .png or .pdf. Change the ending.")
     kind = path.suffix[1:].lower()
     write_whole(path, _saved(figure, dpi=130, format=kind, metadata=_UNDATED.get(kind)))
 
@@ -524,7 +524,7 @@ def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "
                 panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
         panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
         legend_above(panel)
-    entitle(figure, "Allan deviation and its terms; marks: where a coefficient is read")
+    entitle(figure, "Allan deviation and its terms. Each mark shows the point at which a coefficient is read.")
     panels[-1].set_xlabel("averaging time (s)")
     return figure
 
@@ -548,7 +548,7 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
     angle.set_ylabel("pitch (deg)")
     entitle(
         figure,
-        "Pitch of a sit-to-stand by the optics, and its error at each level of correction; shaded: the motion",
+        "Optical pitch of a sit-to-stand task, and the pitch error at each level of correction. The motion is shaded.",
     )
     for k, trial in enumerate(trials):
         for panel in (error, small):

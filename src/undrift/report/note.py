@@ -60,7 +60,7 @@ FIGURE_1 = (
     ),
     NoteStep("Optimised parameters (Table 1)", ("study.judge.find_answers",)),
     NoteStep(
-        "Test of the calibrated device on other subjects (Table 2), beside the optics (Figure 3)",
+        "Test of the calibrated device on other subjects (Table 2), compared with optics (Figure 3)",
         ("study.run.run_chosen", "study.figure3.figure3"),
     ),
 )
@@ -237,7 +237,7 @@ def draw_figure3(
     for panel, label, title in (
         (pitch, "pitch (deg)", "sit-to-stand by the optics"),
         (error, "error (deg)", "error: actual solid, simulated dashed"),
-        (apart, "difference (deg)", "actual minus simulated; dotted: the note's 0.15 deg"),
+        (apart, "difference (deg)", "actual minus simulated (dotted: 0.15 deg, from the note)"),
         (largest, "largest error (deg)", "; ".join(beside)),
     ):
         panel.set_ylabel(label)

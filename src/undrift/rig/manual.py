@@ -122,7 +122,7 @@ class ManualRig:
         self._check_open()
         self.limits.check_travel(self._angle + angle)
         asked_deg = angle / RADIAN_PER_DEGREE
-        line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that; q gives up): "
+        line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that, q: give up): "
         for _ in range(QUESTIONS):
             answer = _answer(self._ask, line, "manual rig: the turn was not done", "The operator gave up.")
             turned_deg = number_of(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg

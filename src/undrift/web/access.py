@@ -67,13 +67,13 @@ def refused(scope: Scope, token: str | None) -> str:
     headers = Headers(scope=scope)
     host = headers.get("host", "")
     if token is None and _name(host) not in LOOPBACK:
-        return "bench: wanted a request to this computer, got another name; open the address that undrift bench printed"
+        return "bench: this request names another computer. Open the address that undrift bench printed."
     origin = headers.get("origin")
     changes = scope["type"] == "websocket" or scope["method"] not in SAFE
     if changes and origin is not None and urlsplit(origin).netloc != host:
-        return "bench: wanted a request from its own page, got one from elsewhere; open the bench itself"
+        return "bench: this request comes from another site. Open the bench itself."
     if token is not None and not hmac.compare_digest(_given(scope, headers).encode(), token.encode()):
-        return "bench: wanted its token, got none or a wrong one; open the address that undrift bench printed"
+        return "bench: the token is missing or wrong. Open the address that undrift bench printed."
     return ""
 
 

@@ -84,7 +84,7 @@ def listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         made.close()
         raise InputError(
-            f"bench: wanted to listen at {host}:{port}, got '{error.strerror or error}'; name another `port`, or 0 for a free one"
+            f"bench: cannot listen at {host}:{port} ({error.strerror or error}). Choose another `port`, or 0 for a free port."
         ) from error
     return made
 

@@ -186,7 +186,7 @@ class Bench:
         except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
             held = False
         if not held:
-            raise InputError("bench: wanted a file that it wrote, got another; choose one on the page Check")
+            raise InputError("bench: only files that the bench wrote can be opened. Choose a file on the page Check.")
         return path
 
     def link(self, path: Path) -> str:

@@ -88,7 +88,7 @@ async def run_command(
             code = await child.wait()
     except TimeoutError:
         return CommandOutcome(
-            code=2, error=f"{words[0]}: wanted an end within {longest_s:g} s, got none; use a shorter recording"
+            code=2, error=f"{words[0]}: the command did not finish within {longest_s:g} s. Use a shorter recording."
         )
     finally:
         if child.returncode is None:
@@ -109,6 +109,8 @@ def outcome_of(code: int, text: str, lines: Sequence[str]) -> CommandOutcome:
         return CommandOutcome(code=code, answer=answer)
     error = (answer.get("error") or {}).get("text") or last.removeprefix("undrift: ")
     if code in (0, 1) or code < 0:
-        error = f"the command ended without an answer (exit {code}); repeat it, and report it if it ends so again"
+        error = (
+            f"the command ended without an answer (exit {code}). Run it again, and report the problem if it persists."
+        )
         code = 2
     return CommandOutcome(code=code, answer=answer, error=error)

@@ -71,7 +71,7 @@ def _cards(visit: "Visit") -> None:
     with ui.element("div").classes("cards"):
         with parts.section("Drop files", "card"):
             parts.text("h3", "Drop files")
-            parts.text("p", "A log, a phone's ZIP or a maker's export, and the optics beside it.")
+            parts.text("p", "A log, a phone's ZIP or a maker's export, and the optical recording.")
             entries.drop(visit, "/check")
         with parts.section("Connect live", "card"):
             parts.text("h3", "Connect live")

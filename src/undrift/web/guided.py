@@ -146,7 +146,7 @@ def _after_faces(complete: bool) -> None:
     if complete:
         parts.next_step("Continue to turns by hand", "/turns")
     else:
-        parts.text("p", "In any order. Lay the device down and let go; it is recorded automatically.", "soft")
+        parts.text("p", "In any order. Lay the device down and let go. It is recorded automatically.", "soft")
 
 
 def _turns(visit: "Visit", guided: Guided) -> None:

@@ -26,11 +26,13 @@ class Site:
 
     def __post_init__(self) -> None:
         if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
-            raise InputError(f"latitude: wanted -90 to 90 deg, got {self.latitude_deg:g}; north is positive")
+            raise InputError(f"latitude: expected -90 to 90 deg, got {self.latitude_deg:g}. North is positive.")
         if not -500.0 <= self.height_m <= 9000.0:
-            raise InputError(f"height: wanted -500 to 9000 m, got {self.height_m:g}; state metres above the sea")
+            raise InputError(f"height: expected -500 to 9000 m, got {self.height_m:g}. Enter metres above sea level.")
         if self.stated_m_s2 is not None and not 9.7 < self.stated_m_s2 < 9.9:
-            raise InputError(f"gravity: wanted 9.7 to 9.9 m/s2, got {self.stated_m_s2:g}; state it in m/s2, or a town")
+            raise InputError(
+                f"gravity: expected 9.7 to 9.9 m/s2, got {self.stated_m_s2:g}. Enter gravity in m/s2, or a town."
+            )
 
     @property
     def gravity_m_s2(self) -> float:
@@ -58,7 +60,7 @@ class PlaceForm:
     """Input of the location form."""
 
     town: str = asked("--latitude-deg", hint="north is positive", kind="list", options=lambda: list(towns()))
-    height: str = asked("--height-m", hint="empty: that of the town")
+    height: str = asked("--height-m", hint="empty: height of the town")
     gravity: str = asked("--gravity-m-s2", hint="in place of the town")
 
 
@@ -76,7 +78,7 @@ def _number(name: str, words: str, wanted: str) -> float:
     try:
         return float(words.replace(",", "."))
     except ValueError as error:
-        raise InputError(f"{name}: wanted {wanted}, got '{words.strip()}'; type it so") from error
+        raise InputError(f"{name}: expected {wanted}, got '{words.strip()}'. Correct the entry.") from error
 
 
 def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:

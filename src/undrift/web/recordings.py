@@ -39,7 +39,7 @@ MADE = {  # by a command of the page Use: what its file is called, and what it i
     "correct": ("-corrected.parquet", ("offset",)),
     "orient": ("-angles.csv", ("offset", "forward", "up")),
 }
-NO_NUMBER = "sample rate: wanted a number above 0, got '{}'; state the samples per second"
+NO_NUMBER = "sample rate: expected a number above 0, got '{}'. Enter the samples per second."
 
 
 @dataclass(slots=True, kw_only=True)
@@ -142,7 +142,7 @@ class Recordings:
         """Read a table by the columns and units that a person confirmed."""
         for key, unit in self.draft.get("units", {}).items():
             if unit == "?":
-                raise InputError(f"unit of the {SENSORS.get(key, key)}: wanted that of the device, got none; choose it")
+                raise InputError(f"unit of the {SENSORS.get(key, key)}: choose the unit of the device.")
         if self.draft.get("sample_rate_hz") == "?":
             raise InputError(NO_NUMBER.format(self.form.rate_hz))
         write_whole(path := stored.folder / "map.toml", toml_text(self.draft))
@@ -162,7 +162,7 @@ class Recordings:
     async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, motion: bool = False) -> bool:
         """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
         if not (serial := stored.serial.strip()):
-            raise InputError("serial number: wanted the one on the device, got none; type it, or a name of your own")
+            raise InputError("serial number: enter the number on the device, or a name of your own.")
         job = self.bench.new_job(serial)
         by_motion = ("--from", "motion", *(("--magnetometer",) if self.form.magnetometer else ()))
         words = by_motion if motion else stated(turn_deg=turn_deg)
@@ -196,7 +196,7 @@ class Recordings:
         """Find how the device is worn: kept in a copy of the calibration, which is used then; without one, sides are chosen."""
         form, calibration = self.form, self.visit.calibration
         if not form.worn:
-            raise InputError("mounting: wanted the place where the device is worn, got none; choose it")
+            raise InputError("mounting: choose the body segment on which the device is worn.")
         copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
         words = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
         words = *stored.options(), *words, *stated(output=calibration and copy)
@@ -402,7 +402,7 @@ def proof_words(trace: Mapping[str, Any]) -> str:
     names = {"accel": "|a| at rest", "gyro": "rate at rest"}
     shown = [f"{name} = {rest[key]:.2f} {units[key]}" for key, name in names.items() if key in rest]
     far = units.get("accel") == "g" and abs(rest.get("accel", 1.0) - 1.0) > 0.05
-    return ", ".join(shown) + ("; gravity is 1.00 g: look at columns and unit." if far else ".")
+    return ", ".join(shown) + (", but gravity is 1.00 g. Check the columns and the unit." if far else ".")
 
 
 def _trace(about: Mapping[str, Any]) -> None:
@@ -431,7 +431,7 @@ def _actions(visit: "Visit", one: StoredFile) -> None:
     if calibration is not None:
         for offset, words in recordings.offsets.get(one.path, {}).items():
             parts.text("p", f"{offset}: {words.rstrip('.')}.", "soft")
-        parts.button("What does each give here?", lambda: recordings.compare_offsets(one))
+        parts.button("How accurate is each sensor here?", lambda: recordings.compare_offsets(one))
         parts.next_step("Correct", lambda: recordings.run(one, "correct"))
     _wearing_form(visit, one)
     parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
@@ -457,7 +457,9 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
             return "/calibrate" if done else None
 
         parts.button("Calibrate", calibrate, "next" if visit.job is None else "")
-        parts.text("p", "Or from motion alone: a minute in the hand, turned slowly about every axis; rests help.")
+        parts.text(
+            "p", "Or from motion only: turn the device slowly in your hand about every axis for one minute. Rests help."
+        )
         parts.choices("Magnetometer", ("calibrate it too",), recordings.form, "magnetometer")
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
@@ -471,7 +473,7 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
             parts.text("p", f"Mounting of the calibration, used for the pitch unless sides are named: {mounting}.")
         else:
             why = "" if visit.calibration else " Without a calibration the nearest sides are taken."
-            parts.text("p", f"Where is the device worn? The pitch needs its mounting.{why}")
+            parts.text("p", f"On which part of the body is the device worn? The pitch requires its mounting.{why}")
             if one.mounting:
                 parts.text("p", f"{one.mounting}.")
         with parts.folded("Find the mounting from this recording") as find:
@@ -486,7 +488,7 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
             with ui.element("div").classes("worn"):
                 parts.drawing("worn", lambda: [form.forward, form.up])
                 with ui.element("div"):
-                    parts.text("p", "Which sides point forward and up when the wearer stands?")
+                    parts.text("p", "Which sides point forward and up when the wearer is upright?")
                     parts.form(form, "forward", "up")
 
 
@@ -496,7 +498,9 @@ def _worn(recordings: Recordings, one: StoredFile) -> bool:
     sided = bool(forward and up) and forward[1] != up[1]
     shown = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))
     got = f"{forward or 'none'} and {up or 'none'}"
-    wrong = f"pitch: wanted the mounting, or a side that points forward and another that points up, got {got}; find it or name both"
+    wrong = (
+        f"pitch: expected the mounting, or the sides that point forward and up, got {got}. Determine one or the other."
+    )
     one.error = "" if shown else wrong
     return shown
 
@@ -510,7 +514,7 @@ def _optics_form(recordings: Recordings, one: StoredFile) -> None:
             chosen = parts.Field("Optical reference", next(iter(found)), options=tuple(found))
         if labels := next((other.about.get("columns") for other in found.values() if other.kind == "markers"), None):
             first = ", ".join(map(str, labels[:6]))
-            parts.text("p", f"Markers: three or more of one rigid cluster: {first} ...", "soft")
+            parts.text("p", f"Markers (three or more of the same rigid cluster): {first} ...", "soft")
             parts.form(recordings.form, "markers", "reference_up")
 
         async def validate() -> None:

@@ -47,7 +47,7 @@ def _result(visit: "Visit", job: "Job") -> None:
         parts.text("h2", f"Verdict: {status or 'unknown'}")
         parts.text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
         if job.lacks:
-            why = "their readings stay uncorrected; in counts they are left out."
+            why = "their readings stay uncorrected. Readings in counts are left out."
             parts.text("p", f"It lacks the {' and '.join(job.lacks)}: {why}", "lacks")
         parts.remarks_list(remarks_of({**job.answer, "later": job.later}))
     parts.refused(visit, job, job.error)
@@ -80,7 +80,7 @@ def _gravity(visit: "Visit", job: "Job") -> None:
 
     async def again() -> None:
         if not visit.bench.place.words():
-            raise InputError("gravity: wanted a town, a latitude or gravity itself, got none; fill one in")
+            raise InputError("gravity: enter a town, a latitude or local gravity.")
         await visit.calibrate(job, *job.words)
 
     with parts.section("Gravity", "card"):

@@ -32,7 +32,7 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
     name = safe_name(request.query_params.get("name", ""), "recording")
     if Path(name).suffix.lower() not in ENDINGS:
         raise InputError(
-            f"upload: wanted a recording ({', '.join(ENDINGS[:4])} ...), got '{name}'; choose another file"
+            f"upload: expected a recording ({', '.join(ENDINGS[:4])} ...), got '{name}'. Choose another file."
         )
     largest = int(largest_mb * 1e6)
     stated = request.headers.get("content-length", "")
@@ -40,14 +40,12 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
         raise InputError(_too_large(name, largest_mb))
     group, together = request.query_params.get("group", ""), request.query_params.get("folder", "")
     if group and not GROUP.fullmatch(group):
-        raise InputError(
-            "upload: wanted a number of up to 20 digits for a group, got something else; send the files again"
-        )
+        raise InputError("upload: the group must be a number of up to 20 digits. Send the files again.")
     # names may repeat
     place = folder / group / safe_name(together, "files") if group else folder / secrets.token_hex(6)
     path, arriving, came = place / name, place / "sent.part", 0
     if path.exists():
-        raise InputError(f"upload: wanted each file of a folder once, got {name} again; rename one of them")
+        raise InputError(f"upload: {name} was sent twice. Rename one of the files.")
     place.mkdir(parents=bool(group), exist_ok=bool(group))
     try:
         with arriving.open("xb") as file:
@@ -57,21 +55,21 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
                     raise InputError(_too_large(name, largest_mb))
                 file.write(piece)
         if not came:
-            raise InputError(f"upload: wanted readings in {name}, got an empty file; choose another")
+            raise InputError(f"upload: {name} is empty. Choose another file.")
         arriving.replace(path)
     except BaseException as error:
         arriving.unlink(missing_ok=True)
         if not any(place.iterdir()):
             place.rmdir()
         if isinstance(error, ClientDisconnect):
-            raise InputError(f"upload: wanted the whole of {name}, got {came} bytes; send it again") from error
+            raise InputError(f"upload: {name} is incomplete, got {came} bytes. Send it again.") from error
         raise
     return path
 
 
 def _too_large(name: str, largest_mb: float) -> str:
     asking = "send a part of it, or ask whoever starts the bench to raise the largest file that it takes"
-    return f"upload: wanted at most {largest_mb:g} MB, got more in {name}; {asking}"
+    return f"upload: {name} is larger than {largest_mb:g} MB. {asking}."
 
 
 def safe_name(text: str, otherwise: str) -> str:

@@ -122,12 +122,12 @@ def test_one_reading_at_a_time_is_as_good_as_many(guide):
 
 def test_what_cannot_be_captured_is_refused(guide):
     record = Record(time=np.arange(100) / 100.0, gyro=np.ones((100, 3)), accel=np.ones((100, 3)))
-    with pytest.raises(InputError, match=r"capture: wanted gyroscope and accelerometer, got one of them; state both"):
+    with pytest.raises(InputError, match=r"capture: gyroscope and accelerometer are both required"):
         guide.update(replace(record, gyro=None), 0.0)
-    with pytest.raises(InputError, match=r"session: wanted a captured face or turn, got none; capture one first"):
+    with pytest.raises(InputError, match=r"session: expected a captured face or turn, got none. Capture one first"):
         guide.capture.save()
     guide.update(record, 0.0)
-    with pytest.raises(InputError, match=r"capture: wanted readings in m/s2, got g; begin a new session"):
+    with pytest.raises(InputError, match=r"capture: expected readings in m/s2, got g. Begin a new session"):
         guide.update(replace(record, accel_unit="g", time=record.time + 1.0), 1.0)
 
 

@@ -157,7 +157,7 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(complete):
     guide.redo("+x")
     guide.redo(None)
     assert guide.wanted is None
-    with pytest.raises(InputError, match=r"redo: wanted one of \+x, .*, got 'up'; name a face"):
+    with pytest.raises(InputError, match=r"redo: expected one of \+x, .*, got 'up'. Name a face"):
         guide.redo("up")
     guide.redo("+x")
     assert guide.complete

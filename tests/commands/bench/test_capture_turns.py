@@ -224,7 +224,7 @@ def test_redo_replaces_one_turn(guide, feed):
     assert guide.done["+z"].start_s > first.stop_s
     assert guide.wanted == "+x"
     assert len(guide.capture.turns) == 1
-    with pytest.raises(InputError, match=r"redo: wanted one of \+x, .*, got 'up'; name a turn"):
+    with pytest.raises(InputError, match=r"redo: expected one of \+x, .*, got 'up'. Name a turn"):
         guide.redo("up")
 
 

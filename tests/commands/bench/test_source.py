@@ -111,7 +111,7 @@ def test_a_file_holds_all_that_came_while_it_was_open(
     path = tmp_path / "live.csv"
     source.write_to(path)
     assert source.status().file == path
-    with pytest.raises(InputError, match=r"wanted to start, got live.csv still open; stop it first"):
+    with pytest.raises(InputError, match=r"live.csv is still being recorded"):
         source.write_to(tmp_path / "other.csv")
     eventually(lambda: source.status().file_s > 1.7, "three pieces of the file")
     so_far = read_record(path)  # what is there if the process is killed now

@@ -78,12 +78,12 @@ def test_a_file_that_is_not_a_device_of_this_format_is_refused(
 
 
 def test_files_that_cannot_be_read_or_written_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="wanted a device file, got No such file"):
+    with pytest.raises(FileFormatError, match="expected a device file, got No such file"):
         read_device(tmp_path / "none.json")
     (tmp_path / "broken.json").write_text("{")
-    with pytest.raises(FileFormatError, match="wanted JSON, got"):
+    with pytest.raises(FileFormatError, match="expected JSON, got"):
         read_device(tmp_path / "broken.json")
-    with pytest.raises(InputError, match="wanted a folder to write to, got No such file"):
+    with pytest.raises(InputError, match="expected a folder to write to, got No such file"):
         write_device(preset("bmi160"), tmp_path / "none" / "d.json")
     (tmp_path / "taken.json").mkdir()
     with pytest.raises(InputError, match="cannot be written: Is a directory"):

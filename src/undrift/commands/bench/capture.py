@@ -128,12 +128,12 @@ class Capture:
             return
         if record.accel is None or record.gyro is None:
             raise InputError(
-                "capture: wanted gyroscope and accelerometer, got one of them; state both in the device's address"
+                "capture: gyroscope and accelerometer are both required, but one is missing. Name both in the device's address."
             )
         known = self._stretches[-1].parts[-1] if self._stretches else record
         if (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
             raise InputError(
-                f"capture: wanted readings in {known.accel_unit}, got {record.accel_unit}; begin a new session"
+                f"capture: expected readings in {known.accel_unit}, got {record.accel_unit}. Start a new session."
             )
         if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
             self._key, self.newest_s = key, -math.inf
@@ -278,7 +278,7 @@ class Capture:
         pieces = list(self._pieces())
         used = [each for each in self._stretches if any(piece.stretch == each.number for piece in pieces)]
         if not used:
-            raise InputError("session: wanted a captured face or turn, got none; capture one first")
+            raise InputError("session: expected a captured face or turn, got none. Capture one first.")
         records, number = list[Record](), dict[int, int]()
         for each in used:
             own = [piece for piece in pieces if piece.stretch == each.number]

@@ -84,7 +84,7 @@ class Guide(ABC):
     def redo(self, step: str | None) -> None:
         """Ask for a step once more; None takes that back. What was captured stays until it is there."""
         if step is not None and step not in self.order:
-            raise InputError(f"redo: wanted one of {', '.join(FACES)}, got '{step}'; name a {self.step}")
+            raise InputError(f"redo: expected one of {', '.join(FACES)}, got '{step}'. Name a {self.step}.")
         self.again = step
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:

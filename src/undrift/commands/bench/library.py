@@ -98,11 +98,11 @@ class StoredFile(Entry):
     def summary(self) -> str:
         """Return in one line what it holds."""
         if self.needs_rate and self.kind != "recording":
-            return "readings without time; state their sample rate"
+            return "readings without time. Enter their sample rate."
         if self.error and not self.about:
             return self.error
         if self.needs_map:
-            return f"a table of {len(self.about.get('columns') or ())} columns; confirm its units"
+            return f"a table of {len(self.about.get('columns') or ())} columns. Confirm its units."
         return str(self.about.get("summary") or self.kind or "not read yet")
 
     def options(self) -> tuple[object, ...]:
@@ -245,7 +245,7 @@ def lock_folder(folder: Path) -> IO[str]:
         other = lock.read().strip()
         lock.close()
         raise InputError(
-            f"bench: wanted {folder} for itself, got it in use by the bench at {other}; open that, or name another folder"
+            f"bench: {folder} is in use by the bench at {other}. Open that bench, or choose another folder."
         ) from error
     lock.truncate(0)
     return lock

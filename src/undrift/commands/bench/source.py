@@ -90,7 +90,7 @@ class LiveDevice:
     def start(self) -> None:
         """Connect and wait for a first reading; raises where none comes."""
         if self._thread is not None:
-            raise InputError("source: wanted a fresh one, got one that was started before; make another")
+            raise InputError("source: this source was started before. Create a new source.")
         self.recorder.start()
         self._thread = threading.Thread(target=self._run, name="bench-source", daemon=True)
         self._thread.start()
@@ -141,7 +141,7 @@ class LiveDevice:
         """Write the raw readings from now on to a CSV that grows."""
         with self._file_lock:
             if self.file is not None:
-                raise InputError(f"record: wanted to start, got {self.file.name} still open; stop it first")
+                raise InputError(f"record: {self.file.name} is still being recorded. Stop it first.")
             self.file, self._log, self._unwritten = path, Appender(path), []
             self._file_start, self._file_error = max(self._last, 0.0), ""
 
