@@ -1,18 +1,19 @@
 """Files to values and back: every recording, reference, map, session and calibration is read and written here.
 
-In go files and folders of any known kind; out come the values of ``undrift.record`` and ``undrift.model``: Record (time in s, gyro
-and accel in the unit of the file or map, frame s or b), Reference (q_nb, body to level, scalar first; position in m), Markers (m,
-level frame), Session (records with what was done in them), Calibration. Gaps are NaN. Nothing is guessed: a unit that neither the
-file, its maker's manual nor a map states is asked for, and a note says what a manual supplied.
+The input is a file or folder of any known kind. The output is a value of ``undrift.record`` or ``undrift.model``. A
+Record has time in s, gyro and accel in the unit of the file or map, and frame s or b. A Reference has q_nb (body to
+level, scalar first) and position in m. Markers are in m in the level frame. A Session contains records and their
+phases. Gaps are NaN. Units are never guessed. They come from the file, its maker's manual or a map, otherwise an error
+asks for them. A note reports units from a manual.
 
 Open ``formats`` first: a table of all formats, and ``read_record``.
 
     formats     which reader a file takes, by its content            columns    from named columns and a map to a Record
-    text, parquet, libraries, mocap               tables, binary recordings, markers
-    labelled    tables that state their units                        dialects   text exports of makers, a map of TOML each
-    phone       the folder or zip of a phone                         log        lines of a serial port
-    reference   poses and anatomical bodies                          clock      a regular clock for stamps of a host
-    session     session.toml and maps                                proposal   maps and sessions that a person may edit
-    inspect     what a file holds, and what looks wrong              store      calibration.json
-    write       recordings and orientations by ending                isolated   the process in which libraries run
+    text, parquet, libraries, mocap               tables, binary recordings, markers labelled    tables that state their
+    units                        dialects   text exports of makers, a map of TOML each phone       the folder or zip of
+    a phone                         log        lines of a serial port reference   poses and anatomical bodies
+    clock      a regular clock for stamps of a host session     session.toml and maps
+    proposal   maps and sessions that a person may edit inspect     content of a file, and symptoms              store
+    calibration.json write       recordings and orientations by ending                isolated   the process in which
+    libraries run
 """

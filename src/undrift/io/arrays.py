@@ -28,7 +28,9 @@ def read_mat(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> R
 
 
 def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
-    """Return the arrays that are as long as the first wanted one, as a table; (N, K) is K columns ``name[0]`` ... ."""
+    """Return the arrays that are as long as the first array of `wanted`, as a table. An array (N, K) becomes K columns
+    ``name[0]`` ... .
+    """
     lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
     lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
     listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"

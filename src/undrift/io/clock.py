@@ -1,15 +1,16 @@
-"""A regular clock for recordings whose time stamps are those of the host that received them.
+"""A regular clock for recordings whose time stamps come from the host that received them.
 
     t_k = a + n_k / f + d_k        n_k number of the sample by the device's own clock, f its rate, d_k >= 0 the delay of its stamp
 
-Samples come in bursts: the stamps of one lie within milliseconds, and the next comes tens of milliseconds later. Packets come late,
-never early, so that a line below all stamps is the device's clock, up to the least delay. n_k counts the rows, and what was
-lost between them: by the device's counter where there is one, else where the stamps step up for good:
+Samples come in bursts: the stamps of a burst are within milliseconds, and the next burst comes tens of milliseconds
+later. Packets come late, never early. A line below all stamps is therefore the device's clock, up to the least delay.
+n_k counts the rows and the samples lost between them. Losses come from the device's counter. Without a counter, they
+come from permanent steps of the stamps:
 
     step_k = min(d after k) - min(d up to k)        over as long as several bursts on either side; lost = round(step f)
 
-A rate comes from the least delays in a hundred stretches by a line of least absolute deviations; a step that is found is taken out
-and the rate is fitted again, until both settle. What is lost within a step of 0.7 samples or less is not seen.
+The rate is fitted to the least delays of a hundred stretches with least absolute deviations. Each detected step is
+removed and the rate is fitted again, until both converge. Losses with a step of 0.7 samples or less are not detected.
 """
 
 from dataclasses import dataclass
@@ -25,17 +26,17 @@ _SEEN = 0.7  # of a sample: a smaller step is not called a loss
 _SURE = 1.5  # the same in the first round, whose rate is rough
 _BURSTS = 25  # of the longest usual step: samples on either side of a loss that show the least delay
 _STRETCHES = 100
-_GAP = 1.5  # usual steps between two readings; more is a drop-out
+_GAP = 1.5  # usual steps between two readings; a longer step is a drop-out
 _ROUNDS, _SLOPES = 12, 3
 _LONGEST_LOSS = 0.5  # largest share of lost samples in a recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClockFit:
-    """A regular clock and what it leaves of the stamps."""
+    """A regular clock and the residuals of the stamps."""
 
     time: FloatArray  # (N,), s, strictly increasing: the promptest stamp of each sample
-    sample_rate_hz: float  # Of the device, by the host's clock
+    sample_rate_hz: float  # sample rate of the device by the host's clock
     offset_s: float  # Time of the first sample, s
     jitter_s: float  # 95 of 100 stamps come at most so much later than the promptest, s
     gaps: int  # Stretches where samples are missing
@@ -106,9 +107,10 @@ def _rough_step(own: FloatArray, number: IntArray, width: int) -> float:
 
 
 def _steps_up(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[FloatArray, float]:
-    """Return by how much the least delay of ``width`` samples is higher after each than up to it (N - 1,), s, and a better step.
+    """Return the rise of the least delay of ``width`` samples from before to after each sample (N - 1,), s, and a
+    better step.
 
-    Most samples have no loss near them: the median of all is what a wrong step makes of it.
+    The median is robust, because most samples have no loss near them.
     """
     up = np.zeros(len(own) - 1)
     for _ in range(_SLOPES):
@@ -160,13 +162,13 @@ class HostStamps:
 
 
 _UNEVEN = (0.5, 1.5)  # of the mean step: one of ten steps beyond either
-_CATCHES_UP = 0.35  # variance of the time over many samples, over that of independent steps
+_CATCHES_UP = 0.35  # variance of the time over many samples, divided by the variance of independent steps
 _SPAN = 64  # samples
 _NORMAL = 2.563  # standard deviations between the 10 % and 90 % quantiles of a normal distribution
 
 
 def host_stamps(stamps: FloatArray) -> HostStamps | None:
-    """Tell stamps of a host from a device's: they are uneven, and a late one is followed by a short step."""
+    """Return True if stamps come from a host: they are uneven, and a late stamp is followed by a short step."""
     if len(stamps) < LEAST_SAMPLES:
         return None
     steps = np.diff(stamps)
@@ -193,7 +195,7 @@ _DECIMAL = (100, 1000, 10_000, 100_000)
 
 
 def unwrapped(counter: FloatArray) -> IntArray:
-    """Return the number of each sample (N,) by a counter (N,) that goes up by one number each sample and may wrap."""
+    """Return the number of each sample (N,) from a counter (N,) that increases with each sample and may wrap."""
     if not np.isfinite(counter).all():
         raise InputError(
             f"counter: expected a number in every row, got {int((~np.isfinite(counter)).sum())} empty cells. Repair the file."

@@ -1,6 +1,6 @@
-"""From the named columns of a file to a Record: which column is which channel, its unit, and every check that a reader owes.
+"""Convert named columns of a file to a Record: the channel and unit of each column, and all checks of a reader.
 
-    value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a ChannelScale is given
+    value = gain * cell + offset          then the unit is applied (default gain 1, offset 0)
 
 Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
 ``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
@@ -46,14 +46,14 @@ NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
 
 @dataclass(frozen=True, slots=True)
 class ChannelScale:
-    """A linear conversion of one channel: value = gain * cell + offset."""
+    """A linear conversion of a channel: value = gain * cell + offset."""
 
     # unit of the channel per unit of the file, or three values if the axes differ in scale or sign
     gain: float | tuple[float, float, float] = 1.0
     offset: float | tuple[float, float, float] = 0.0  # Added afterwards, in the unit of the channel
 
     def applied(self, cells: FloatArray, axis: int) -> FloatArray:
-        """Return the values of one axis."""
+        """Return the converted values of an axis."""
         gain, offset = (x[axis] if isinstance(x, tuple) else x for x in (self.gain, self.offset))
         return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
 
@@ -63,9 +63,9 @@ class ChannelScale:
 class TextLayout:
     """Layout of a text table."""
 
-    delimiter: str = ","  # one character; " " means one or more blanks or tabs
-    header: bool = True  # True when the first line after the skipped ones names the columns
-    skip_rows: int = 0  # lines before the header, or before the first row if there is no header
+    delimiter: str = ","  # a single character; " " means any number of blanks or tabs
+    header: bool = True  # True if the first line after the skipped lines contains the column names
+    skip_rows: int = 0  # lines before the header, or before the first row without a header
     decimal: str = "."  # "." or ","
     # drop and count rows with another number of columns, or with text in place of a number
     drop_bad_rows: bool = False
@@ -85,13 +85,13 @@ class TextLayout:
 class ColumnMap:
     """Columns and units of the channels in a file."""
 
-    time: Column | None = None  # Time column; without it ``sample_rate_hz`` is required
+    time: Column | None = None  # time column, required unless ``sample_rate_hz`` is set
     gyro: tuple[Column, ...] | None = None  # Three columns x, y, z
     accel: tuple[Column, ...] | None = None
     temp: Column | None = None  # Temperature column
     mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    counter: Column | None = None  # sample counter of the device, which may wrap; used by a regular clock
-    time_unit: str = ""  # Units after the scale, any spelling of :mod:`undrift.units`; "date": dates, year first
+    counter: Column | None = None  # sample counter of the device for a regular clock; may wrap
+    time_unit: str = ""  # units after the scale, any spelling of :mod:`undrift.units`, or "date" for dates, year first
     gyro_unit: str = ""
     accel_unit: str = ""
     temp_unit: str = ""
@@ -100,7 +100,7 @@ class ColumnMap:
     accel_scale: ChannelScale | None = None
     temp_scale: ChannelScale | None = None
     mag_scale: ChannelScale | None = None
-    sample_rate_hz: float | None = None  # Hz, without a default; checked against the time column if there is one
+    sample_rate_hz: float | None = None  # Hz, no default, checked against the time column if there is one
     layout: TextLayout = field(default_factory=TextLayout)  # For text files
     gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
     repair_time: bool = False  # Leave out rows whose time does not go forward. They are counted
@@ -204,14 +204,14 @@ class ReadSettings:
 
     sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
     sensor: str | None = None  # Which sensor, stream or topic, in a file of several
-    # "raise" or "keep", overruling a map; None: as the map states, and without one gaps are refused except in
-    # files that undrift wrote, a CSV by the one beside it
+    # "raise" or "keep", overrides the map. None: as set in the map. Without a map, gaps are refused except in files
+    # that undrift wrote (a CSV with its sidecar file).
     gaps: Gaps | None = None
     # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
     repair_time: bool = False
     drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
     temp_file: TempFile | None = None  # replaces a temperature in the recording
-    clock: Clock | None = None  # "file" or "regular", overruling a map; None: as the map states, else the file's
+    clock: Clock | None = None  # "file" or "regular", overrides the map; None: as set in the map, else "file"
     # Stretches, s on the recording's clock: cut off at its ends, gaps between
     leave_out: tuple[tuple[float, float], ...] = ()
 
@@ -252,7 +252,9 @@ def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: 
 
 
 def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> ColumnMap:
-    """Return a map with the frame, state and device that undrift wrote beside a table; the error where they are none."""
+    """Return a map with the frame, state and device that undrift stored next to a table. Raise an error if there are
+    none.
+    """
     frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
     frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
     try:
@@ -268,7 +270,7 @@ def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> Colum
 
 
 def marks_of(record: Record) -> dict[str, Any]:
-    """Return what undrift writes beside the columns of a record, for ``stated``."""
+    """Return the entries that undrift stores next to the columns of a record, for ``stated``."""
     marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
     if record.accel_uncertainty is not None:
         marks["accel_uncertainty"] = tree_of(record.accel_uncertainty)
@@ -308,13 +310,13 @@ def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RawTable:
-    """Columns of one file."""
+    """Columns of a file."""
 
     source: str  # file, for error messages
-    names: tuple[str, ...]  # Column names as in the file; positions as text where there is no header
-    # One numpy array or Arrow column for each name, all of the same length; text where the cells are no numbers
+    names: tuple[str, ...]  # column names of the file, or positions as text without a header
+    # a numpy array or Arrow column for each name, all of the same length, with text if the cells are not numbers
     columns: tuple[Any, ...]
-    # (N,), number of each row in the file, from 0, where rows were left out; None where none was
+    # (N,), number of each row in the file, from 0, if rows were left out, otherwise None
     rows: IntArray | None = None
     dropped: int = 0  # Rows left out
 
@@ -329,7 +331,7 @@ class RawTable:
         """Return a column as float64."""
         position, numeric = self.position(column), "fiub"
         values = self.columns[position]
-        if not isinstance(values, np.ndarray):  # Arrow column; a column of empty cells becomes NaN
+        if not isinstance(values, np.ndarray):  # Arrow column, in which empty cells become NaN
             values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
         if values.dtype.kind in numeric:
             return np.asarray(values, dtype=np.float64)
@@ -345,7 +347,7 @@ class RawTable:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
-_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone; 12:00:00
+_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, 12:00:00, with or without a time zone
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_])?"
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
 )
@@ -357,10 +359,12 @@ def is_date(cell: str) -> bool:
 
 
 def in_seconds(table: RawTable, column: Column) -> RawTable:
-    """Return the table with a column of dates as s from the first; time zones passed over, times of day go on past midnight."""
+    """Return the table with a column of dates converted to s from the first. Time zones are ignored. Times of day
+    continue past midnight.
+    """
     at = table.position(column)
     values = table.columns[at]
-    if not isinstance(values, np.ndarray):  # bytes that are no UTF-8 are named below
+    if not isinstance(values, np.ndarray):  # bytes that are not UTF-8 are reported below
         values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
     if values.dtype.kind != "M":
         hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
@@ -391,7 +395,7 @@ def date_of(cell: str) -> np.datetime64:
 
 
 def _iso(hit: re.Match[str]) -> str:
-    """Return a date as ISO 8601 has it; a time of day without one stands for the first day of 1970."""
+    """Return a date in ISO 8601. A time of day without a date gets the first day of 1970."""
     y, m, d, hour, minute, second, fraction = hit.groups(default="")
     date = f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
     return f"{date}T{hour:0>2}:{minute}:{second}.{fraction:0<9}"
@@ -446,8 +450,8 @@ class ReadResult:
     record: Record
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
-    notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
-    clock: ClockFit | None = None  # Where a regular clock was fitted
+    notes: tuple[str, ...] = ()  # notes on the reading: units of a manual, lines skipped, rows left out
+    clock: ClockFit | None = None  # the fitted regular clock
     epoch_s: float = 0.0  # Unix time that was taken off the clock, s
 
 
@@ -490,7 +494,9 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
 
 
 def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
-    """Return the one that `sensor` names, by its whole name or an ending that only it has; the only one where none is named."""
+    """Return the item that `sensor` names, by its whole name or a unique ending. Without `sensor`, return the only
+    item.
+    """
     if not names:
         raise FileFormatError(f"{path}: expected a {kind} with readings, got none. The file contains no recording.")
     hits = names if sensor is None else [name for name in names if name == sensor]
@@ -513,7 +519,9 @@ def build(
     notes: Iterable[str] = (),
     **more: Any,
 ) -> ReadResult:
-    """Return the record of named channels with their units, every value checked; a Unix clock is counted from its start."""
+    """Return the record of named channels with their units, with every value checked. A Unix clock is counted from its
+    start.
+    """
     notes, time = tuple(notes), np.asarray(time, dtype=np.float64)
     if len(time) and time[0] > EPOCH_S:
         notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]
@@ -528,13 +536,15 @@ def build(
 
 
 def _never_back(time: FloatArray, columns: ColumnMap) -> BoolArray | None:
-    """Return the rows whose time does not go back, where a repair is asked for; equal stamps are a host's, and stay."""
+    """Return the rows whose time does not go back, if a repair is requested. Equal stamps, as from a host, remain."""
     keep = time >= np.maximum.accumulate(time)
     return None if keep.all() or not columns.repair_time else keep
 
 
 def _regular(table: RawTable, time: FloatArray, keep: BoolArray | None, columns: ColumnMap) -> ClockFit | None:
-    """Fit a regular clock, by the device's counter where one is mapped; without a time column the counter shows the gaps."""
+    """Fit a regular clock, with the device's counter if it is mapped. Without a time column, the counter determines the
+    gaps.
+    """
     counter = None if columns.counter is None else table.numbers(columns.counter)
     counter = counter if counter is None or keep is None else counter[keep]
     with naming(table.source):
@@ -544,7 +554,7 @@ def _regular(table: RawTable, time: FloatArray, keep: BoolArray | None, columns:
 
 
 def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArray:
-    """Return the scaled values of one channel, shape (N, 1 or 3), in the unit that Record wants."""
+    """Return the scaled values of a channel, shape (N, 1 or 3), in the unit that Record requires."""
     wanted, unit = columns.columns_of(channel), columns.unit_of(channel)
     scale: ChannelScale = getattr(columns, f"{channel}_scale") or ChannelScale()
     if len(wanted) == 1 and channel != "temp":  # a two-dimensional array of an npz or mat file
@@ -589,7 +599,7 @@ def _other_unit(wild: FloatArray, unit: str) -> str:
 
 
 def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
-    """Return where a column has gaps; raise where there are any and the map refuses them."""
+    """Return the gaps of a column. Raise an error if there are gaps and the map refuses them."""
     gap = np.isnan(values)
     if gap.any() and columns.gaps == "raise":
         row, steps = table.row(int(np.flatnonzero(gap)[0])), np.unique(np.diff(np.flatnonzero(~gap)))

@@ -1,4 +1,6 @@
-"""DataFrames as records and back: of pandas, and of all that speak Arrow, as polars does; pandas is imported where one is made."""
+"""Data frames as records and back: pandas, and all libraries that support Arrow, such as polars. pandas is imported
+only to create a frame.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -43,7 +45,7 @@ def read_frame(
     gaps: Gaps,
     device: str,
 ) -> Record:
-    """Return the record that a frame holds, every value checked as a file's would be."""
+    """Return the record in a frame, with every value checked as for a file."""
     for what, given in (("columns", columns or {}), ("units", units)):
         unknown = sorted(set(given) - set(CHANNELS))
         if unknown:
@@ -124,7 +126,9 @@ def _plain(names: Sequence[str]) -> dict[str, str | tuple[str, ...]]:
 
 
 def _numbers(values: Any, dated: bool) -> Any:
-    """Return a column as float64, dates as s from the first; text as it is, for the table to name it."""
+    """Return a column as float64, with dates in s from the first. Text is returned unchanged, so that the table can
+    name it.
+    """
     arrow = isinstance(values, np.ndarray)
     if dated:
         passed = values - values[0] if arrow else (values - values.iloc[0]).to_numpy()

@@ -1,6 +1,7 @@
-"""Text exports of makers as data: a file of TOML in ``maps`` says how a maker's file is recognised and what its manual states.
+"""Text exports of makers as data. A TOML file in ``maps`` defines how a maker's file is recognised and which units its
+manual specifies.
 
-A new maker is a new file in ``maps``; no code knows a maker by its name::
+A new maker needs only a new file in ``maps``::
 
     # step_logger.toml
     maker = "StepLogger"
@@ -9,7 +10,7 @@ A new maker is a new file in ``maps``; no code knows a maker by its name::
     device = '^# unit (\\w+)'                  # pattern in the lines before the header; its group is the serial number
     rate = '^# rate (\\d+)'                    # sample rate, Hz
 
-The header and the unit row of a file state the other units (``labelled``).
+The other units come from the header and the unit row of a file (``labelled``).
 """
 
 import re
@@ -47,7 +48,7 @@ class MapCounter(MapTable):
 
     column: str  # Pattern of its name
     bits: int  # The count starts again at 0 after so many
-    step_s: float | None = None  # Time between two counts; 1 / sample rate without it
+    step_s: float | None = None  # time between two counts; default 1 / sample rate
     absolute: bool = False  # Several files share the clock: time starts at its first count, not at 0
     note: str = ""
 
@@ -55,27 +56,27 @@ class MapCounter(MapTable):
 class MapThermometer(MapTable):
     """The temperature, degC, in a file of its own."""
 
-    file: str  # Its name; "*" is what the name of the recording has in its place
+    file: str  # its name, in which "*" is the variable part of the recording's name
     time: str  # Column of time, of the same name in the recording
     temp: str  # Column of temperature
 
 
 class Dialect(MapTable):
-    """How the software of one maker writes a table of text."""
+    """The text table format of a maker's software."""
 
-    maker: str  # Whose manual states the units
+    maker: str  # maker whose manual specifies the units
     head: Pattern  # In the first 8 KiB of a file
     folder: str = ""  # File to read of a folder: its name, or "*" and its ending
     units: dict[str, str] = {}  # From the manual, for channels whose columns state none
-    device: str = ""  # Pattern in the lines before the header; the group is the serial number
-    device_in_name: Pattern | None = None  # The same in the name of the file
-    rate: str = ""  # Pattern in the lines before the header; the group is the sample rate, Hz
-    channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
-    packets: MapCounter | None = None  # MapCounter of the packets: what it skips was lost
+    device: str = ""  # pattern in the lines before the header, with the serial number as its group
+    device_in_name: Pattern | None = None  # pattern of the serial number in the file name
+    rate: str = ""  # pattern in the lines before the header, with the sample rate in Hz as its group
+    channel_line: Pattern | None = None  # line before the header with name, sensor, signal, rate, unit and time
+    packets: MapCounter | None = None  # counter of the packets; skipped numbers are lost packets
     stamps: MapCounter | None = None  # Clock of the device
     omit: Pattern | None = None  # Columns that are not readings of a sensor
     sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
-    whole_names: bool = False  # A sensor keeps its name in a file of one sensor
+    whole_names: bool = False  # True if a sensor keeps its full name in a file of a single sensor
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
     thermometer: MapThermometer | None = None
     poses: bool = False  # The table may hold orientations, which are read as a reference
@@ -136,7 +137,7 @@ class Dialect(MapTable):
         return label
 
     def _with_clock(self, sheet: Sheet, rate_hz: float | None) -> Sheet:
-        """Return a sheet with the clock of its counters; lost packets are gaps in time."""
+        """Return a sheet with the clock of its counters. Lost packets become gaps in time."""
         rate_hz = rate_hz or sheet.rate_hz
         sheet = replace(sheet, rate_hz=rate_hz)
         packets, stamps = (None if c is None else sheet.position(c.column) for c in (self.packets, self.stamps))
@@ -179,7 +180,7 @@ class Dialect(MapTable):
         time = table.numbers(self.thermometer.time)
         if label is not None and label.unit:
             time = time * si_factor(label.unit, "time")
-        else:  # packets are numbered: their times are those of the samples
+        else:  # packets are numbered: the times belong to the samples
             time = np.interp(time, sheet.array((clock,))[:, 0], record.time)
         return with_temperature(record, time, table.numbers(self.thermometer.temp))
 
@@ -201,7 +202,7 @@ def may_hold_poses(name: str) -> bool:
 
 
 def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | None, ...]:
-    """Return the labels that lines before the header state; each channel has a column of time before it."""
+    """Return the labels from the lines before the header. Each channel has a column of time before it."""
     channels = {found["name"]: found for text in sheet.preamble if (found := pattern.search(text))}
     labels: list[Label | None] = [None] * len(sheet.names)
     for k, name in enumerate(sheet.names):
@@ -214,7 +215,7 @@ def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | No
 
 
 def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> FloatArray:
-    """Return a counter from 0 on, with its overflows undone; a step of half its range or more is a step back."""
+    """Return a counter from 0 on, without its overflows. A step of half its range or more is a step back."""
     size = 1 << (counter.bits if counter else 32)
     steps = np.mod(np.diff(counts), size)
     if (back := np.flatnonzero(steps > size // 2)).size:

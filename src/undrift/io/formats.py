@@ -1,12 +1,13 @@
-"""One entry to every recording: the content of a file decides which reader it takes.
+"""The single entry point for all recordings. The content of a file determines its reader.
 
-A format is a line of FORMATS: how its files are recognised, who makes a Record, Markers or a Reference of them, and which
-settings the reader honours. Another package adds one through the entry-point group ``undrift.formats``::
+A format is a line of FORMATS. It names the function that recognises its files, the readers for Record, Markers or
+Reference, and the settings that the reader supports. Another package adds a format with the entry-point group
+``undrift.formats``::
 
     [project.entry-points."undrift.formats"]
     logger = "their_package.logger:FORMAT"         # FORMAT = Format(recognise, record=read_logger)
 
-Its module is imported when a file is met that no built-in format recognises by its content.
+Its module is imported only if no built-in format recognises a file.
 """
 
 import json
@@ -60,7 +61,7 @@ RecordReader = Callable[[Path, ColumnMap | None, ReadSettings], Record | ReadRes
 class Format:
     """One kind of file or folder."""
 
-    recognise: Callable[[Path, bytes], bool]  # By path and first 8 KiB, unpacked; b"" for a folder
+    recognise: Callable[[Path, bytes], bool]  # from path and first 8 KiB, unpacked (b"" for a folder)
     record: RecordReader | None = None
     chunks: Callable[[Path, ColumnMap | None, ReadSettings, int], Iterator[Record]] | None = None  # In constant memory
     markers: Callable[[Path, Up | None], Markers] | None = None
@@ -68,12 +69,12 @@ class Format:
     bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
     by_map: bool = False  # The record reader takes a column map, and fits a regular clock itself
     repairs: bool = False  # It leaves out bad rows where the settings ask for it
-    instead: str = ""  # What a file without a record reader is, and what to do with it
+    instead: str = ""  # for a file without a record reader: its kind and the remedy
     generic: bool = False  # Tried after all others
 
 
 def _line(head: bytes, number: int) -> str:
-    """Return a line of text; none of binary data."""
+    """Return a line of text, or an empty string for binary data."""
     lines = [] if b"\0" in head else head.splitlines()[: number + 1]
     return lines[number].decode("utf-8", "replace") if number < len(lines) else ""
 
@@ -131,11 +132,11 @@ def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes]
 
 
 def _is_prose(path: Path, head: bytes) -> bool:
-    """Tell prose from a table: most lines of a table have as many separators as each other, or are numbers."""
+    """Return True for prose. In a table, most lines have the same number of separators or are numbers."""
     lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
     if _suffix(path) in _PROSE or not lines:
         return True
-    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
+    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may come before the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):
@@ -254,7 +255,7 @@ def outside_formats() -> Mapping[str, Format]:
 
 
 def _in_turn() -> Iterator[tuple[str, Format]]:
-    """Yield the formats in the order in which they are tried; those of other packages are loaded only when it comes to them."""
+    """Yield the formats in the order in which they are tried. Formats of other packages are loaded only when needed."""
     yield from ((name, entry) for name, entry in FORMATS.items() if not entry.generic)
     for name, dialect in dialects().items():
         yield name, Format(dialect.recognises, record=dialect.read, reference=dialect.read_poses, repairs=True)
@@ -343,7 +344,9 @@ def read_counted(
 
 
 def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
-    """Apply the clock, the stretches to leave out and the thermometer of the settings; ``clocked``: the reader did the clock."""
+    """Apply the clock, the stretches to leave out and the thermometer of the settings. Set ``clocked`` if the reader
+    applied the clock.
+    """
     if settings.clock == "regular" and not clocked:
         clock = fit_clock(found.record.time)
         found = replace(found, record=replace(found.record, time=clock.time), clock=clock)
@@ -358,7 +361,9 @@ def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False)
 
 
 def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
-    """Return a record without stretches of its clock, s: cut off at its ends; between them their readings are gaps."""
+    """Return a record without stretches of its clock, s. At the ends they are cut off. In between, their readings
+    become gaps.
+    """
     time, out = record.time, np.zeros(len(record), dtype=np.bool_)
     for start, stop in stretches:
         out |= (among := (time >= start) & (time < stop))
@@ -381,7 +386,7 @@ def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
 def iter_record(
     path: str | Path, columns: ColumnMap | None = None, *, rows: int = CHUNK_ROWS, settings: ReadSettings | None = None
 ) -> Iterator[Record]:
-    """Read a recording in chunks. Parquet streams in constant memory; other formats are read whole and cut."""
+    """Read a recording in chunks. Parquet is read in constant memory. Other formats are read whole and then split."""
     settings = settings or READ_SETTINGS
     chunks = format_of(path)[1].chunks
     dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
@@ -401,7 +406,7 @@ def iter_record(
 
 
 def write_record(record: Record, path: str | Path) -> None:
-    """Write a record, in the format that the ending of the name stands for.
+    """Write a record in the format that the name's ending selects.
 
     Parameters
     ----------

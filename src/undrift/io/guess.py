@@ -1,7 +1,7 @@
-"""Guesses for a person, never for a reader: what a foreign table might be, and the map that it may need.
+"""Proposals for a person, never for a reader: the kind of a foreign table, and the map that it may need.
 
-Names state channel and unit, or the readings suggest them: gravity is the length that three axes keep, a quaternion has length 1, a
-counter counts. What nothing shows is "?".
+Channel and unit come from names or from the readings: gravity has constant length on three axes, a quaternion has
+length 1, a counter increases. An unknown entry is "?".
 """
 
 import json
@@ -28,8 +28,8 @@ _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
 )  # w, qw, q0, seg2_quat_w, QUATERNION_0
-_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # what stands before w, x, y, z
-_UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
+_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # the text before w, x, y, z
+_UNITS = {  # units in a column name; "?" for an unknown unit, which a reader refuses
     "time": (
         ("us", r"\(?\bus\b|_us\b|micros"),
         ("ms", r"\bms\b|_ms\b|millis"),
@@ -53,7 +53,7 @@ _STATED_RATE = re.compile(
     r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
 )
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
-_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of a single sensor
 _NAMED = {
     "time": re.compile(r"(?i)(\w*time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
     "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$)"),
@@ -83,7 +83,7 @@ def sniff(path: object) -> Text:
 
 
 def foreign_kind(text: Text) -> str | None:
-    """Name a table that is no recording of an inertial sensor."""
+    """Return the kind of a table that is not a recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
     shown = ", ".join(names[:4])
     for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
@@ -107,10 +107,12 @@ def foreign_kind(text: Text) -> str | None:
 
 
 def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Return the names of four columns w, x, y, z of one orientation; numbered ones are taken in their order, w first."""
+    """Return the names of the four columns w, x, y, z of an orientation. Numbered columns are used in their order, w
+    first.
+    """
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
+        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are not names
         if found and _TURNS.search(found["stem"]):
             parts.setdefault(found["stem"], {})[found["part"].lower()] = name
     fours = (
@@ -123,7 +125,7 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
 
 
 def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return an example of the map that a table of quaternions needs; empty for a table of readings or without quaternions."""
+    """Return an example of the map that a table of quaternions needs, or an empty list for other tables."""
     four = quaternion_of_names(names)
     if four is None or any(label is not None and label.channel == "gyro" for label in map(label_of, names)):
         return ()
@@ -158,7 +160,9 @@ def _is_magnetic(name: str) -> bool:
 
 
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
-    """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end: three axes of one quantity."""
+    """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end. They are three axes
+    of a quantity.
+    """
     known, found = set(names), []
     for name in names:
         axes = [(match.start(), "xyz" if match.group() == "x" else "XYZ") for match in re.finditer("[xX]", name)]
@@ -175,7 +179,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
 
 
 def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
-    """Return an example of the map that a table needs; a unit that nothing states or suggests is "?", for a person to fill in."""
+    """Return an example of the map that a table needs. An unknown unit is "?", for a person to fill in."""
     readings = partial(_readings, text, dict(arrays))
     below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
@@ -236,7 +240,7 @@ def _listed(value: str) -> list[Column]:
 def proposed_units(
     readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], known: dict[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Return units of channels that no name states, and the figure that suggests each: never more than a proposal."""
+    """Return proposed units of channels whose names have no unit, and the figure that suggests each."""
     held = {channel: readings(_listed(keys[channel])) for channel in keys if known[channel] == "?"}
     held = {channel: values for channel, values in held.items() if len(values) > 1}
     found: dict[str, tuple[str, str]] = {}
@@ -270,7 +274,7 @@ def _least_spread(values: FloatArray) -> float:
 
 
 def _stated_rate(text: Text | None, arrays: Arrays) -> str:
-    """Return the sample rate that a line before the header or an array of one number states, "?" where none does."""
+    """Return the sample rate from a line before the header or a single-number array, or "?" if there is none."""
     for name, array in arrays:
         if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
             return f"{float(np.ravel(array)[0]):g}  # by {name}"
@@ -281,7 +285,9 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
 
 
 def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
-    """Return columns of the first MiB of text, or of an array, (N, K), rows with gaps left out; none where there are none."""
+    """Return columns from the first MiB of text or from an array, (N, K), without rows that have gaps. The result may
+    be empty.
+    """
     values = arrays.get(str(columns[0]))
     if text is not None:
         whole = text.content is None and len(text.head) < 1 << 20
@@ -313,7 +319,7 @@ def _median_length(values: FloatArray) -> tuple[float, float]:
 
 
 def _counts(values: FloatArray) -> bool:
-    """Return whether a column counts rows: whole numbers, each one more than the last except where they start again."""
+    """Return True if a column counts rows: whole numbers that increase by 1 except where they restart."""
     steps = np.diff(values[:, 0])
     return len(steps) > 1 and bool(np.mean(steps == 1.0) > 0.9)
 
@@ -356,7 +362,7 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
 
 
 def _filled(line: str, delimiter: str, width: int) -> bool:
-    """Tell whether a line has as many cells as the table is wide, and something in half of them."""
+    """Return True if a line has as many cells as the table is wide, with content in half of them."""
     cells = _cells(line, delimiter)
     return len(cells) == width and 2 * sum(bool(cell.strip()) for cell in cells) >= width
 

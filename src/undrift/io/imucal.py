@@ -1,4 +1,4 @@
-"""Calibrations of imucal, of the Ferraris kind: constants without uncertainty.
+"""Calibrations of imucal, kind Ferraris: constants without uncertainty.
 
 a = (K_a R_a)^-1 (s - b_a)          w = (K_g R_g)^-1 (s - b_g - K_ga a)
 """
@@ -27,7 +27,7 @@ WHAT = "imucal calibration"
 
 
 def import_imucal(text: str, *, device: str = "") -> Calibration:
-    """Return the calibration that a FerrarisCalibrationInfo of imucal holds."""
+    """Return the calibration of a FerrarisCalibrationInfo of imucal."""
     content = _read_imucal(text)
     comment = _comment(content.get("comment"))
     unit_a, unit_g = _unit(content, "from_acc_unit", "accel"), _unit(content, "from_gyr_unit", "rate")
@@ -90,7 +90,7 @@ def _read_imucal(text: str) -> dict[str, Any]:
 
 
 def _comment(comment: object) -> dict[str, Any]:
-    """Return what ``export_imucal`` wrote there; nothing where the comment is another's."""
+    """Return the data that ``export_imucal`` wrote into a comment, or nothing for other comments."""
     if not isinstance(comment, str) or not comment.startswith("undrift "):
         return {}
     try:

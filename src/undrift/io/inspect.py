@@ -1,7 +1,7 @@
-"""describe: what a file holds, in one value. It answers for every file that exists and is not damaged.
+"""describe: the content of a file as a single value. It works for every file that exists and is not damaged.
 
 A recording that reads well may still have a wrong unit, gaps, drop-outs, dead axes or readings stuck at their largest:
-``find_symptoms`` looks for them. Nothing here raises for what it finds, or repairs it.
+``find_symptoms`` looks for them. They are reported, not raised and not repaired.
 """
 
 import json
@@ -91,7 +91,7 @@ def check_gravity(record: Record) -> Iterator[Finding]:
 
 
 def _rest(record: Record) -> Iterator[Finding]:
-    """Look at the quietest two seconds: a gyroscope reads its offset there."""
+    """Return the offset of a gyroscope from the quietest two seconds."""
     size = max(8, int(2.0 * record.sample_rate_hz))
     count = len(record) // size
     if record.gyro is None or not is_physical(record.gyro_unit) or count < 3:
@@ -178,7 +178,7 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
     met = np.ascontiguousarray(
         column[::STUCK]
-    )  # a stretch that is as long has one of these in it, and the same reading beside it
+    )  # a stretch that long contains one of these samples, and the same reading next to it
     for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
         limit = end.reduce(met)
         at = STUCK * np.flatnonzero(met == limit)
@@ -191,7 +191,7 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
 
 
 def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
-    """Tell whether a limit lies far from the middle of the readings, or is large where no others repeat."""
+    """Return True if a limit is far from the middle of the readings, or is large and no other values repeat."""
     codes, change = np.unique(column[np.isfinite(column)]), np.abs(np.diff(column))
     away = np.abs(column - np.nanmedian(column))
     usual = np.nanmedian(away)
@@ -211,8 +211,9 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 # ---- describe
 
-_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
-_TABLES = ("npz", "mat", "parquet", "csv", "log", "text")  # what a map makes a recording of
+# errors that an intact file may cause, because information is missing
+_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")
+_TABLES = ("npz", "mat", "parquet", "csv", "log", "text")  # formats that a map turns into a recording
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -224,9 +225,9 @@ class Description:
     # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
     kind: str
     format: str  # A name of io.formats.FORMATS, or of another package's
-    summary: str  # One line: what it is, or what it needs to be read
+    summary: str  # a single line: its kind, or the information needed to read it
     rows: int | None = None  # Samples or frames
-    sample_rate_hz: float | None = None  # Samples over time: what is lost or uneven counts
+    sample_rate_hz: float | None = None  # samples over time, including lost and uneven samples
     usual_rate_hz: float | None = None  # By the usual step, drop-outs left out
     duration_s: float | None = None
     columns: tuple[str, ...] = ()  # Channels, markers, or column names
@@ -236,7 +237,7 @@ class Description:
     findings: tuple[Finding, ...] = ()
     # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
     example: tuple[str, ...] = ()
-    # What was read: a session, or a recording as a session of one
+    # the data read: a session, or a recording as a session of one recording
     session: Session | None = field(default=None, repr=False)
 
     @property
@@ -245,7 +246,7 @@ class Description:
         return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
 
     def lines(self) -> tuple[str, ...]:
-        """Return every finding as a line that says what it is: how the file was read, a note, or a problem."""
+        """Return every finding as a line that names its kind: how the file was read, a note, or a problem."""
         return tuple(
             f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: {_told(item)}"
             for item in self.findings
@@ -332,7 +333,7 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
 
 
 def _of_records(*records: Record) -> dict[str, Any]:
-    """Return what a description says of recordings: columns and units of the first, the rest of all."""
+    """Return the description of several records: columns and units of the first, the rest of all."""
     first = records[0]
     channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
     channels |= {"accel": (first.accel_unit, first.accel), "temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
@@ -370,7 +371,7 @@ def _text(path: Path, name: str) -> Text | None:
 
 
 def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
-    """Return the names of a table, and its arrays where it holds arrays."""
+    """Return the names of a table, and its arrays if it contains arrays."""
     arrays = mat_arrays(path) if name == "mat" else ()
     names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
     return names, arrays
@@ -419,7 +420,7 @@ def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, mis
 
 
 def describe_poses(path: Path, columns: ReferenceMap) -> Description:
-    """Return what a table of orientations holds by its map."""
+    """Return the content of a table of orientations, read with its map."""
     return _reference(path, format_of(path)[0], columns)
 
 

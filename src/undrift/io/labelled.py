@@ -1,9 +1,10 @@
-"""Tables that state their units themselves: lines before the header, a unit row, units in names, sensors side by side.
+"""Tables that contain their units: in lines before the header, in a unit row, or in names. Sensors may be next to each
+other.
 
     A_X [mg]    accX[g]    Gyroscope x (rad/s)    Shimmer_40AC_Accel_LN_X_CAL over m/(s^2)    ACC X (G)
 
-A column becomes a Label by its name and unit; three labels x, y, z of one sensor and one unit become a channel. A unit that
-the file does not state is never supplied here: only a maker's reader may, and then the result says so.
+A column becomes a Label from its name and unit. Three labels x, y, z of the same sensor and unit become a channel. A
+missing unit is never added here. Only a maker's reader may add it, and a note reports it.
 """
 
 import csv
@@ -38,7 +39,7 @@ from undrift.io.text import Text, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
-_TIME = "(time, s)"  # the column that holds the time in s once it is made
+_TIME = "(time, s)"  # the time in s, once the column is computed
 _NUMERIC = 0.6  # of the filled cells of a row of readings
 
 
@@ -48,15 +49,15 @@ class Label(NamedTuple):
     sensor: str  # "" where the file names one sensor only
     channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
     axis: str = ""  # x, y, z
-    unit: str = ""  # Canonical; "" where none is stated or known
+    unit: str = ""  # canonical unit; "" if unknown
     gain: float = 1.0  # To that unit
-    rate_hz: float | None = None  # Of its own, where channels of several rates stand side by side
+    rate_hz: float | None = None  # own rate, if channels of several rates are in one table
     time: int | None = None  # Its own time column
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sheet:
-    """A text export with its header read, and what a maker's reader adds to it."""
+    """A text export with its header read, and the additions of a maker's reader."""
 
     path: Path
     names: tuple[str, ...]
@@ -66,10 +67,10 @@ class Sheet:
     units: tuple[str, ...] = ()  # From the unit row, "" elsewhere
     unit_row: bool = False
     labels: tuple[Label | None, ...] = ()
-    rate_hz: float | None = None  # Hz, as the file states it
+    rate_hz: float | None = None  # Hz, as given in the file
     device: str = ""
     notes: tuple[str, ...] = ()
-    # Time in s and notes from the columns ``counters``, where there is no column of time
+    # time in s and notes from the columns ``counters``, if there is no time column
     clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None
     counters: tuple[int, ...] = ()
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
@@ -84,14 +85,14 @@ class Sheet:
         return found.group(1).strip() if found else None
 
     def columns(self, *positions: int, drop_bad_rows: bool = False) -> RawTable:
-        """Parse the rows; the columns named hold numbers."""
+        """Parse the rows. The columns with a label contain numbers."""
         layout = replace(self.layout, drop_bad_rows=drop_bad_rows)
         head = self.rows[: 1 << 20]
         text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0)
         return parse_text(text, positions)
 
     def counted(self, table: RawTable) -> tuple[FloatArray, tuple[str, ...]]:
-        """Return the time that the counters of a parsed table state, s, and what the clock notes."""
+        """Return the time from the counters of a parsed table, s, and the notes of the clock."""
         counts = [table.numbers(k) for k in self.counters]
         for k, held in zip(self.counters, counts, strict=True):
             if not np.isfinite(held).all():
@@ -246,14 +247,14 @@ _AXIS = (
     re.compile(r"(?<=[a-z])([XYZ])(?![A-Za-z])"),
     re.compile(r"(?i)^(?:a|w|g|gF|b|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
 )
-_WORDS = re.compile(  # of a name that do not tell sensors apart
+_WORDS = re.compile(  # words in names that do not distinguish sensors
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
     r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu)$"
 )
 
 
 def unit_for(text: str, channel: str) -> tuple[str, float] | None:
-    """Return a unit in its one spelling for a channel and the gain to it, None where it is none of that channel."""
+    """Return a unit in its canonical spelling and the gain to it, or None if the text is not a unit of this channel."""
     name = text.strip().lower()
     gain, name = _GAIN.get(name, 1.0), _SPELLED.get(name, name)
     if channel == "mag":
@@ -283,7 +284,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None) -> Label | None:
-    """Return what a column holds by its name and unit; ``assumed`` are units that a maker's manual states."""
+    """Return the content of a column from its name and unit. The units ``assumed`` come from a maker's manual."""
     base, own = split_unit(name)
     unit, axis, stem = unit or own, "", base
     for pattern in _AXIS:
@@ -308,7 +309,7 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     kind = dict(_KIND)[channel]
     tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
     if known and known[0] in DEVICE_UNITS and channel in ("mag", "temp"):
-        known = None  # they need a scale, which only a map states
+        known = None  # they need a scale, which only a map can give
     return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
 
 
@@ -347,7 +348,7 @@ Triples = dict[str, dict[str, tuple[int, ...]]]  # channel, sensor: the columns 
 
 
 def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag")) -> Triples:
-    """Return the three axes of each channel and sensor; where counts stand beside a physical unit, the latter."""
+    """Return the three axes of each channel and sensor. Physical units are preferred to counts."""
     found: Triples = {}
     for channel in channels:
         groups: dict[tuple[str, str, float], dict[str, int]] = {}
@@ -425,7 +426,7 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
     part = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
-    # of that name, or the only one whose name holds it
+    # with that name, or the only one whose name contains it
     wanted = same[0] if same else part[0] if len(part) == 1 else None
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
@@ -458,7 +459,7 @@ def _time(
     own = first.time if first else None
     stated = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
     at = own if own is not None else stated
-    bare = at is None or ((label := sheet.labels[at]) is not None and label.unit == "date")  # dates are no numbers
+    bare = at is None or ((label := sheet.labels[at]) is not None and label.unit == "date")  # dates are not numbers
     more = sheet.counters if sheet.clock else () if bare or at is None else (at,)
     table = sheet.columns(*positions, *more, drop_bad_rows=settings.drop_bad_rows)
     if sheet.clock is not None:

@@ -1,10 +1,11 @@
-"""Recordings that maintained libraries read (extra ``formats``): a library call in a process of its own, then a Record.
+"""Recordings read with maintained libraries (extra ``formats``). The library runs in a separate process and its result
+becomes a Record.
 
-XDF (pyxdf)           clocks are synchronised by the file's clock offsets; time stamps stay as recorded, not de-jittered
-ROS (rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145); covariance[0] = -1 marks an absent channel
-ULog (pyulog)         sensor_gyro and sensor_accel are the sensors' own readings; sensor_combined was corrected by the autopilot
-NilsPod (nilspodlib)  factory scale applied; gaps of the counter stay gaps in time
-Axivity, GENEActiv, ActiGraph (actfast)  g, deg/s, degC; local time without a zone, counted from the first sample
+XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered ROS
+(rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent
+channel ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the
+autopilot NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time Axivity, GENEActiv,
+ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
 """
 
 import contextlib
@@ -33,7 +34,7 @@ from undrift.units import canonical_unit
 
 
 def reader(kind: str) -> Callable[[Path, ColumnMap | None, ReadSettings], ReadResult]:
-    """Return the reader of a kind of file; of XDF a map reads the channels of the stream by their labels."""
+    """Return the reader of a kind of file. For XDF, a map reads the channels of the stream by their labels."""
 
     def read(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
         found = read_isolated(path, kind, settings, mapped=columns is not None)
@@ -167,7 +168,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
             at = len(content)  # appended data has a place of its own
             break
         at += 3 + size
-    with contextlib.redirect_stdout(io.StringIO()):  # the library prints what it finds wrong
+    with contextlib.redirect_stdout(io.StringIO()):  # the library prints its errors
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not drop:
         raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")
@@ -249,7 +250,7 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
 
 
 def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
-    """Read an Axivity, GENEActiv or ActiGraph file; times run straight from one block's stamp to the next."""
+    """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the stamps of the blocks."""
     held = library("actfast").read(str(path), lenient=drop)
     series, about, kind = held["timeseries"], held["metadata"], held["format"]
     fast = series.get("high_frequency") or series["acceleration"]
@@ -282,7 +283,9 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
 
 
 def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
-    """Return times in s from 0, straight from block to block; ``fitted``: at one rate in each run, for coarse block stamps."""
+    """Return times in s from 0, linear from block to block. With ``fitted``, each run has a single rate, for coarse
+    block stamps.
+    """
     time, starts = (stamps - stamps[0]) * 1e-9, np.searchsorted(stamps, blocks)
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     count, at = np.diff(np.append(starts, len(time))), time[np.minimum(starts, len(time) - 1)]

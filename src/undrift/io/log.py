@@ -1,12 +1,13 @@
-"""Logs of a serial port: what firmware prints, as a table. No maker is known here: the words around the numbers name them.
+"""Logs of a serial port: the text that firmware prints, as a table. The words around the numbers name them, and no
+maker is assumed.
 
-A line is taken apart into numbers and what stands between them, its shape. Readings are the shapes that come again and again, in
-turn where a reading takes several lines. Lines of other shapes (boot messages, torn lines) are left out and counted. A heading
-without numbers that ends with a colon belongs to the lines under it. What stands before a line may be a stamp::
+A line is split into numbers and the text between them, its shape. Shapes that repeat are readings. A reading may take
+several lines in turn. Lines of other shapes (boot messages, torn lines) are left out and counted. A heading without
+numbers that ends with a colon belongs to the lines under it. A line may begin with a stamp::
 
     12:34:56.789 -> ...      [2026-11-27 12:34:56.789] ...      [00:00:01.234,567] <inf> imu: ...      I (1234) imu: ...
 
-A number takes its name from the word before it, its unit from the word behind it or, of three axes, behind the last::
+The name of a number is the word before it. Its unit is the word after it or, for three axes, after the last number::
 
     ax:0.01,ay:...      a/g: -12 34 ...      Acceleration X: 0.12, Y: 0.03, Z: 9.81 m/s^2      {"acc": [0.1, 0.2, 9.8]}
 """
@@ -29,7 +30,7 @@ from undrift.io.text import Text, parse_text
 
 _HEAD = 1 << 16
 _WATCHED = 1 << 16  # lines, between two words of how far a file is read
-_LEAST = 5  # readings of a log, and lines of one that may be of one
+_LEAST = 5  # readings of a log, and lines of a possible reading
 _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
 _MOST_LINES = 24  # of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
@@ -56,7 +57,7 @@ _BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # before six numbers: of the
 class LogLine(NamedTuple):
     """A line with numbers, taken apart."""
 
-    shape: tuple[str, ...]  # The heading above it, what stands before each number, what stands behind the last
+    shape: tuple[str, ...]  # the heading above the line, the text before each number, the text after the last
     values: tuple[str, ...]
     stamp_s: float | None
 
@@ -65,7 +66,7 @@ class LogLine(NamedTuple):
 class SerialLog:
     """The readings in a log, as a table."""
 
-    names: tuple[str, ...]  # Of each column; positions where nothing names a column
+    names: tuple[str, ...]  # names of the columns, or positions if a column has no name
     content: bytes  # CSV without a header
     before: int  # Lines with numbers before the first reading
     lost: int  # Lines with numbers after it that belong to no reading
@@ -76,7 +77,7 @@ class SerialLog:
 
 
 class LineReader:
-    """Takes lines one by one: a heading belongs to the lines under it, and the clock of a day goes on past midnight."""
+    """Parser of single lines. A heading belongs to the lines under it, and the clock of a day continues past midnight."""
 
     def __init__(self) -> None:
         self._heading, self._day, self._before = "", 0.0, 0.0
@@ -118,7 +119,7 @@ def _stamp(line: str) -> tuple[float | None, str]:
 
 
 def cycle_of(lines: Sequence[LogLine]) -> list[tuple[str, ...]]:
-    """Return the shapes that come again and again, in turn; none where there are too few or too many."""
+    """Return the shapes that repeat in turn, or an empty result if there are too few or too many."""
     counts = Counter(line.shape for line in lines)
     most = max(counts.values(), default=0)
     frequent = [line.shape for line in lines if counts[line.shape] >= _SHARE * most]
@@ -150,7 +151,7 @@ def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
 
 
 def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
-    """Yield the lines of each whole reading: every shape of the cycle in turn; others in between are left out."""
+    """Yield the lines of each complete reading: every shape of the cycle in turn. Other lines in between are left out."""
     reading: list[LogLine] = []
     for line in (line for line in lines if line.shape in cycle):
         if line.shape != cycle[len(reading)]:
@@ -175,7 +176,7 @@ class NumberSlot(NamedTuple):
 
 
 def names_of(*shapes: tuple[str, ...]) -> list[str]:
-    """Return a name for each number of the shapes: word, axis and unit as ``label_of`` reads them; "" where nothing names it."""
+    """Return a name for each number of the shapes: word, axis and unit for ``label_of``, or "" without a name."""
     slots = list(chain.from_iterable(_slots(line, *shape) for line, shape in enumerate(shapes)))
     names = list[str]()
     for _, members in groupby(slots, key=itemgetter(0)):
@@ -193,7 +194,7 @@ def names_of(*shapes: tuple[str, ...]) -> list[str]:
 
 
 def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
-    """Yield where each number stands, by the text before it and, for its unit, the text behind it."""
+    """Yield the position of each number: the text before it and, for its unit, the text after it."""
     group, word, inner = 0, heading, ""
     for cell, behind in pairwise(cells):
         text = cell if cell is cells[0] else cell[len(_unit_of(cell)[1]) :]
@@ -208,7 +209,7 @@ def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
 
 
 def _unit_of(behind: str) -> tuple[str, str]:
-    """Return the unit with which the text behind a number begins, and as much of the text; "" where it begins with none."""
+    """Return the unit at the start of the text after a number, and the text it takes. Return "" if there is no unit."""
     for pattern in _UNITS_BEHIND:
         if (found := pattern.match(behind)) and is_unit(unit := found.group(1)):
             return unit, found.group()
@@ -232,7 +233,7 @@ def _quantity(words: Sequence[str]) -> str:
 
 
 def is_log(path: Path, head: bytes) -> bool:
-    """Tell a log from a table: words, stamps, quotes or noise around its numbers, and no header that names its columns."""
+    """Return True for a log: words, stamps, quotes or noise around its numbers, and no header with column names."""
     if path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".toml", ".xml"):
         return False
     head = read_bytes(path, _HEAD)

@@ -1,12 +1,12 @@
 """Optical motion capture: marker trajectories (C3D, TRC) and the pose of a rigid cluster of markers.
 
-Points are in n, the level frame with z up, in m; NaN is a gap. A cluster of three or more markers that do not lie on one line
-is a body with frame m: origin at the centroid of the cluster, axes parallel to n in the first frame in which all of its
-markers are seen. Its pose in each frame solves
+Points are in m in n, the level frame with z up. NaN is a gap. A cluster of three or more markers that do not lie on one
+line is a body with frame m: origin at the centroid of the cluster, axes parallel to n in the first frame in which all
+of its markers are visible. Its pose in each frame solves
 
-    minimise over R, p    sum_k | R c_k + p - x_k |^2        c_k marker k in m, x_k as seen
+    minimise over R, p    sum_k | R c_k + p - x_k |^2        c_k marker k in m, x_k as measured
 
-by the singular value decomposition of sum_k x_k c_k^T (Kabsch); frames with fewer than three markers are gaps.
+by the singular value decomposition of sum_k x_k c_k^T (Kabsch). Frames with fewer than three markers are gaps.
 """
 
 import tempfile
@@ -36,7 +36,7 @@ class Markers:
 
     labels: tuple[str, ...]  # One for each marker, all different
     time: FloatArray  # (N,), s, strictly increasing
-    points: FloatArray  # (N, M, 3), m, frame n; NaN is a gap
+    points: FloatArray  # (N, M, 3), m, frame n, with NaN for a gap
     name: str = ""  # File
     short_rows: int = 0  # Rows that end before the last marker
 
@@ -75,7 +75,7 @@ class ClusterPose:
 
     reference: Reference  # q_nb with b the frame m of the cluster, and position of its centroid
     template: FloatArray  # (K, 3), markers in m, m
-    rms: float  # Root mean square of what the pose leaves, over the frames with a pose, m
+    rms: float  # root mean square of the residuals of the pose, over the frames with a pose, m
     visible: FloatArray  # (N,), markers seen in each frame
 
 
@@ -171,7 +171,7 @@ def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
             break
         template = np.einsum("nji,nkj->nki", turn[good], full[good] - shift[good][:, None]).mean(axis=0)
         template = template - template.mean(axis=0)
-    # Averaging may have turned the shape by the noise of one frame: put it back on the first.
+    # Averaging may have turned the shape by the noise of a single frame: align it with the first frame.
     turn, _, good = _fit(full[:1], all_seen[:1], template)
     if good[0]:
         template = np.asarray(np.einsum("ij,kj->ki", turn[0], template))
@@ -246,7 +246,7 @@ def parse_c3d(path: Path, **_: Any) -> Parsed:
 
 
 def is_c3d(head: bytes) -> bool:
-    """Return True if the first bytes of a file are those of a C3D file."""
+    """Return True if a file begins like a C3D file."""
     return len(head) > 512 and head[1] == _MAGIC and 2 <= head[0] < 128
 
 
@@ -269,7 +269,9 @@ def _load(path: Path) -> Any:
 
 
 def _check_size(content: bytes, path: Path) -> int:
-    """Return the analog values of a frame; refuse what is not C3D, or not as long as its header promises, before it is parsed."""
+    """Return the analog values per frame. Refuse a file that is not C3D or not as long as its header requires, before
+    it is parsed.
+    """
     if not is_c3d(content):
         raise FileFormatError(f"{path}: expected a C3D file, got other content. Check the path.")
     block = (content[0] - 1) * 512

@@ -1,11 +1,10 @@
 """Parquet, undrift's own format: column names carry the unit, the schema carries frame, state and device.
 
-The schema metadata holds one key, ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
-"frame": "s", "state": "raw", "device": "MTi-1"}``; of a corrected record also what its calibration knows of the accelerometers
-(``accel_uncertainty``, as record.ForceUncertainty has it) and of an offset that was subtracted (``offset_uncertainty``, rad/s). A
-second key, ``undrift.crc32``, is the CRC-32 of the first and of the column names; each page carries its own, so that a changed byte
-is refused. Files of any size are read and written in chunks of
-constant memory.
+The schema metadata contains the key ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps",
+"accel_unit": "g", "frame": "s", "state": "raw", "device": "MTi-1"}``. A corrected record also has ``accel_uncertainty``
+(see record.ForceUncertainty) and, if an offset was subtracted, ``offset_uncertainty``, rad/s. The second key,
+``undrift.crc32``, is the CRC-32 of the first key and of the column names. Each page has its own CRC, so that a changed
+byte is refused. Files of any size are read and written in chunks of constant memory.
 """
 
 import json
@@ -63,7 +62,7 @@ def iter_parquet(
     *,
     rows: int = CHUNK_ROWS,
 ) -> Iterator[Record]:
-    """Read a record in chunks: constant memory, whatever the size of the file."""
+    """Read a record in chunks, with constant memory for any file size."""
     if rows < 2:
         raise InputError(f"rows: expected two samples or more in a chunk, got {rows}")
     last: float | None = None
@@ -85,7 +84,7 @@ def iter_parquet(
 
 
 def write_parquet(record: Record, path: str | Path) -> None:
-    """Write a record; every bit reads back."""
+    """Write a record. Every bit reads back."""
     with ParquetWriter(path) as writer:
         writer.write(record)
 
@@ -93,7 +92,7 @@ def write_parquet(record: Record, path: str | Path) -> None:
 class ParquetWriter:
     """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
 
-    write_every_s = 10.0  # of the record, where it comes live
+    write_every_s = 10.0  # of the record, for a live recording
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -141,7 +140,10 @@ class ParquetWriter:
             self._part = new_part(self.path)
             with _room(self.path, 0):
                 self._sink = pa.OSFile(str(self._part), "wb")
-                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # others look up rows by time alone
+                how = {
+                    "write_page_checksum": True,
+                    "write_statistics": ["time_s"],
+                }  # other programs look up rows only by time
                 self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
@@ -209,7 +211,7 @@ def _whole(path: str | Path, handle: Any) -> Any:
 
 
 def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
-    """Yield Arrow tables of ``rows`` rows; a last single row goes with the chunk before it."""
+    """Yield Arrow tables of ``rows`` rows. A single last row is added to the chunk before it."""
     import pyarrow as pa
 
     held, count = list[Any](), 0
@@ -217,7 +219,7 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
         for batch in handle.iter_batches(batch_size=rows):
             held.append(batch)
             count += batch.num_rows
-            while count >= rows + 2:  # what is left over is a chunk of its own
+            while count >= rows + 2:  # the rest is a chunk of its own
                 table = pa.Table.from_batches(held)
                 yield table.slice(0, rows)
                 held, count = table.slice(rows).to_batches(), count - rows

@@ -1,8 +1,9 @@
-"""The files that an app of a phone exports: a file for each sensor, in a folder or a zip, all on one clock.
+"""Exports of phone apps: a file for each sensor, in a folder or a zip, all on one clock.
 
-Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger names each
-file after its sensor; Accelerometer.csv has gravity removed. On iOS its acceleration is the opposite of specific force, unless
-Metadata.csv says that units and frames are standardised. phyphox turns the sign of iOS itself.
+Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger
+names each file after its sensor. Accelerometer.csv is without gravity. On iOS its acceleration is the opposite of
+specific force, unless units and frames are standardised according to Metadata.csv. phyphox reverses the sign of iOS
+itself.
 """
 
 import csv
@@ -35,7 +36,7 @@ def is_phone(path: Path) -> bool:
 
 
 def phone_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
-    """Return gyroscope and accelerometer of two files of a phone in one folder; None if their names are others."""
+    """Return gyroscope and accelerometer from two files of a phone in one folder, or None if their names do not match."""
     order = sorted(files, key=lambda file: file.name not in _GYRO)
     if len(order) != 2 or order[0].parent != order[1].parent:
         return None
@@ -49,7 +50,9 @@ def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadR
 
 
 def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -> ReadResult:
-    """Read gyroscope and accelerometer of a phone; the latter is interpolated onto the time stamps of the former."""
+    """Read gyroscope and accelerometer of a phone. The accelerometer is interpolated onto the time stamps of the
+    gyroscope.
+    """
     path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
     result, start = _read_file(gyro_file, settings)
     try:
@@ -75,7 +78,7 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
 
 
 def _read_file(file: Path, settings: ReadSettings) -> tuple[ReadResult, np.datetime64]:
-    """Return what one file holds, and the date of its first row: dates are counted from the first."""
+    """Return the content of a file, and the date of its first row. Dates are counted from the first row."""
     sheet = open_sheet(file)
     start = date_of(sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace"))
     sheet = _sensor_logger(sheet) if sheet.names[:2] == ("time", "seconds_elapsed") else labelled(sheet)
@@ -95,7 +98,7 @@ def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> R
     with sound(path, "zip"), zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
         for item in archive.infolist():
             name = PurePosixPath(item.filename).name
-            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks no more than is stated
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile never unpacks more than this size
                 raise too_large(path)
             if name in wanted:
                 (Path(folder) / name).write_bytes(archive.read(item))
@@ -114,7 +117,7 @@ def read_sensor_logger(path: Path, _: ColumnMap | None = None, settings: ReadSet
 
 
 def _sensor_logger(sheet: Sheet) -> Sheet:
-    """Label the columns by the name of the file; columns of a watch or headphones have names of their own."""
+    """Label the columns from the file name. Columns of a watch or headphones have their own names."""
     stem = sheet.path.name.split(".")[0]
     kind = "Linear acceleration" if stem == "Accelerometer" else stem
     names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
@@ -149,7 +152,9 @@ def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
 
 
 def _follows_ios(path: Path) -> bool | None:
-    """Return whether Sensor Logger kept signs and units of iOS according to Metadata.csv; None if it does not say."""
+    """Return whether Sensor Logger kept signs and units of iOS according to Metadata.csv, or None if the file does not
+    contain it.
+    """
     lines = as_utf8(read_bytes(path)).decode().splitlines() if path.is_file() and path.stat().st_size else []
     row = {key: str(cell).strip().lower() for key, cell in next(csv.DictReader(lines), {}).items()}
     android, ios = (row.get("platform", "").startswith(name) for name in ("android", "ios"))

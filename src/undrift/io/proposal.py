@@ -1,8 +1,9 @@
-"""What a person may check and edit: the map that a foreign file seems to need, and a session.toml of what was found in one.
+"""Text for a person to check and edit: the map that a foreign file seems to need, and a session.toml of detected
+phases.
 
-The unit of gyroscopes that no name states follows from gravity, whose direction g turns in the sensor as dg/dt = -w x g: over
-0.2 s the readings, taken as rad/s or as deg/s, turn the mean of the first accelerations into the last, or they do not. A
-reader guesses nothing; the map states what was proposed, and why.
+If no name contains the unit of the gyroscopes, gravity determines it. Its direction g turns in the sensor as dg/dt = -w
+x g. Over 0.2 s, the readings in the right unit (rad/s or deg/s) turn the mean of the first accelerations into the mean
+of the last. Readers never guess. The map contains each proposal and its reason.
 """
 
 import json
@@ -26,13 +27,13 @@ from undrift.units import RADIAN_PER_DEGREE
 _WINDOW_S = 0.2
 _MOVED = (10.0 * RADIAN_PER_DEGREE, 90.0 * RADIAN_PER_DEGREE)  # of gravity in a window: the device turned
 _LEAST_WINDOWS = 20
-_CLEARLY = 0.5  # the right unit misses gravity by less than this share of what the other does
+_CLEARLY = 0.5  # the right unit misses gravity by less than this share of the other unit's error
 
 
 def map_of(
     found: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
 ) -> str:
-    """Return the text of the map that a description proposes, each unit with its reason; "?" where nothing shows it."""
+    """Return the text of the map that a description proposes, each unit with its reason, or "?" for an unknown unit."""
     if not found.example:
         raise InputError(
             f"{found.path}: expected a table that needs a map, got {found.kind} ({found.format}): {found.summary}. "
@@ -68,14 +69,14 @@ def _why(key: str, unit: str, line: str) -> str:
 
 
 def _turned(found: Description, lines: Sequence[str], units: Mapping[str, str]) -> tuple[str, str] | None:
-    """Return the unit of the gyroscopes that gravity shows, and why; None where it shows none."""
+    """Return the unit of the gyroscopes determined from gravity, and the reason, or None if it is not observable."""
     if units.get("time") == "?":
         return None
     as_read = dict.fromkeys(("gyro", "accel"), "count") | {key: units[key] for key in ("time",) if key in units}
     keys = entry_of_tree(tomllib.loads("\n".join(lines)) | {"units": as_read})
     try:
         turned = gyro_unit_of(read_record(found.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep")))
-    except InputError:  # the map will say what is wrong when it is used
+    except InputError:  # the map reports the error when it is used
         return None
     if turned is None:
         return None
@@ -87,7 +88,9 @@ def _turned(found: Description, lines: Sequence[str], units: Mapping[str, str]) 
 
 
 def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
-    """Return rad/s or dps, the moves that show it, and by how much either misses gravity, deg; None where nothing shows it."""
+    """Return rad/s or dps, the number of moves used, and the gravity error of either unit, deg. Return None if not
+    observable.
+    """
     size = max(4, round(_WINDOW_S * record.sample_rate_hz))
     count = len(record) // size
     if record.gyro is None or record.accel is None or count < _LEAST_WINDOWS:
@@ -123,7 +126,9 @@ def session_text(
     file_map: FileMap | None,
     steady: Sequence[Turn] = (),
 ) -> str:
-    """Return the session.toml of bare recordings for a folder; steady turns, whose rate is not known, stand as comments."""
+    """Return the session.toml of recordings for a folder. Steady turns are written as comments, because their rate is
+    unknown.
+    """
     width = len(files) // len(session.records)
     standard = session.gravity_source == "standard"
     head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)

@@ -5,15 +5,15 @@ All axes of a body are x forward, y left, z up, as a device worn at the back wou
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
     trunk    the line from mid(PSIS) or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
-             trunk's lean is the tilt of its z. Not rigid: it bends with the spine
+    trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
 
-A cluster is fitted to all of its markers (io/mocap.py); the anatomical axes are those of its mean shape. A frame that
-lacks a marker of the body is a gap: a fit to fewer would jump by what the skin has moved.
+A cluster is fitted to all of its markers (io/mocap.py). The anatomical axes belong to its mean shape. A frame without
+all markers of the body is a gap, because a fit to fewer markers would jump with skin movement.
 
 OpenSim       .sto: cells "w,x,y,z", a column for each sensor
 
-A file of poses may hold several bodies, of which one is named. Quaternions are scalar first and turn the body to the
-laboratory; a lost body is zeros, NaN or empty cells.
+A file of poses may contain several bodies, of which the caller names one. Quaternions are scalar first and turn the
+body to the laboratory. Zeros, NaN or empty cells mark a lost body.
 """
 
 from dataclasses import dataclass, field, replace
@@ -52,7 +52,7 @@ ALIASES = {
 _PELVES = (("LASI", "RASI", "LPSI", "RPSI"), ("LMWT", "RMWT", "LBWT", "RBWT"))
 
 # From mid(PSIS), at the level of S2, to the skin over the spinous process of L5, and half a case further back. Assumed:
-# anatomy of an adult, no measurement; state the offset that was measured where there is one.
+# anatomy of an adult, not a measurement; use the measured offset if there is one.
 L5_OFFSET = (-0.02, 0.0, 0.035)
 
 
@@ -60,10 +60,10 @@ L5_OFFSET = (-0.02, 0.0, 0.035)
 class Body:
     """A segment as an anatomical frame in every frame of a recording."""
 
-    # Orientation b to n (b: x forward, y left, z up) and position of its origin, m; NaN where a marker is missing
+    # orientation b to n (b: x forward, y left, z up) and position of its origin, m, with NaN for a missing marker
     reference: Reference
     labels: tuple[str, ...]  # Markers used, as the file calls them
-    residual: float  # Root mean square of what a rigid body leaves, m; 0 for a body made of lines
+    residual: float  # root mean square of the residuals of a rigid body, m; 0 for a body made of lines
 
 
 def find_body(markers: Markers, name: BodyName) -> Body:
@@ -83,7 +83,7 @@ def device_on(
 ) -> Reference:
     """Return the poses of a device fixed on a body.
 
-    ``p_d = p_b + R_nb r`` and ``q_nd = q_nb q_bd``: the device's case d sits at r from the body's origin, turned by q_bd.
+    ``p_d = p_b + R_nb r`` and ``q_nd = q_nb q_bd``: the device's case d is at r from the body's origin, turned by q_bd.
     """
     mount = np.array(q_bd)
     if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
@@ -201,20 +201,20 @@ _LEVELLED = {  # quaternions that turn an axis of the laboratory up, to z
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceMap:
-    """Where poses are in a foreign file; in TOML with ``columns``, ``units`` and ``layout`` as tables."""
+    """Map of poses in a foreign file. In TOML it has the tables ``columns``, ``units`` and ``layout``."""
 
-    # Columns w, x, y, z, in this order, wherever they stand in the file
+    # columns w, x, y, z, in this order, at any position in the file
     quaternion: Annotated[tuple[Column, Column, Column, Column], Key("columns.quaternion")] = QUATERNION
-    # Time column; without it ``sample_rate_hz`` is required
+    # time column, required unless ``sample_rate_hz`` is set
     time: Annotated[Column | None, Key("columns.time")] = None
     position: Annotated[tuple[Column, Column, Column] | None, Key("columns.position")] = None  # Columns x, y, z
-    # Columns x, y, z of three or more markers of one rigid body, in place of a quaternion
+    # columns x, y, z of three or more markers of a rigid body, in place of a quaternion
     markers: Annotated[tuple[tuple[Column, Column, Column], ...], Key("columns.markers")] = ()
     moving: Annotated[Column | None, Key("columns.moving")] = None  # Column that is 1 in motion
-    time_unit: Annotated[str, Key("units.time")] = ""  # Units; needed where the columns are named
+    time_unit: Annotated[str, Key("units.time")] = ""  # units, required if the columns are named
     position_unit: Annotated[str, Key("units.position")] = ""
     markers_unit: Annotated[str, Key("units.markers")] = ""
-    sample_rate_hz: float | None = None  # Hz, where there is no time column
+    sample_rate_hz: float | None = None  # Hz, if there is no time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
     up: str = "z"  # Axis of the laboratory that points up: x, y, z, -x, -y or -z
@@ -242,7 +242,7 @@ class ReferenceMap:
 
 
 def read_reference_map(path: Path) -> ReferenceMap | None:
-    """Read a map of orientations; None where it is one of readings."""
+    """Read a map of orientations. Return None for a map of readings."""
     columns = toml_of(path)[0].get("columns")
     return read(ReferenceMap, path) if isinstance(columns, dict) and {"quaternion", "markers"} & {*columns} else None
 
@@ -271,7 +271,9 @@ def read_array_poses(arrays: Arrays, path: Path, columns: ReferenceMap | None = 
 
 
 def write_reference(reference: Reference, path: str | Path) -> None:
-    """Write poses with undrift's own names; every number reads back to the same bits (unit length apart)."""
+    """Write poses with undrift's own names. Every number reads back to the same bits, except for the normalisation of
+    quaternions.
+    """
     import pyarrow as pa
     from pyarrow import parquet as pq
 
@@ -419,7 +421,7 @@ def reference_of(
 
 
 def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
-    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z"; z is up unless stated."""
+    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z". The default for `up` is z."""
     _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
     header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
     names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())

@@ -1,4 +1,6 @@
-"""The sample of the package: six faces, rate table, soaks, a rest, and a sit-to-stand with optics; simulated."""
+"""The sample recordings of the package, all simulated: six faces, rate table, soaks, a rest, and a sit-to-stand task
+with optics.
+"""
 
 import shutil
 from importlib.resources import as_file, files

@@ -1,4 +1,5 @@
-"""session.toml: the recordings of one calibration and what was done in them; and column maps in TOML, alone or in a session.
+"""session.toml: the recordings of a calibration and the actions in them. Column maps in TOML, in a session or in a
+separate file.
 
 [session]
 kind = "calibration"                # calibration | thermal | static
@@ -105,27 +106,30 @@ class ColumnsEntry(TomlTable):
 class TempFileEntry(TomlTable):
     """A thermometer's file of its own."""
 
-    file: str  # Text table, beside the map
+    file: str  # text table, next to the map
     time: str | int = "time_s"  # Time column
     temp: str | int = "temp_c"  # Temperature column
     time_unit: str = "s"  # Any spelling of :mod:`undrift.units`
     temp_unit: str = "degC"
     shift_s: Finite = 0.0  # Added to its time to give the recording's
-    delimiter: str = ","  # One character; " " for any number of blanks or tabs
+    delimiter: str = ","  # a single character; " " for any number of blanks or tabs
     header: bool = True  # Whether a line names the columns
     skip_rows: int = 0  # Lines before the header or the first row
     decimal: str = "."  # "." or ","
 
 
 class MapEntry(TomlTable):
-    """All that a reader needs to know about a foreign file; each key as in :class:`undrift.io.columns.ColumnMap`."""
+    """All information that a reader needs about a foreign file. The keys are explained in
+    :class:`undrift.io.columns.ColumnMap`.
+    """
 
-    sample_rate_hz: float | None = None  # Hz; required when there is no time column
-    columns: ColumnsEntry | list[ColumnsEntry] | None = None  # One table; or one for each file of files side by side
+    sample_rate_hz: float | None = None  # Hz, required without a time column
+    # one table, or a table for each of several files that form one recording
+    columns: ColumnsEntry | list[ColumnsEntry] | None = None
     units: dict[Channel, str] = {}  # Unit of each mapped channel, in any spelling of :mod:`undrift.units`
-    # Conversions, where the file's numbers are not in those units: value = gain * cell + offset, one gain or three for x, y, z
+    # conversions to those units: value = gain * cell + offset, with one gain or three for x, y, z
     scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = {}
-    delimiter: str = ","  # One character; " " for any number of blanks or tabs
+    delimiter: str = ","  # a single character; " " for any number of blanks or tabs
     header: bool = True  # Whether a line names the columns
     skip_rows: int = 0  # Lines before the header or the first row
     decimal: str = "."  # "." or ","
@@ -176,7 +180,9 @@ def _read_map(path: str | Path) -> MapEntry:
 
 
 def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
-    """Return how one file is read by a map in TOML, with the choices of a call over it; no columns for undrift's own names."""
+    """Return how a file is read with a TOML map, modified by the arguments of a call. undrift's own names need no
+    columns.
+    """
     entry = _read_map(path)
     given = entry.model_fields_set
     if not entry.columns and (not given or given - NATIVE_KEYS):
@@ -191,7 +197,7 @@ def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSe
 
 
 def map_and_settings(file_map: FileMap | None, **choices: Any) -> tuple[ColumnMap | None, ReadSettings]:
-    """Return how one file is read by a map that is kept, with the choices of a call over it; no columns where it has none."""
+    """Return how a file is read with a stored map, modified by the arguments of a call. The columns may be missing."""
     return _chosen(entry_of(file_map), choices, Path())
 
 
@@ -224,16 +230,16 @@ def _columns(channel: str, value: Any) -> Any:
 
 
 def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | None:
-    """Return the map of a TOML file with the choices of a call over it; None where there is neither."""
+    """Return the map of a TOML file, modified by the arguments of a call, or None if there is neither."""
     held = {} if path is None else _read_map(path).model_dump(exclude_unset=True)
-    if path is not None and held.get("temp_file"):  # beside the map, wherever the recordings are
+    if path is not None and held.get("temp_file"):  # next to the map, independent of the folder of the recordings
         held["temp_file"]["file"] = str((Path(path).parent / held["temp_file"]["file"]).resolve())
     held |= {key: value for key, value in choices.items() if value is not None}
     return file_map_of(entry_of_tree(held)) if held else None
 
 
 def file_map_of(entry: MapEntry, *, without: Sequence[str] = ()) -> FileMap:
-    """Return the keys that a map states as a value."""
+    """Return the keys that a map sets, as a value."""
     held = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
     return FileMap(json.dumps(held, ensure_ascii=False))
 
@@ -244,7 +250,7 @@ def entry_of(file_map: FileMap | None) -> MapEntry:
 
 
 def shared_map(entries: Sequence[MapEntry]) -> FileMap | None:
-    """Return the map that all recordings share; None where they differ or need none."""
+    """Return the map that all recordings share, or None if they differ or need none."""
     alone = ("file", "temp_file", "sha256", "leave_out")  # keys that no other recording shares
     held = [file_map_of(entry, without=alone) for entry in entries]
     return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
@@ -265,17 +271,19 @@ class HeadEntry:
 
     kind: Kind  # calibration, thermal or static
     serial: str  # Device serial number
-    gravity_m_s2: float | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
-    latitude_deg: float | None = None  # Where it was recorded
+    gravity_m_s2: float | None = None  # local gravity, m/s2, or the next two; default standard gravity
+    latitude_deg: float | None = None  # latitude of the place of recording
     height_m: float | None = None
-    mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
+    mounting: Mounting | None = (
+        None  # for a fit to references: "one" mounting for all recordings, or "each" recording its own
+    )
 
 
 class RecordingEntry(MapEntry):
-    """[[recording]]: these keys and those of a map."""
+    """A [[recording]]: these keys and the keys of a map."""
 
-    file: str | list[str]  # Beside session.toml; several files are joined side by side
-    sha256: str = ""  # Of the file as it was written: another content is refused
+    file: str | list[str]  # next to session.toml; several files are joined to one recording
+    sha256: str = ""  # hash of the file as it was written; a changed file is refused
 
 
 @codec.stored()
@@ -285,9 +293,9 @@ class StillEntry:
 
     recording: int = 0  # Which [[recording]], from 0
     start_s: float  # On the recording's own clock
-    stop_s: float  # Likewise, left out itself
+    stop_s: float  # end, not included
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    # Sensor axis that points up: "+x" ... "-z"; none for a free pose
+    # sensor axis that points up, "+x" ... "-z", or None for a free pose
     face: Face | None = None
 
 
@@ -298,9 +306,9 @@ class TurnEntry:
 
     recording: int = 0  # Which [[recording]], from 0
     start_s: float  # On the recording's own clock
-    stop_s: float  # Likewise, left out itself
+    stop_s: float  # end, not included
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
-    axis: Axis | None = None  # "x", "y" or "z" of the case; none for a free rotation
+    axis: Axis | None = None  # "x", "y" or "z" of the case, or None for a free rotation
     # Achieved steady rate about +axis
     turn_rate: Annotated[float | None, codec.Key("turn_rate_dps", unit=RADIAN_PER_DEGREE)] = None
     angle: Annotated[float | None, codec.Key("angle_deg", unit=RADIAN_PER_DEGREE)] = None  # Turned about +axis
@@ -311,7 +319,7 @@ class TurnEntry:
 class SessionFile:
     """The whole file."""
 
-    session: HeadEntry  # Of which device, and where
+    session: HeadEntry  # device and place
     rate_table: Annotated[RateTable, codec.Key(later=True)] = DEFAULT_TABLE  # May be left out
     sensitivity: Annotated[TemperatureSensitivity, codec.Key("temperature", later=True)] = DEFAULT_SENSITIVITY
     recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more
@@ -406,10 +414,10 @@ def session_from_files(
     latitude_deg: float | None = None,
     height_m: float | None = None,
 ) -> Session:
-    """Return a session of bare recordings: nothing is stated in them, standard gravity is assumed where none is.
+    """Return a session of recordings without a session.toml. It has no phases, and standard gravity is the default.
 
-    With a map of several tables of columns, as many files side by side make one recording; gyroscope and accelerometer of a phone
-    do without.
+    If the map has several tables of columns, that many files form one recording. Gyroscope and accelerometer files of a
+    phone need no map.
     """
     entry = entry_of(file_map)
     width = max(1, len(entry.columns)) if isinstance(entry.columns, list) else 1
@@ -527,7 +535,7 @@ def _read_recording(folder: Path, names: list[str], entry: RecordingEntry, clock
 def gravity_of(
     gravity_m_s2: float | None = None, latitude_deg: float | None = None, height_m: float | None = None
 ) -> tuple[float, GravitySource]:
-    """Return local gravity, m/s2, and where it comes from: standard gravity where nothing is stated."""
+    """Return local gravity, m/s2, and its source. The default is standard gravity."""
     place = (latitude_deg, height_m)
     if gravity_m_s2 is None and latitude_deg is not None and height_m is not None:
         return gravity_at(latitude_deg, height_m), "latitude and height"
@@ -548,7 +556,7 @@ def _turn(entry: TurnEntry, clocks: list[Times]) -> Turn:
 
 
 def _samples(entry: StillEntry | TurnEntry, clocks: list[Times]) -> dict[str, Any]:
-    """Return the samples [start, stop) of a stated span of time, and what else both kinds of piece have."""
+    """Return the samples [start, stop) of a span of time, and the other values that both kinds of phase share."""
     if not 0 <= entry.recording < len(clocks):
         raise FileFormatError(f"expected recording 0 to {len(clocks) - 1}, got {entry.recording}")
     time, step = clocks[entry.recording]
@@ -600,7 +608,7 @@ def session_toml(
     rate_table: RateTable = DEFAULT_TABLE,
     sensitivity: TemperatureSensitivity = DEFAULT_SENSITIVITY,
 ) -> str:
-    """Return the text of session.toml; recordings by their keys."""
+    """Return the text of session.toml. The recordings are given by their keys."""
     stated = {"rate_table": rate_table, "temperature": sensitivity}
     tables = {"session": head} | {name: table for name, table in stated.items() if table != type(table)()}
     blocks = [codec.toml_block("recording", dict(recording)) for recording in recordings]

@@ -1,6 +1,7 @@
-"""calibration.json: one object, kind "undrift.calibration", format 1. ``undrift.model`` has its keys, ``base.codec`` its rules.
+"""calibration.json: a JSON object of kind "undrift.calibration", format 1. ``undrift.model`` defines its keys,
+``base.codec`` its rules.
 
-A key with a default is written only where it states something, so that a file without it reads everywhere.
+A key with a default is written only if its value differs from the default, so that older versions can read the file.
 """
 
 import hashlib
@@ -21,7 +22,7 @@ KIND = "undrift.calibration"
 ANSWER_KEYS = frozenset({
     "lacking", "motion", "version", "findings", "result", "error",
 })  # fmt: skip
-# what ``undrift calibrate --json`` says beside the calibration
+# entries of ``undrift calibrate --json`` in addition to the calibration
 codec.stored(form=MapEntry, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
 
 
@@ -56,7 +57,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
 
 
 def calibration_text(calibration: Calibration, name: str) -> str:
-    """Return the text of a calibration file; the name stands in errors."""
+    """Return the text of a calibration file. The name is used in errors."""
     return codec.json_text(calibration, name)
 
 
@@ -84,19 +85,19 @@ def read_calibration(path: Path | str) -> Calibration:
 
 
 def calibration_of(content: Any, path: str) -> Calibration:
-    """Return the calibration that a file, or what messages call by its name, holds as JSON."""
+    """Return the calibration of a parsed JSON object. Messages call it by `path`."""
     if isinstance(content, dict):
         content = {key: value for key, value in content.items() if key not in ANSWER_KEYS}
     return codec.value_of(Calibration, content, path)
 
 
 def calibration_json(calibration: Calibration) -> dict[str, Any]:
-    """Return a calibration as the object that its file holds."""
+    """Return a calibration as the JSON object of its file."""
     return dict(codec.tree_of(calibration))
 
 
 def content_hash(calibration: Calibration) -> str:
-    """Return the sha256 of what a calibration states: that of its file's content."""
+    """Return the sha256 of a calibration's content, which equals the hash of its file's content."""
     return hash_of(calibration_json(calibration))
 
 

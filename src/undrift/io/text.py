@@ -1,8 +1,10 @@
-"""Text tables: comma, tab, semicolon or blank separated, plain or gzip; CSV through a ColumnMap, or with undrift's own names.
+"""Text tables, separated by comma, tab, semicolon or blank, plain or gzip. CSV is read with a ColumnMap or undrift's
+own names.
 
-Arrow parses the rows; they are checked one by one only where that fails. undrift writes the unit into every column name, and
-nothing before them. Frame, state and device stand in NAME.csv.json beside NAME.csv, only where they are not the usual ones (sensor
-axes, raw, no device), so that a corrected file is never corrected twice; the same file names columns, units and provenance.
+Arrow parses the rows. Only if this fails, they are checked one by one. undrift writes the unit into every column name,
+and nothing before the header. Frame, state and device are stored in NAME.csv.json, next to NAME.csv, if they differ
+from the defaults (sensor axes, raw, no device). A corrected file is therefore never corrected twice. The same file
+lists columns, units and provenance.
 """
 
 import csv
@@ -51,7 +53,7 @@ from undrift.io.columns import (
 )
 from undrift.record import Record
 
-Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
+Provenance: TypeAlias = Mapping[str, Any]  # origin of a record, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
 _NO_LINE_END = "the last row has no line end: it may be cut"
@@ -80,7 +82,7 @@ def _ends_with_line(text: "Text") -> bool:
 
 
 def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
-    """Write a record with undrift's own column names; every number reads back to the same bits."""
+    """Write a record with undrift's own column names. Every number reads back to the same bits."""
     path, (names, columns), beside = Path(path), native_columns(record), None
     if made_by or record.frame != "s" or record.state != "raw" or record.device:
         beside = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
@@ -88,12 +90,12 @@ def write_csv(record: Record, path: str | Path, made_by: Provenance | None = Non
 
 
 def sidecar_of(path: Path) -> Path:
-    """Return the name of the file that states what a CSV is: walk.csv.json of walk.csv."""
+    """Return the name of the file that describes a CSV, for example walk.csv.json for walk.csv."""
     return path.with_name(path.name + ".json")
 
 
 def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, Any]:
-    """Return what a recording is, as JSON beside its table."""
+    """Return the description of a recording, as JSON for the file next to its table."""
     units = {"gyro": record.gyro_unit, "accel": record.accel_unit, "mag": "uT", "temp": "degC", "time": "s"}
     return {
         "kind": KIND,
@@ -107,7 +109,7 @@ def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, 
 
 
 def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings: ReadSettings) -> ColumnMap:
-    """Return the map with what the file beside a table of undrift states; unchanged where there is none of undrift."""
+    """Return the map, completed from the file next to a table of undrift. Return it unchanged if there is no such file."""
     beside = sidecar_of(path)
     if not beside.is_file():
         return columns
@@ -136,7 +138,9 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings
 def write_rows(
     path: Path, names: Sequence[str], columns: Sequence[FloatArray], beside: Mapping[Path, str | None] | None = None
 ) -> None:
-    """Write named columns as CSV, gaps as empty cells, and the files beside it; every number reads back to the same bits."""
+    """Write named columns as CSV, gaps as empty cells, and their sidecar files. Every number reads back to the same
+    bits.
+    """
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -163,7 +167,7 @@ def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
 class Appender:
     """Writes lines piece by piece into a new file that is whole after each, whatever ends it."""
 
-    write_every_s = 1.0  # of a record, where it comes live
+    write_every_s = 1.0  # of a record, for a live recording
 
     def __init__(self, path: Path) -> None:
         self.path, self._sink = path, -1
@@ -177,7 +181,7 @@ class Appender:
             self._sink = -1
 
     def append(self, content: bytes) -> None:
-        """Append lines and bring them to the disk; where they do not fit, those that do are kept."""
+        """Append lines and sync them to the disk. If the disk is full, keep the lines that fit."""
         start = done = 0
         try:
             if self._sink < 0:
@@ -208,7 +212,7 @@ class Text:
     """A text table, opened and its header read, its rows not parsed yet."""
 
     path: Path
-    content: bytes | None  # Unpacked text; None when Arrow may read the file itself
+    content: bytes | None  # unpacked text, or None if Arrow can read the file directly
     head: bytes  # The first MiB of the text
     names: tuple[str, ...]  # Header, or positions as text
     layout: TextLayout
@@ -251,7 +255,7 @@ def packed(rows: bytes) -> bytes:
 
 
 def _is_row(names: tuple[str, ...], decimal: str) -> bool:
-    """Tell a row of readings in the place of a header: numbers in all cells but one, and these not numbers of columns."""
+    """Return True if a header is a row of readings: all cells but one are numbers and not column positions."""
     cells = [float(cell) for name in names if is_number(cell := name.replace(decimal, "."))]
     return len(cells) > 1 and len(cells) >= len(names) - 1 and bool((np.diff(cells) != 1.0).any())
 
@@ -268,7 +272,7 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
         return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column beside that turns from numbers to words
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to text
         pass
     return _parse_by_row(text, positions)
 
@@ -283,7 +287,7 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
     with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
         handle.seek(start)
         while end := handle.readinto(buffer):
-            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # what follows begins the next piece
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the remainder begins the next chunk
             if not end or (buffer.find(b'"', 0, end) >= 0 and _torn(bytes(buffer[:end]).split(b"\n"))):
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
@@ -317,7 +321,7 @@ def _with_closed_quotes(text: Text) -> Text:
 
 
 def _parsed(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
-    """Parse rows of a text; cells of the columns ``numbers`` are numbers, without it all are bytes."""
+    """Parse rows of text. Cells of the columns ``numbers`` become numbers. Without it, all cells stay bytes."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 

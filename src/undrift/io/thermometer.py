@@ -1,4 +1,6 @@
-"""The temperature of a recording from a file of its own, at its own rate: interpolated onto the samples, held at the ends."""
+"""The temperature of a recording from a separate file with its own rate, interpolated onto the samples and constant
+beyond the ends.
+"""
 
 from dataclasses import replace
 
@@ -13,7 +15,9 @@ from undrift.units import canonical_unit, si_factor, temp_offset
 
 
 def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
-    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and held at the ends."""
+    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and constant beyond
+    the ends.
+    """
     known = np.isfinite(time) & np.isfinite(temp_c)
     if not known.any():
         raise InputError("temperature: expected one reading or more, got none. Omit the temperature file.")

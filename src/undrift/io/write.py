@@ -1,12 +1,12 @@
-"""What a record and an orientation are written as, by the ending of the name: undrift's own tables and those of other programs.
+"""Formats of records and orientations, selected by the name's ending: undrift's own tables and formats of other
+programs.
 
 =================  ==================================  ==============================================================
-ending             record                              orientation
-=================  ==================================  ==============================================================
-.parquet           every bit, frame, state, device     time, quaternion, angles
-.csv, .csv.gz      plain table; NAME.csv.json beside   the same
-.sto                                                   OpenSense [1]_: a column for a sensor, cells w,x,y,z
-=================  ==================================  ==============================================================
+ending             record                              orientation =================  ==================================
+============================================================== .parquet           every bit, frame, state, device
+time, quaternion, angles .csv, .csv.gz      plain table, and NAME.csv.json      the same .sto
+OpenSense [1]_: a column for a sensor, cells w,x,y,z =================  ==================================
+==============================================================
 
 .. [1] "OpenSense - Kinematics with IMU Data", OpenSim documentation: opensimconfluence.atlassian.net
 """
@@ -29,7 +29,7 @@ Columns = tuple[Sequence[str], Sequence[FloatArray]]  # names, and a column (N,)
 
 
 def write_record_as(record: Record, path: Path, made_by: Provenance | None = None) -> None:
-    """Write a record in the format that the ending of the name stands for."""
+    """Write a record in the format that the name's ending selects."""
     _writer(path, RECORD_WRITERS)(record, path, made_by or {})
 
 
@@ -41,8 +41,10 @@ def write_orientation(
     *,
     body: str = "sensor",
 ) -> None:
-    """Write orientation over time; undrift reads the quaternions of its own tables back as a reference.
-    time (N,) s, q_nb (N, 4), three angles (N,) rad; the sensor's name heads its column in .sto."""
+    """Write orientation over time. undrift reads the quaternions of its own tables back as a reference.
+
+    Shapes are time (N,) s, q_nb (N, 4) and three angles (N,) rad. The sensor's name heads its column in .sto.
+    """
     values = (time, *q_nb.T, *(angle / RADIAN_PER_DEGREE for angle in angles))
     _writer(Path(path), ORIENTATION_WRITERS)((COLUMNS, values), Path(path), body)
 
@@ -78,7 +80,7 @@ def _orientation_parquet(table: Columns, path: Path, _: str) -> None:
 
 
 def _orientation_sto(table: Columns, path: Path, body: str) -> None:
-    """Write the quaternions, scalar first; OpenSense looks for a column BODY_imu and for a level frame with z up (see docs)."""
+    """Write the quaternions, scalar first. OpenSense requires a column BODY_imu and a level frame with z up (see docs)."""
     time, *q = table[1][:5]
     if not re.fullmatch(r"\w+", body):
         raise InputError(
