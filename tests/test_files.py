@@ -28,9 +28,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match="expected a folder to write to, got No such file or directory"
-    ):
+    with pytest.raises(InputError, match="expected a folder to write to, got No such file or directory"):
         write_whole(tmp_path / "none" / "a.txt", "x")
 
 

@@ -178,7 +178,7 @@ def test_a_damaged_file_of_toml_is_refused_by_line_and_entry(line: str, text: st
 
 
 def test_a_value_that_would_not_read_back_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected a loop that reads back, got at table.rate_dps.*. Mend the value"):
+    with pytest.raises(InputError, match=r"expected a loop that reads back, got at table.rate_dps.*"):
         write(example(rate=math.nan), tmp_path / "loop.json")
     with pytest.raises(InputError, match="expected each of the settings once, got a name twice"):
         write(example(settings=(("a", "1"), ("a", "2"))), tmp_path / "loop.json")

@@ -63,7 +63,7 @@ def test_a_signal_ends_a_command_in_one_line_and_leaves_nothing(bench, tmp_path,
     process = started(bench, tmp_path)
     process.send_signal(getattr(signal, name))
     _, err = process.communicate(timeout=60)
-    assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped. No file was left incomplete")
+    assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped. No file was left incomplete.")
     assert list(tmp_path.iterdir()) == []
 
 

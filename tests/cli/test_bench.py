@@ -38,4 +38,4 @@ def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
             assert run(["bench", "--folder", str(tmp_path / "other"), "--port", port, "--no-browser"]) == 2
         finally:
             server.terminate()
-    assert f"bench: cannot listen at 127.0.0.1:{port}, got 'Address already in use'" in capsys.readouterr().err
+    assert f"bench: cannot listen at 127.0.0.1:{port}(Address already in use)" in capsys.readouterr().err

@@ -45,7 +45,7 @@ def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
     ("changed", "refused"),
     [
         (("person,", "who,"), "wanted columns recording, person, task, device, and of"),
-        (("pp002,chairrise", ",chairrise"), r"expected person in line 4, got none. Fill it in"),
+        (("pp002,chairrise", ",chairrise"), r"person is missing in line 4"),
         (("imu_step.parquet", "imu_walk.parquet"), r"pp001/imu_walk.parquet: .*wanted"),
         (("a.json\n", "\n"), r"expected a calibration in every row of device A or in none, got 5 of 6"),
         (

@@ -245,9 +245,7 @@ def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
     header = ",".join(f'X[s],"S 1: {kind}.{axis}"' for kind, _, _ in kinds for axis in "XYZ")
     rows = "".join(",".join([f"{0.01 * k:.2f},1"] * 6) + "\n" for k in range(4))
     (tmp_path / "t.csv").write_text("\n".join([*lines, header]) + "\n" + rows)
-    with pytest.raises(
-        InputError, match="expected one sample rate in one sensor, got 100 Hz, 200 Hz"
-    ):
+    with pytest.raises(InputError, match="expected one sample rate in one sensor, got 100 Hz, 200 Hz"):
         read_record(tmp_path / "t.csv")
 
 

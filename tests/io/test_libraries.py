@@ -32,7 +32,7 @@ def test_an_xdf_stream_is_read_by_a_map_and_the_treatment_of_its_clock_is_said()
     assert (len(read.record), read.record.time[0], read.record.time[-1]) == (9, 5.0, pytest.approx(5.8))
     assert read.record.sample_rate_hz == pytest.approx(10.0)
     assert read.notes == (
-        "stream SendDataC: clocks synchronised, time stamps as recorded (not de-jittered). Stated rate 10 Hz",
+        "stream SendDataC: clocks synchronised, time stamps as recorded (not de-jittered), nominal rate 10 Hz",
     )
 
 
@@ -340,7 +340,7 @@ def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
         whole[:12] + noise,
     ):
         copy.write_bytes(content)
-        with pytest.raises(InputError, match=r"^\S+: (.*wanted .*, got .*; |damaged or truncated)") as caught:
+        with pytest.raises(InputError, match=r"^\S+: (.*expected .*, got .*\. |.*damaged or truncated)") as caught:
             read_record(copy, settings=sensor(SAMPLES[name]))
         assert "\n" not in str(caught.value)
     copy.write_bytes(whole[: int(0.9 * len(whole))])

@@ -102,7 +102,7 @@ def test_clusters_that_give_no_pose_are_refused():
     points = np.array(markers.points)
     points[:25, 0], points[25:, 1] = np.nan, np.nan
     never = Markers(labels=LABELS, time=markers.time, points=points)
-    with pytest.raises(InputError, match=r"expected a frame with all of A, B, C, D, got none. Leave out [AB]"):
+    with pytest.raises(InputError, match=r"expected a frame with all of A, B, C, D, got none. Omit [AB]"):
         fit_cluster(never, LABELS)
 
 

@@ -4,13 +4,13 @@ Each other mistake is named. A row whose mistake becomes named, or comes out oth
 """
 
 NO_SENSITIVITY = (
-    "readings are counts of an unknown sensitivity, turned about the vertical: any angle, rate or time fits. Stated for the "
+    "readings are counts of an unknown sensitivity, turned about the vertical: any angle, rate or time fits; stated for the "
     "record is that the scale comes from the stated turns only, with the range that it means"
 )
 
 STEADY_TRUNK = (
     "a trunk that walks turns by a few degrees, and its acceleration has their rhythm: which column is which gravity does not "
-    "show. Stated for the record are the sides of the device that point forward and up, which a person sees"
+    "show; stated for the record are the sides of the device that point forward and up, which a person sees"
 )
 
 UNNAMED = {

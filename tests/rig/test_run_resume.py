@@ -150,7 +150,7 @@ def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(bench, 
         time.sleep(0.01)
     code, _, err = process.result()
     assert code == 130, err
-    assert err.splitlines()[-1] == "undrift: stopped. No file was left incomplete"
+    assert err.splitlines()[-1] == "undrift: stopped. No file was left incomplete."
     assert bench.at_rest()
 
 

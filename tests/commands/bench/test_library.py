@@ -64,7 +64,7 @@ def test_a_folder_has_one_bench_and_the_second_is_shown_the_first(tmp_path):
     refused = subprocess.run([*held, "--json"], capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     text = json.loads(refused.stdout)["error"]["text"]
-    assert text.startswith("bench: expected ")
-    assert text.endswith("in use by the bench at http://127.0.0.1:8765/. Open that bench, or choose another folder")
+    assert text.startswith("bench: ")
+    assert text.endswith("in use by the bench at http://127.0.0.1:8765/. Open that bench, or choose another folder.")
     lock.close()
     lock_folder(tmp_path).close()
