@@ -73,11 +73,11 @@ def test_rate_and_duration_leave_drop_outs_out_of_the_rate():
         ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: wanted one of"),
         (
             {"time": [0.0, 0.02, 0.01], "gyro": XYZ},
-            r"wanted strictly increasing seconds, got 1 steps back .* first in row 2",
+            r"expected strictly increasing seconds, got 1 steps back .* first in row 2",
         ),
         ({"time": [0.0, 0.0, 0.01], "gyro": XYZ}, "first in row 1"),
         ({"time": [0.0, np.nan, 0.01], "gyro": XYZ}, "got NaN first in row 1"),
-        ({"time": [0.0], "gyro": XYZ[:1]}, "wanted two samples or more, got 1"),
+        ({"time": [0.0], "gyro": XYZ[:1]}, "expected two samples or more, got 1"),
         ({"time": [0.0, np.inf, 1.0], "gyro": XYZ}, "got infinity"),
     ],
 )
@@ -142,7 +142,7 @@ def test_arrays_with_their_units_and_a_rate_are_a_record():
             {"gyro": np.zeros((5, 3)), "sample_rate_hz": 10.0},
             "gyro_unit='dps'",
         ),
-        ({"accel": np.zeros((5, 3)), "sample_rate_hz": 10.0}, "wanted the unit of accel, got none"),
+        ({"accel": np.zeros((5, 3)), "sample_rate_hz": 10.0}, "accel has no unit"),
         (
             {"gyro": np.zeros((3, 50)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
             r"got \(3, 50\). Time is axis 0",

@@ -78,20 +78,20 @@ class Budget:
         Negative variances count as zero. If the sources sum to more than the total, they are not separable, and the
         budget has the single source ``fit``.
         """
-        whole = np.diag(covariance)
-        shares = {name: np.maximum(part, 0.0) for name, part in parts.items()}
-        left = whole - sum(shares.values(), np.zeros(len(whole)))
-        if not (left >= -_EXCEEDS * whole).all():
-            shares, left, rest = {}, whole, "fit"
-        shares[rest] = shares.get(rest, 0.0) + np.maximum(left, 0.0)
+        variances = np.diag(covariance)
+        shares = {name: np.maximum(share, 0.0) for name, share in parts.items()}
+        remainder = variances - sum(shares.values(), np.zeros(len(variances)))
+        if not (remainder >= -_EXCEEDS * variances).all():
+            shares, remainder, rest = {}, variances, "fit"
+        shares[rest] = shares.get(rest, 0.0) + np.maximum(remainder, 0.0)
         variance = np.array([shares[name] for name in SOURCES if name in shares])
         total = variance.sum(axis=0)
-        variance *= np.divide(whole, total, out=np.ones_like(whole), where=total > 0.0)
-        shown: BoolArray = np.any(variance > 0.0, axis=1)
+        variance *= np.divide(variances, total, out=np.ones_like(variances), where=total > 0.0)
+        nonzero: BoolArray = np.any(variance > 0.0, axis=1)
         names = [name for name in SOURCES if name in shares]
         return cls(
-            sources=tuple(name for name, seen in zip(names, shown.tolist(), strict=True) if seen),
-            uncertainty=np.sqrt(variance[shown]).reshape(-1, len(whole)),
+            sources=tuple(name for name, keeps in zip(names, nonzero.tolist(), strict=True) if keeps),
+            uncertainty=np.sqrt(variance[nonzero]).reshape(-1, len(variances)),
         )
 
 
@@ -144,10 +144,12 @@ class TriadModel:
     def values(self) -> FloatArray:
         """Value of each parameter, shape (P,), in its own unit."""
         parts = (self.matrix, self.offset, self.g_sensitivity, self.moving_offset, self.code_offset)
-        known: dict[str, float] = {}
-        for names, part in zip((MATRIX_NAMES, OFFSET_NAMES, G_NAMES, MOVING_NAMES, CODE_NAMES), parts, strict=True):
-            known |= dict.fromkeys(names, 0.0) if part is None else dict(zip(names, part.ravel().tolist(), strict=True))
-        return np.array([known[name] for name in self.parameters])
+        value_of: dict[str, float] = {}
+        for names, values in zip((MATRIX_NAMES, OFFSET_NAMES, G_NAMES, MOVING_NAMES, CODE_NAMES), parts, strict=True):
+            value_of |= (
+                dict.fromkeys(names, 0.0) if values is None else dict(zip(names, values.ravel().tolist(), strict=True))
+            )
+        return np.array([value_of[name] for name in self.parameters])
 
     @property
     def offset_covariance(self) -> FloatArray:
@@ -155,10 +157,10 @@ class TriadModel:
 
         It is M C M', where C is the covariance of the offset.
         """
-        known = [k for k, name in enumerate(OFFSET_NAMES) if name in self.parameters]
-        rows = [self.parameters.index(OFFSET_NAMES[k]) for k in known]
-        turned = self.matrix[:, known]
-        return np.asarray(turned @ self.covariance[np.ix_(rows, rows)] @ turned.T)
+        indices = [k for k, name in enumerate(OFFSET_NAMES) if name in self.parameters]
+        rows = [self.parameters.index(OFFSET_NAMES[k]) for k in indices]
+        columns = self.matrix[:, indices]
+        return np.asarray(columns @ self.covariance[np.ix_(rows, rows)] @ columns.T)
 
     @property
     def forward_matrix(self) -> FloatArray:
@@ -464,8 +466,8 @@ class Calibration(Shown):
             sensor=sensor,
             quantity="rate" if gyro else "accel",
             model=self.gyro if gyro else self.accel,
-            offsets=_part_of(drift.static, sensor, "offset"),
-            matrices=_part_of(drift.scale, sensor, "matrix"),
+            offsets=_select_table(drift.static, sensor, "offset"),
+            matrices=_select_table(drift.scale, sensor, "matrix"),
             errors=drift.dynamic if gyro else None,
             warm_up=static.warm_up if gyro and static is not None else None,
             lsb=adc.gyro_lsb if gyro else adc.accel_lsb,
@@ -482,10 +484,10 @@ class Calibration(Shown):
         count = len(self.verdict.reasons)
         return "\n".join((
             f"Calibration of {self.device or 'a device without serial number'} at {where}",
-            f"gyro     {_in_a_line(self.gyro)}",
-            f"accel    {_in_a_line(self.accel)}",
-            *(() if self.magnetometer is None else (f"mag      {_in_a_line(self.magnetometer.model)}",)),
-            f"drift    {'no tables' if self.drift is None else _tables_in_a_line(self.drift)}",
+            f"gyro     {_summarize_triad(self.gyro)}",
+            f"accel    {_summarize_triad(self.accel)}",
+            *(() if self.magnetometer is None else (f"mag      {_summarize_triad(self.magnetometer.model)}",)),
+            f"drift    {'no tables' if self.drift is None else _summarize_tables(self.drift)}",
             f"verdict  {self.verdict.status}, {count} finding{'' if count == 1 else 's'}",
         ))  # fmt: skip
 
@@ -512,7 +514,7 @@ class Triad:
         return 1.0 if self.model is None else si_factor(self.model.unit_out, self.quantity)
 
 
-def _in_a_line(triad: TriadModel | None) -> str:
+def _summarize_triad(triad: TriadModel | None) -> str:
     if triad is None:
         return "not calibrated"
     scale = ", ".join(f"{value:.5g}" for value in triad.scale_factor)
@@ -522,13 +524,13 @@ def _in_a_line(triad: TriadModel | None) -> str:
     )
 
 
-def _tables_in_a_line(drift: DriftTables) -> str:
+def _summarize_tables(drift: DriftTables) -> str:
     tables = {"static": drift.static, "scale": drift.scale, "dynamic": drift.dynamic}
-    shown = [f"{name} {t.temp_c[0]:.1f} to {t.temp_c[-1]:.1f} degC" for name, t in tables.items() if t is not None]
-    return ", ".join(shown) or "no tables"
+    ranges = [f"{name} {t.temp_c[0]:.1f} to {t.temp_c[-1]:.1f} degC" for name, t in tables.items() if t is not None]
+    return ", ".join(ranges) or "no tables"
 
 
-def _part_of(table: StaticDrift | ScaleDrift | None, sensor: Sensor, what: str) -> OverTemperature | None:
+def _select_table(table: StaticDrift | ScaleDrift | None, sensor: Sensor, what: str) -> OverTemperature | None:
     """Return the table of one sensor, or None if there is none."""
     if table is None:
         return None

@@ -99,21 +99,25 @@ def _track(record: Record) -> _Track:
     rise = sosfiltfilt(band, (force * up).sum(axis=1))
     size = np.sqrt(np.maximum(sosfiltfilt(slow, rise**2), 0.0))
     half = max(1, round(0.25 * rate))
-    turned = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
+    tilt_rate = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
     spin = sosfiltfilt(slow, (gyro * up).sum(axis=1))
-    quiet, walk = (turned < SWAY) & (size < QUIET), (size > STEPS) & (np.abs(spin) < TURN)
+    quiet, walk = (tilt_rate < SWAY) & (size < QUIET), (size > STEPS) & (np.abs(spin) < TURN)
     return _Track(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
 
 
 def find_mounting(
-    records: Sequence[Record], place: Worn, posture: Posture = "standing", movement: Movement = "walk", named: Span | None = None
-) -> MountFit:  # fmt: skip
-    """Find how a device is worn from recordings of one wearing; ``named`` is the posture in the first, s, by default searched."""
+    records: Sequence[Record],
+    place: Worn,
+    posture: Posture = "standing",
+    movement: Movement = "walk",
+    posture_s: Span | None = None,
+) -> MountFit:
+    """Find how a device is worn from recordings of one wearing; ``posture_s`` is the posture in the first, by default searched."""
     if movement != "walk" and place not in LEANS[movement]:
-        others = " or ".join(("walk", *(name for name in LEANS if place in LEANS[name])))
-        raise InputError(f"mount: {movement} does not move the {place}. Choose {others}.")
+        allowed = " or ".join(("walk", *(name for name in LEANS if place in LEANS[name])))
+        raise InputError(f"mount: {movement} does not move the {place}. Choose {allowed}.")
     tracks = [_track(record) for record in records]
-    stance = _up(tracks, posture, named)
+    stance = _up(tracks, posture, posture_s)
     if stance is None:
         why = f"no upright posture of {POSTURE_S:g} s"
         missing = finding("mount.not_determined", "fail", direction="Up", why=why)
@@ -148,20 +152,24 @@ def find_mounting(
     return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
 
 
-def _up(tracks: Sequence[_Track], posture: Posture, named: Span | None) -> tuple[FloatArray, Span, str] | None:
+def _up(tracks: Sequence[_Track], posture: Posture, posture_s: Span | None) -> tuple[FloatArray, Span, str] | None:
     """Return the vertical of the upright segment in b, the variances about its x and y, and its posture; None without one."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
     mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > POSTURE_S else None
     upright = []
-    for track in tracks[:1] if named else tracks:
+    for track in tracks[:1] if posture_s else tracks:
         time, least = track.record.time, POSTURE_S * track.record.sample_rate_hz
-        spans = [time.searchsorted(named)] if named else [run for run in runs(track.quiet) if run[1] - run[0] >= least]
+        spans = (
+            [time.searchsorted(posture_s)]
+            if posture_s
+            else [run for run in runs(track.quiet) if run[1] - run[0] >= least]
+        )
         for first, last in spans:
             still = Still(start=int(first), stop=max(int(last), int(first) + 1))
             tilt, (start, stop) = initial_tilt(track.record, still), time[[still.start, still.stop - 1]].tolist()
             up = tilt.specific_force / np.linalg.norm(tilt.specific_force)
-            if mean is None or named or posture == "sitting" or up @ mean > np.cos(UPRIGHT):
+            if mean is None or posture_s or posture == "sitting" or up @ mean > np.cos(UPRIGHT):
                 upright.append((stop - start, start, up, tilt.inclination_uncertainty**2 / 2.0))
     if not upright:
         return None
@@ -188,8 +196,8 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
     """Return the direction of the robust mean of pieces (K, 3) and its standard uncertainty, rad; None if it is not clear."""
     middle, weight, count = pieces.mean(axis=0), np.ones(len(pieces)), len(pieces)
     for _ in range(50):
-        apart = np.linalg.norm(pieces - middle, axis=1)
-        weight = 1.0 / np.maximum(apart, float(np.median(apart)) + 1e-12)
+        distance = np.linalg.norm(pieces - middle, axis=1)
+        weight = 1.0 / np.maximum(distance, float(np.median(distance)) + 1e-12)
         weight /= weight.sum()
         middle = weight @ pieces
     length = max(float(np.linalg.norm(middle)), 1e-12)

@@ -82,11 +82,13 @@ class Tilt:
     @property
     def statement(self) -> str:
         """How well it is known, in words."""
-        whole, most = (angle / RADIAN_PER_DEGREE for angle in (self.inclination_uncertainty, self.expanded_uncertainty))
+        total_deg, most = (
+            angle / RADIAN_PER_DEGREE for angle in (self.inclination_uncertainty, self.expanded_uncertainty)
+        )
         if self.basis != "calibration":
-            return f"{self.basis} (scatter {whole:.2g} deg)"
-        shares = ", ".join(f"{name} {part / RADIAN_PER_DEGREE:.2g}" for name, part in self.parts)
-        return f"standard uncertainty {whole:.2g} deg, 95 % within {most:.2g} deg (in deg: {shares})"
+            return f"{self.basis} (scatter {total_deg:.2g} deg)"
+        shares = ", ".join(f"{name} {sigma / RADIAN_PER_DEGREE:.2g}" for name, sigma in self.parts)
+        return f"standard uncertainty {total_deg:.2g} deg, 95 % within {most:.2g} deg (in deg: {shares})"
 
 
 def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
@@ -109,19 +111,19 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
             "stood still.",
             length=length,
         )
-    return _tilt_of(record, mean, force_covariances(record, still, force), heading)
+    return _compute_tilt(record, mean, force_covariances(record, still, force), heading)
 
 
-def _tilt_of(record: Record, mean: FloatArray, covariances: dict[str, FloatArray], heading: float) -> Tilt:
+def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, FloatArray], heading: float) -> Tilt:
     """Return the tilt that a specific force (3,) shows, by its covariances (3, 3), source by source."""
     from scipy.special import chdtri
 
     length = float(np.linalg.norm(mean))
     level = (np.eye(3) - np.outer(mean, mean) / length**2) / length
-    parts = {name: level @ one @ level for name, one in covariances.items()}
-    whole = np.sum([*parts.values()], axis=0)
-    variance = float(np.trace(whole))
-    freedom = max(variance**2 / max(float((whole**2).sum()), 1e-300), 1.0)  # 1: one component errs, 2: both do alike
+    parts = {name: level @ covariance @ level for name, covariance in covariances.items()}
+    total = np.sum([*parts.values()], axis=0)
+    variance = float(np.trace(total))
+    freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)  # 1: one component errs, 2: both do alike
     turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
     lacking = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
     return Tilt(
@@ -129,7 +131,7 @@ def _tilt_of(record: Record, mean: FloatArray, covariances: dict[str, FloatArray
         specific_force=mean,
         inclination_uncertainty=math.sqrt(variance),
         expanded_uncertainty=math.sqrt(variance * float(chdtri(freedom, 0.05)) / freedom),
-        parts=tuple((name, math.sqrt(np.trace(part))) for name, part in parts.items()),
+        parts=tuple((name, math.sqrt(np.trace(share))) for name, share in parts.items()),
         basis=lacking if record.accel_uncertainty is None else "calibration",
     )
 
@@ -284,12 +286,12 @@ class Orientation(Shown):
         freeze(self, k=len(self.rests))
 
     def _rows(self) -> dict[str, str]:
-        named = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
+        angles = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
         spans = {
             name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
-            for name, angle in named
+            for name, angle in angles
         }
-        drift = {one.headline: one.detail for one in self.findings}
+        drift = {item.headline: item.detail for item in self.findings}
         return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | drift
 
     @property
@@ -344,8 +346,8 @@ def orient(
     True
     """
     disagreements = check_triads(record)
-    found = orient_unchecked(record, still, settings, gyro_model=gyro_model)
-    return replace(found, findings=(*disagreements, *found.findings))
+    result = orient_unchecked(record, still, settings, gyro_model=gyro_model)
+    return replace(result, findings=(*disagreements, *result.findings))
 
 
 def orient_unchecked(
@@ -356,23 +358,23 @@ def orient_unchecked(
     gyro_model: TriadModel | None = None,
 ) -> Orientation:
     """Find the orientation of a record whose columns are known to be right."""
-    whole = record.in_si()
-    check_whole(whole)
-    _check_field(whole, settings)
-    rates = np.asarray((record := unpadded(whole)).gyro)
+    full_record = record.in_si()
+    check_whole(full_record)
+    _check_field(full_record, settings)
+    rates = np.asarray((record := unpadded(full_record)).gyro)
     if still is not None:
-        first = int(whole.time.searchsorted(record.time[0]))
+        first = int(full_record.time.searchsorted(record.time[0]))
         still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
     rests = _rests(record, still, settings.offset)
     still = rests[0] if still is None and rests else still
-    means = np.reshape([rates[one.start : one.stop].mean(axis=0) for one in rests], (-1, 3))
-    findings = padding(whole, record)
+    means = np.reshape([rates[rest.start : rest.stop].mean(axis=0) for rest in rests], (-1, 3))
+    findings = padding(full_record, record)
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
 
         moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
-        tilt = _tilt_of(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
+        tilt = _compute_tilt(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":
@@ -387,14 +389,14 @@ def orient_unchecked(
         uncertainty = _offset_uncertainty(record, rests, means, offsets, gyro_model)
     gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
     if settings.method == "vqf":
-        q, of_field = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
-        q, findings = q if of_field else _levelled_at(q, anchor, tilt.q_nb), findings + of_field
+        q, field_findings = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
+        q, findings = q if field_findings else _level_at(q, anchor, tilt.q_nb), findings + field_findings
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings += (_expected_drift(record, anchor, uncertainty, settings.offset, rested=still is not None),)
-    q, at_rest = _of_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
-    findings += () if still is None else _moved_at_rest(record, still)
-    findings += check_pitch_axes(q, at_rest, settings.forward, settings.up)
+    q, rest = _rotate_to_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
+    findings += () if still is None else _check_rest(record, still)
+    findings += check_pitch_axes(q, rest, settings.forward, settings.up)
     return Orientation(
         time=record.time,
         q_nb=q,
@@ -411,7 +413,7 @@ def orient_unchecked(
     )
 
 
-def _of_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> FloatArray:
+def _rotate_to_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> FloatArray:
     """Return the orientations of the segment that wears the device, where a mounting is stated, at the stated heading."""
     if settings.mounting is None:
         return q_nb
@@ -420,10 +422,10 @@ def _of_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> Floa
     return quaternion_product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), q)
 
 
-def _rests(record: Record, named: Still | None, offset: str) -> tuple[Still, ...]:
+def _rests(record: Record, still: Still | None, offset: str) -> tuple[Still, ...]:
     """Return the named still phase, or those found; none in motion."""
-    if named is not None:
-        return (named,)
+    if still is not None:
+        return (still,)
     try:
         return rests_from_first(record, "orient")
     except InputError as error:
@@ -438,21 +440,23 @@ def _offset_uncertainty(
 ) -> float:
     """Return the standard uncertainty of the rate's offset, all axes together: rad/s."""
     gyro = np.asarray(record.gyro)
-    left = [mean - offsets[(one.start + one.stop) // 2] for one, mean in zip(rests, means, strict=True)]
-    worst = max(float(np.linalg.norm(one)) for one in left)
+    residuals = [mean - offsets[(still.start + still.stop) // 2] for still, mean in zip(rests, means, strict=True)]
+    worst = max(float(np.linalg.norm(still)) for still in residuals)
     if model is not None and not offsets.any():
         worst = max(worst, si_factor(model.unit_out, "rate") * float(np.sqrt(np.trace(model.offset_covariance))))
     scatter = min(
-        sum(mean_variance(axis) for axis in gyro[one.start : one.stop].T) for one in rests if one.stop - one.start > 1
+        sum(mean_variance(axis) for axis in gyro[still.start : still.stop].T)
+        for still in rests
+        if still.stop - still.start > 1
     )
     unmoved = model is not None and model.method in IN_MOTION and model.moving_offset is None and not offsets.any()
-    moving = 0.0 if unmoved else 1.0 - sum(one.stop - one.start for one in rests) / len(gyro)
-    by_rests = math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
-    known = record.offset_uncertainty  # of what ``correct`` subtracted
-    return by_rests if known is None or offsets.any() else min(by_rests, known)
+    moving = 0.0 if unmoved else 1.0 - sum(still.stop - still.start for still in rests) / len(gyro)
+    rest_sigma = math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
+    subtracted_sigma = record.offset_uncertainty  # of what ``correct`` subtracted
+    return rest_sigma if subtracted_sigma is None or offsets.any() else min(rest_sigma, subtracted_sigma)
 
 
-def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
+def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     """Return that the device moved in the stretch that gives tilt and offset: rates that vary, or gravity that turns."""
     if record.gyro is None or record.accel is None:
         return ()
@@ -460,11 +464,11 @@ def _moved_at_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     spread = float(np.linalg.norm(np.nanstd(gyro, axis=0)))
     third = max(len(accel) // 3, 1)
     first, last = np.nanmean(accel[:third], axis=0), np.nanmean(accel[-third:], axis=0)
-    turned = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
-    if spread <= MOVING_RATE and turned <= TURNED:
+    tilt = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
+    if spread <= MOVING_RATE and tilt <= TURNED:
         return ()
     how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"
-    how = how if spread > MOVING_RATE else f"gravity turns by {turned / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
+    how = how if spread > MOVING_RATE else f"gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
     span = {"start_s": float(record.time[still.start]), "stop_s": float(record.time[still.stop - 1])}
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 
@@ -514,7 +518,7 @@ def filtered(
     return q, (north, finding("orient.field", "warn")) if record.state == "raw" else (north,)
 
 
-def _levelled_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
+def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
     """Return the orientations turned about the vertical, so that the heading at one sample is the wanted one's."""
     w, _, _, z = quaternion_product(wanted, quaternion_conjugate(q_nb[anchor]))
     return quaternion_product(np.array([w, 0.0, 0.0, z]) / math.hypot(w, z), q_nb)

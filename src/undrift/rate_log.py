@@ -62,9 +62,9 @@ class LoggedTurn:
 
 def read_rate_log(path: str | Path) -> RateLog:
     """Read a log: a header, a column of TIMES, and one of RATES or ANGLES; comma, semicolon or tab between them."""
-    first, *others = open_text(path).head.splitlines()
+    first, *rows = open_text(path).head.splitlines()
     delimiter = max(",;\t", key=first.decode("utf-8", "replace").count)
-    decimal = "," if delimiter == ";" and b"," in others[0] else "."
+    decimal = "," if delimiter == ";" and b"," in rows[0] else "."
     text = open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
     values = RATES | ANGLES
     times, rates = ([name for name in text.names if name.strip() in table] for table in (TIMES, values))
@@ -125,13 +125,13 @@ def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple
     turns, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
     for start, stop in steady_stretches(log):
         turn_rate, uncertainty = _achieved(log, start, stop)
-        known = uncertainty <= LARGEST_UNCERTAINTY * abs(turn_rate)
+        accurate = uncertainty <= LARGEST_UNCERTAINTY * abs(turn_rate)
         before = len(turns)
-        for number, (record, line) in enumerate(records if known else ()):
+        for number, (record, line) in enumerate(records if accurate else ()):
             rows = _recorded(record, line, start, stop)
             if rows is None:
                 continue
-            axis, sign = _axis_of(log, record, line, start, stop)
+            axis, sign = _match_axis(log, record, line, start, stop)
             turn = Turn(start=rows.start, stop=rows.stop, axis=AXES[axis], turn_rate=sign * turn_rate, recording=number)
             turns.append(LoggedTurn(turn=turn, uncertainty=uncertainty))
             up = np.zeros(3) if record.accel is None else np.nanmean(record.accel[rows], axis=0)
@@ -154,10 +154,10 @@ def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
     rate = (log.angle[width:] - log.angle[:-width]) / (log.time[width:] - log.time[:-width])
     noise = 2.0 * log.resolution / (width * typical if log.has_angle else 1.0)
     gaps = np.cumsum(np.concatenate(([False], step > 5.0 * typical)))
-    whole = (gaps[width:] == gaps[:-width]) & (np.abs(rate) > LEAST_RATE)
+    regular = (gaps[width:] == gaps[:-width]) & (np.abs(rate) > LEAST_RATE)
     steady = np.abs(rate[width:] - rate[:-width]) <= STEADY * np.abs(rate[width:]) + noise
     stretches = list[tuple[float, float]]()
-    for start, stop in runs(whole[width:] & whole[:-width] & steady):
+    for start, stop in runs(regular[width:] & regular[:-width] & steady):
         level = rate[start : stop + width]
         near = np.abs(level - np.median(level)) <= STEADY * np.abs(np.median(level)) + noise
         longest = max(runs(near), key=lambda run: run[1] - run[0], default=(0, 0))  # slow ends of a ramp are cut off
@@ -192,7 +192,7 @@ def _recorded(record: Record, line: LagLine, start: float, stop: float) -> slice
     return rows if inside.sum() >= 10 and inside.mean() >= 0.8 else None
 
 
-def _axis_of(log: RateLog, record: Record, line: LagLine, start: float, stop: float) -> tuple[int, float]:
+def _match_axis(log: RateLog, record: Record, line: LagLine, start: float, stop: float) -> tuple[int, float]:
     """Return axis and sign of the gyroscope that follows the log over a dwell and the ramps at its ends."""
     room = SETTLE_S + RAMP_S
     rows = slice(*np.searchsorted(record.time, (line.later(start) - room, line.later(stop) + room)))

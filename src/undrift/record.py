@@ -154,7 +154,7 @@ class Record(Shown):
         (200, 3.98)
         """
         triads = (("gyro", gyro, gyro_unit, "dps"), ("accel", accel, accel_unit, "g"))
-        clock = _clock_of([_stated_length(*triad) for triad in triads], time, sample_rate_hz)
+        clock = _choose_clock([_check_triad(*triad) for triad in triads], time, sample_rate_hz)
         channels: dict[str, Any] = {"time": clock, "gyro": gyro, "accel": accel, "temp_c": temp_c, "device": device}
         return cls(**channels, gyro_unit=gyro_unit or "rad/s", accel_unit=accel_unit or "m/s2")
 
@@ -185,10 +185,10 @@ class Record(Shown):
         >>> undrift.Record.from_frame(frame, **how, sample_rate_hz=10.0).accel_unit
         'g'
         """
-        made: Record = at("undrift.io.dataframes:read_frame")(
+        record: Record = at("undrift.io.dataframes:read_frame")(
             frame, columns, units or {}, sample_rate_hz=sample_rate_hz, gaps=gaps, device=device
         )
-        return made
+        return record
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the record as a pandas DataFrame with undrift's own column names. ``from_frame`` reads it back.
@@ -200,8 +200,8 @@ class Record(Shown):
         >>> list(record.to_frame())
         ['time_s', 'gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps']
         """
-        made: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
-        return made
+        frame: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
+        return frame
 
     def _rows(self) -> dict[str, str]:
         triads = (("gyroscope", self.gyro, self.gyro_unit), ("accelerometer", self.accel, self.accel_unit))
@@ -243,8 +243,8 @@ class Record(Shown):
 
     def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
         """Return the record in other physical units. InputError if only one of the old and new unit is physical."""
-        gyro, gyro_unit = _converted(self.gyro, self.gyro_unit, gyro_unit, "rate")
-        accel, accel_unit = _converted(self.accel, self.accel_unit, accel_unit, "accel")
+        gyro, gyro_unit = _convert_triad(self.gyro, self.gyro_unit, gyro_unit, "rate")
+        accel, accel_unit = _convert_triad(self.accel, self.accel_unit, accel_unit, "accel")
         if gyro is self.gyro and accel is self.accel:
             return self
         return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
@@ -290,8 +290,8 @@ class Reference:
             )
         object.__setattr__(self, "q_nb", frozen(self.q_nb / norm[:, None], (None, 4), "q_nb"))
         if self.position is not None:
-            seen = self.position[np.isfinite(self.position).all(axis=1)]
-            span = float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
+            finite = self.position[np.isfinite(self.position).all(axis=1)]
+            span = float(np.ptp(finite, axis=0).max()) if len(finite) else 0.0
             if span > LARGEST_SPAN_M:
                 raise InputError(
                     f"position: expected m, within {LARGEST_SPAN_M:g} m, got a span of {span:.0f}: positions are in mm, not m. "
@@ -339,7 +339,7 @@ def sample_rate_of(time: FloatArray) -> float:
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
-def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str) -> int:
+def _check_triad(name: str, values: ArrayLike | None, unit: str, example: str) -> int:
     """Return the number of samples of a triad passed to from_arrays. Raise InputError if it has no unit or is transposed."""
     shape = () if values is None else np.shape(values)
     if len(shape) == 2 and shape[0] == 3 and shape[1] != 3:
@@ -351,7 +351,7 @@ def _stated_length(name: str, values: ArrayLike | None, unit: str, example: str)
     return shape[0] if shape else 0
 
 
-def _clock_of(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: float | None) -> ArrayLike:
+def _choose_clock(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: float | None) -> ArrayLike:
     """Return the time for from_arrays, s: the given time, or an even clock."""
     if (time is None) == (sample_rate_hz is None) or not (sample_rate_hz is None or sample_rate_hz > 0.0):
         got = "both" if time is not None else "neither" if sample_rate_hz is None else f"{sample_rate_hz:g} Hz"
@@ -359,7 +359,9 @@ def _clock_of(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz: flo
     return np.arange(max(counts)) / (sample_rate_hz or np.nan) if time is None else time
 
 
-def _converted(values: FloatArray | None, unit: str, wanted: str, quantity: Quantity) -> tuple[FloatArray | None, str]:
+def _convert_triad(
+    values: FloatArray | None, unit: str, wanted: str, quantity: Quantity
+) -> tuple[FloatArray | None, str]:
     wanted = canonical_unit(wanted, quantity)
     if unit == wanted or values is None:
         return values, wanted
@@ -599,14 +601,14 @@ def check_local_gravity(gravity_m_s2: float, what: str) -> None:
 
 def joined(records: Sequence[Record]) -> Record:
     """Return consecutive records of one device as one record. A channel that is missing in one of them is dropped."""
-    first, *others = records
-    if not others:
+    first, *later = records
+    if not later:
         return first
-    whole = dict[str, Any]()
+    columns = dict[str, Any]()
     for name in CHANNELS:
         parts = [getattr(record, name) for record in records]
-        whole[name] = None if any(part is None for part in parts) else np.concatenate(parts)
-    return replace(first, **whole)
+        columns[name] = None if any(value is None for value in parts) else np.concatenate(parts)
+    return replace(first, **columns)
 
 
 def _check_range(start: int, stop: int, what: str) -> None:

@@ -340,7 +340,7 @@ def unpadded(record: Record) -> Record:
     triads = [values for values in (record.gyro, record.accel) if values is not None]
     least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
     ends = (slice(0, least + 1), slice(-least - 1, None))
-    if not any(all((np.diff(each[end], axis=0) == 0.0).all() for each in triads) for end in ends):
+    if not any(all((np.diff(readings[end], axis=0) == 0.0).all() for readings in triads) for end in ends):
         return record
     steps = np.diff(np.hstack(triads), axis=0)
     same, first, last = runs((steps == 0.0).all(axis=1)), 0, len(record)
@@ -464,14 +464,19 @@ def find_poses(records: Sequence[Record], settings: StillSettings = StillSetting
     samples = sum(len(record) for record in records)
     still = sum(still.stop - still.start for search in first for still in search.stills)
     fixed = settings.threshold_floors is not None or all(record.accel is None for record in records)
-    if fixed or samples > _MOST_SAMPLES or still > _ALL_STILL * samples or _all_around(_directions(records, first)):
+    if (
+        fixed
+        or samples > _MOST_SAMPLES
+        or still > _ALL_STILL * samples
+        or _points_everywhere(_directions(records, first))
+    ):
         return first
     tries = [(tried, _directions(records, tried)) for tried in _tries(records, settings)]
-    searches = [(tried, _count_poses(up)) for tried, up in tries if _all_around(up)]
+    searches = [(tried, _count_poses(up)) for tried, up in tries if _points_everywhere(up)]
     counts = [poses for _, poses in searches]
     agreed = max(counts, key=lambda poses: (counts.count(poses), poses), default=0)
-    alike = [tried for tried, poses in searches if poses == agreed]
-    return min(alike, key=lambda tried: sum(len(search.stills) for search in tried), default=first)
+    agreeing = [tried for tried, poses in searches if poses == agreed]
+    return min(agreeing, key=lambda tried: sum(len(search.stills) for search in tried), default=first)
 
 
 def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[StillSearch, ...]]:
@@ -506,18 +511,18 @@ def _count_poses(directions: FloatArray) -> int:
     return count
 
 
-def _all_around(directions: FloatArray) -> bool:
+def _points_everywhere(directions: FloatArray) -> bool:
     """Return True if stills, by their directions (P, 3), lie on all six faces, or in nine poses all around."""
-    apart = list[FloatArray]()
+    distinct = list[FloatArray]()
     for up in directions:
-        if all(up @ other < _APART for other in apart):
-            apart.append(up)
-    if len(apart) < len(FACES):
+        if all(up @ other < _APART for other in distinct):
+            distinct.append(up)
+    if len(distinct) < len(FACES):
         return False
     if (np.concatenate((directions, -directions), axis=1).max(axis=0) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)).all():
         return True
-    spans = np.linalg.svd(np.array(apart) - np.mean(apart, axis=0), compute_uv=False) / np.sqrt(len(apart))
-    return len(apart) >= LEAST_POSES and float(spans[-1]) >= _SPAN
+    spans = np.linalg.svd(np.array(distinct) - np.mean(distinct, axis=0), compute_uv=False) / np.sqrt(len(distinct))
+    return len(distinct) >= LEAST_POSES and float(spans[-1]) >= _SPAN
 
 
 # ---- faces: the sensor axis that points up, by gravity

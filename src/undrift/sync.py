@@ -69,22 +69,24 @@ class RunningIntegral:
         late = step > LONGEST_STEP * np.median(step)
         self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | late))
         area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
-        whole = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
+        area_before = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
         bend = 0.5 * (np.diff(self._values, axis=0) / step[:, None])
-        self._pieces = np.concatenate((whole, self._values[:-1], bend), axis=1)  # of the integral, from each sample on
+        self._pieces = np.concatenate(
+            (area_before, self._values[:-1], bend), axis=1
+        )  # of the integral, from each sample on
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""
-        first, at_first = self._at(start)
-        last, at_last = self._at(stop)
+        first, first_area = self._integral_at(start)
+        last, last_area = self._integral_at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
         valid &= self._gaps[np.minimum(last + 1, len(self.time) - 1)] == self._gaps[first]
-        return np.where(valid[:, None], (at_last - at_first) / (stop - start)[:, None], 0.0), valid
+        return np.where(valid[:, None], (last_area - first_area) / (stop - start)[:, None], 0.0), valid
 
-    def _at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
+    def _integral_at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
         k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
-        dt, (whole, value, bend) = (t - self.time[k])[:, None], np.split(self._pieces[k], 3, axis=1)
-        return k, whole + value * dt + bend * (dt * dt)
+        dt, (area_before, value, bend) = (t - self.time[k])[:, None], np.split(self._pieces[k], 3, axis=1)
+        return k, area_before + value * dt + bend * (dt * dt)
 
 
 # ---- coarse lag: where readings and rates correlate most, over a wide search
@@ -114,8 +116,10 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
 
     def summed(first: Spectrum, second: Spectrum) -> FloatArray:
         """Return sums over cells, (shifts, ...): cell k + s of the record meets cell k of the reference."""
-        whole = np.fft.irfft(first * np.conj(second), size, axis=-1)
-        return np.moveaxis(np.concatenate((whole[..., size - reach :], whole[..., : reach + 1]), axis=-1), -1, 0)
+        correlation = np.fft.irfft(first * np.conj(second), size, axis=-1)
+        return np.moveaxis(
+            np.concatenate((correlation[..., size - reach :], correlation[..., : reach + 1]), axis=-1), -1, 0
+        )
 
     overlap = np.round(summed(m, n))
     if not (enough := overlap >= max(LEAST_OVERLAP * min(m[0].real, n[0].real), LEAST_CELLS)).any():
@@ -133,7 +137,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
             (summed(u[:, None], w), mean_u, mean_w),
         )
     )
-    turn_u, turn_w = (np.trace(each, axis1=1, axis2=2) for each in (v, square_w))
+    turn_u, turn_w = (np.trace(covariance, axis1=1, axis2=2) for covariance in (v, square_w))
     turns = enough & (turn_u > STILL * turn_u.max()) & (turn_w > STILL * turn_w.max())
     if not turns.any():
         raise AlignmentError(
@@ -150,7 +154,7 @@ def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple
     mask = (weight > 0.0).astype(float)
     means = np.stack([np.bincount(cell, weights=v, minlength=count) for v in values.T]) / np.maximum(weight, 1.0)
     means -= (means.sum(axis=1, keepdims=True) / max(mask.sum(), 1.0)) * mask
-    u, uu, m = (np.fft.rfft(part, size, axis=-1) for part in (means, means[:, None] * means, mask))
+    u, uu, m = (np.fft.rfft(series, size, axis=-1) for series in (means, means[:, None] * means, mask))
     return u, uu, m
 
 
@@ -272,11 +276,11 @@ def lag_of(
 ) -> Lag:
     """Find how late readings are against mean rates about three axes or one; ``near`` is where the search begins, if known."""
     lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
-    known, wanted = RunningIntegral(time, gyro), _averaged(rates, settings.average_s)
+    integral, wanted = RunningIntegral(time, gyro), _average_rates(rates, settings.average_s)
     fit: Lag | None = None
     limit = settings.average_s  # the linear model reaches about one averaging length
     for _ in range(_STEPS):
-        fit, step = _aligned(known, wanted, lag)
+        fit, step = _align(integral, wanted, lag)
         if fit is None or not abs(step) < settings.longest_lag_s:
             break
         step = float(np.clip(step, -limit, limit))
@@ -293,17 +297,17 @@ def lag_of(
     return replace(fit, seconds=lag)
 
 
-def _averaged(rates: PoseRates, average_s: float) -> PoseRates:
+def _average_rates(rates: PoseRates, average_s: float) -> PoseRates:
     """Return the rates averaged over runs of neighbouring steps that are all valid."""
     step = rates.stop - rates.start
     width = max(1, round(average_s / float(np.median(step))))
     turn = window_sums(rates.rate * step[:, None], width)
-    whole = window_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
-    start, stop = rates.start[: len(whole)][whole], rates.stop[width - 1 :][whole]
-    return PoseRates(start=start, stop=stop, rate=turn[whole] / (stop - start)[:, None], valid=whole[whole])
+    complete = window_sums(rates.valid[:, None].astype(float), width)[:, 0] > width - 0.5
+    start, stop = rates.start[: len(complete)][complete], rates.stop[width - 1 :][complete]
+    return PoseRates(start=start, stop=stop, rate=turn[complete] / (stop - start)[:, None], valid=complete[complete])
 
 
-def _aligned(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
+def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
     """Fit A and c at a lag; return them with the step of the lag that reduces the residual most; None without common motion."""
     start, stop = wanted.start + lag, wanted.stop + lag
     mean, inside = integral.mean(start, stop)
@@ -375,11 +379,11 @@ def lag_line(
     part has no common motion.
     """
     lags, when = list[Lag](), list[float]()
-    for part in parts:
-        lag = lag_of(record.time, np.asarray(record.gyro), part, settings, near=near)
+    for section in parts:
+        lag = lag_of(record.time, np.asarray(record.gyro), section, settings, near=near)
         if lag.standard_uncertainty < settings.average_s:
             lags.append(lag)
-            when.append(float(np.average(part.start, weights=(part.rate**2).sum(axis=1))))
+            when.append(float(np.average(section.start, weights=(section.rate**2).sum(axis=1))))
     if not lags:
         raise AlignmentError(
             "lag: no part of record and reference has a common motion. Check that they belong together."
@@ -421,10 +425,10 @@ def in_step(
     return record, lag, [finding("sync.out_of_step", "warn", most_ms=1e3 * lost_s)] if lost_s > OUT_OF_STEP_S else []
 
 
-def padding(whole: Record, record: Record) -> tuple[Finding, ...]:
+def padding(full_record: Record, record: Record) -> tuple[Finding, ...]:
     """Return what ``segments.unpadded`` left out of a record."""
-    padded_s = whole.duration_s - record.duration_s
-    return (finding("recording.padded", "info", padded_s=padded_s),) if len(record) < len(whole) else ()
+    padded_s = full_record.duration_s - record.duration_s
+    return (finding("recording.padded", "info", padded_s=padded_s),) if len(record) < len(full_record) else ()
 
 
 def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
@@ -455,8 +459,11 @@ class MotionSpan:
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
     """Find the stretch of motion between the first and the last rest; without a rest before it, only where both have readings."""
-    seen, begins = reference.time[reference.valid] + lag_s, max(float(record.time[0]), float(reference.time[0]) + lag_s)
-    first, last = max(float(record.time[0]), float(seen[0])), min(float(record.time[-1]), float(seen[-1]))
+    valid_time, begins = (
+        reference.time[reference.valid] + lag_s,
+        max(float(record.time[0]), float(reference.time[0]) + lag_s),
+    )
+    first, last = max(float(record.time[0]), float(valid_time[0])), min(float(record.time[-1]), float(valid_time[-1]))
     marked = reference.time[:0] if reference.moving is None else reference.time[reference.moving > 0.0] + lag_s
     if len(marked):
         span: tuple[float, float] | None = (
@@ -464,7 +471,7 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
             float(marked[-1]) + float(np.median(np.diff(reference.time))),
         )
     else:
-        span = _between_stills(record)
+        span = _motion_between_stills(record)
     if span is not None and span[0] - begins >= LEAST_REST_S:
         return MotionSpan(start_s=span[0], stop_s=span[1], rested=True)
     start, stop = (first, last) if span is None else (max(first, span[0]), min(last, span[1]))
@@ -476,15 +483,15 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
     return MotionSpan(start_s=start, stop_s=stop, rested=False)
 
 
-def _between_stills(record: Record) -> tuple[float, float] | None:
+def _motion_between_stills(record: Record) -> tuple[float, float] | None:
     """Return the stretch from the first rest of 3 s to the last one, or to the end; None without such a rest."""
     search = find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:
         return None
     first, last = long[0], search.stills[-1]
-    to_the_end = last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first
-    start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if to_the_end else last.start])
+    ends_moving = last.stop < len(record) - 1 - record.sample_rate_hz * LEAST_REST_S or last is first
+    start, stop = float(record.time[first.stop - 1]), float(record.time[-1 if ends_moving else last.start])
     if stop - start >= LEAST_MOTION_S:
         return start, stop
     if record.time[first.start] - record.time[0] > LEAST_MOTION_S:

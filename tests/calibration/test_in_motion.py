@@ -140,7 +140,7 @@ def test_a_scale_that_no_part_has_is_refused(gyro: float, accel: float) -> None:
     ("change", "words"),
     [
         ({"gyro": None}, "gyroscopes and accelerometers are needed"),
-        ({"state": "corrected"}, "wanted raw readings"),
+        ({"state": "corrected"}, "expected raw readings"),
         ({"gyro_unit": "count"}, "the gyroscopes are in count, and motion does not determine"),
         ({"accel_unit": "V"}, "the accelerometers are in v, and motion does not determine"),
     ],

@@ -112,7 +112,7 @@ def test_gyroscopes_that_have_nothing_to_do_with_the_moves_are_a_poor_fit_or_imp
     record = recorded()
     assert record.gyro is not None
     other = Record(time=record.time, gyro=np.roll(record.gyro, 450, axis=0), accel=record.accel)
-    with pytest.raises((PoorFit, Implausible, NotObservable), match="wanted"):
+    with pytest.raises((PoorFit, Implausible, NotObservable), match="multi-position gyro"):
         fit_multi_position(other, gravity=G, stills=MOTION.stills)
 
 

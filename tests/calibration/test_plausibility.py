@@ -136,7 +136,7 @@ def test_a_gain_off_by_two_is_called_a_factor_and_the_sample_rate_is_named():
         check_own_scale(np.array([1.99, 2.01, 2.0]), "rad/s", "rate", 0.2, "gyroscope")
     with pytest.raises(Implausible, match=r"within 3 % .* got 0\.8507 of it \(-14\.9 %\)"):
         check_own_scale(np.array([0.8507]), "rad/s", "rate", 0.03, "gyroscope y")
-    with pytest.raises(Implausible, match=r"has 50 samples a second, 100 were stated"):
+    with pytest.raises(Implausible, match=r"has 50 samples a second instead of 100"):
         check_own_scale(np.array([0.5]), "rad/s", "rate", 0.2, "gyroscope", sample_rate_hz=100.0)
     check_own_scale(np.array([1.0, 1.02, 0.98]), "rad/s", "rate", 0.03, "gyroscope")
     check_own_scale(np.array([16.4]), "count", "rate", 0.03, "gyroscope")

@@ -103,7 +103,7 @@ def test_one_missing_face_is_allowed_and_named():
 
 
 def test_readings_and_labels_must_be_as_many():
-    with pytest.raises(InputError, match=r"wanted one reading \(3,\) for each of 6 faces, got \(5, 3\)"):
+    with pytest.raises(InputError, match=r"expected one reading \(3,\) for each of 6 faces, got \(5, 3\)"):
         fit_six_face(FaceMeans(reading=np.ones((5, 3)), faces=FACES), gravity=G)
 
 

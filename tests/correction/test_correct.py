@@ -184,7 +184,7 @@ def test_time_outside_is_that_of_the_clock_and_not_a_count_of_median_steps():
 def test_a_temperature_outside_the_tables_is_an_error_with_the_numbers():
     with pytest.raises(DriftRangeError) as caught:
         correct(record(low=60.0, high=90.0), device(drift=tables()))
-    assert "wanted temperatures from 18 to 75 degC, got 60." in str(caught.value)
+    assert "expected temperatures from 18 to 75 degC, got 60." in str(caught.value)
     assert "policy hold or nan" in str(caught.value)
     assert caught.value.high == 75.0
     assert caught.value.greatest == pytest.approx(90.0, abs=1.0)  # the highest of 203 draws below 90

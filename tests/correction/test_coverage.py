@@ -82,9 +82,9 @@ def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
 def test_raise_refuses_what_lies_further_beyond_what_was_seen_than_tables_reach_unasked():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
     assert correct_checked(record(high=62.9), c).extrapolated.any()
-    with pytest.raises(DriftRangeError, match=r"wanted temperatures from 18 to 63 degC, got 20\.0 to 63\.\d degC"):
+    with pytest.raises(DriftRangeError, match=r"expected temperatures from 18 to 63 degC, got 20\.0 to 63\.\d degC"):
         correct_checked(record(high=63.9), c)
-    with pytest.raises(DriftRangeError, match="wanted temperatures from 18 to 63 degC"):
+    with pytest.raises(DriftRangeError, match="expected temperatures from 18 to 63 degC"):
         Corrector(c, "raise").push_checked(record(high=63.9))
 
 

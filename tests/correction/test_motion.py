@@ -148,7 +148,7 @@ def test_what_motion_cannot_show_is_refused() -> None:
         swaying(30.0, np.zeros(3)),
         RestOffset(start_s=0.0, stop_s=1.0, rate=np.zeros(3), covariance=np.zeros((3, 3))),
     )
-    with pytest.raises(InputError, match=re.escape("wanted 20 s or more without gaps, got 9.95 s")):
+    with pytest.raises(InputError, match=re.escape("expected 20 s or more without gaps, got 9.95 s")):
         find_motion_offset(record.part(0, 200), rest)
     gone = np.array(record.accel)
     gone[7] = np.nan

@@ -239,7 +239,7 @@ def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path
     assert content["drift"][name] == 2.0
     content["drift"][name] = -1.0
     (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match="with a lag the smoothing above 0, got 3 and 0; "):
+    with pytest.raises(InputError, match=r"with a lag the smoothing above 0, got 3 and 0. "):
         DriftTables(lag_s=3.0)
     with pytest.raises(FileFormatError, match=f"at drift.{name}: Input should be greater than or equal to 0"):
         read_calibration(tmp_path / "c.json")

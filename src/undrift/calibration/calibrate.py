@@ -98,7 +98,7 @@ GYRO_FITS: dict[str, Fit] = {
 
 def calibrate(
     session: Session | Record,
-    *more: Record,
+    *further: Record,
     accel: AccelFit | None = None,
     gyro: GyroFit | None = None,
     mode: Mode | None = None,
@@ -141,15 +141,15 @@ def calibrate(
     ('rate-table/affine', 'six-face/affine', 'good')
     """
     if isinstance(session, Record):
-        session = _session_of((session, *more), gravity_m_s2, "stated", serial)
-    elif more or gravity_m_s2 is not None or serial:
+        session = _build_session((session, *further), gravity_m_s2, "stated", serial)
+    elif further or gravity_m_s2 is not None or serial:
         raise InputError(
             "calibrate: a Session already contains its recordings, gravity and serial number. Give the session only."
         )
     return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
 
 
-def _session_of(
+def _build_session(
     records: Sequence[Record], gravity_m_s2: float | None, source: GravitySource, serial: str = ""
 ) -> Session:
     """Return recordings as a session; gravity is the standard one if it is not given."""
@@ -176,14 +176,14 @@ def calibrated(
     check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(in_one_unit(session))
-    adc, observed = _observed(session, settings)
+    adc, observed = _observe_restored(session, settings)
     accel_outcome = _calibrate_accel(observed.with_triad("accel"), accel, mode)
     rotated = observed.with_triad("gyro")
     together = any(record.accel is not None for record in rotated.session.records)
     gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if together else None)
     findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
     findings += accel_outcome.findings + gyro_outcome.findings
-    verdict, models = _verdict_of(findings), dict[str, TriadModel]()
+    verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
     for name, fit in (("accel", accel_outcome.fit), ("gyro", gyro_outcome.fit)):
         if fit is not None:
             verdict, models[name] = verdict.also(fit.verdict), fit.model
@@ -204,7 +204,7 @@ def calibrated(
     return calibration, observed
 
 
-def _verdict_of(findings: Iterable[Finding]) -> Verdict:
+def _collect_verdict(findings: Iterable[Finding]) -> Verdict:
     """Return the verdict of findings, each once."""
     return Verdict.of(*{item.text: item for item in findings}.values())
 
@@ -232,14 +232,14 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
         yield _gravity_assumed(observed.session.gravity_m_s2, "warn")
     if gyro.fit is not None:
         largest = max(float(np.nanmax(np.abs(r.gyro))) for r in observed.session.records if r.gyro is not None)
-        stated = gyro.method in ("rate-table", "known-rotation")
-        yield from check_gyro_scale(gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, stated=stated)
+        rates_given = gyro.method in ("rate-table", "known-rotation")
+        yield from check_gyro_scale(gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, stated=rates_given)
     yield from observed.findings
     if gyro.fit is not None:
         yield from offset_drift(observed, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
 
 
-def _observed(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
+def _observe_restored(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
     """Return the converter's rounding, and what the session shows once it is corrected."""
     adc = device_adc(session.records) if settings.identify_adc else None
     return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
@@ -250,7 +250,7 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 
     Rests carry a face if the accelerometers would be calibrated from faces.
     """
-    observed = _observed(in_one_unit(session), settings)[1]
+    observed = _observe_restored(in_one_unit(session), settings)[1]
     stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
     turns = observed.session.turns or observed.full_turns()
     return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()
@@ -333,8 +333,8 @@ def _choose_gyro_fit(observed: Observed, accel: TriadFit | None, saturated: tupl
     if any(turn.angle is not None for turn in turns) or observed.full_turns():
         return "known-rotation", 0
     # Slow moves between free poses are steady too; beside six faces, steady turns may be those of a table.
-    by_poses = accel is not None and accel.model.method == "multi-position"
-    steady = 0 if by_poses else len(observed.plateaus())
+    free_poses = accel is not None and accel.model.method == "multi-position"
+    steady = 0 if free_poses else len(observed.plateaus())
     with_force = any(record.accel is not None for record in observed.session.records)
     return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest", steady
 
@@ -386,7 +386,7 @@ def _check_raw(records: Sequence[Record]) -> None:
         )
 
 
-def _of_recordings(session: Session, choices: Mapping[str, object], **of_calibration: Any) -> Calibration:
+def _build_calibration(session: Session, choices: Mapping[str, object], **of_calibration: Any) -> Calibration:
     """Return the calibration of whole recordings, at their mean temperature."""
     temps = [float(np.nanmean(record.temp_c)) for record in session.records if record.temp_c is not None]
     recordings = {"gravity": session.gravity_source, "recordings": len(session.records)}
@@ -438,7 +438,7 @@ def calibrate_to_references(
     InputError
         All that ``fit_reference`` raises.
     """
-    session = _session_of(records, gravity_m_s2, gravity_source)
+    session = _build_session(records, gravity_m_s2, gravity_source)
     check_choice(adc, Adc, "calibrate", "adc")
     check_local_gravity(session.gravity_m_s2, "reference")
     rounding = device_adc(records) if adc == "auto" else None
@@ -451,7 +451,7 @@ def calibrate_to_references(
     if accel is not None and session.gravity_source == "standard":
         verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
     choices = {"gyro": "reference", "adc": adc, "mounting": settings.mounting}
-    return _of_recordings(session, choices, gyro=fit.triad.model, accel=accel, adc=rounding, verdict=verdict)
+    return _build_calibration(session, choices, gyro=fit.triad.model, accel=accel, adc=rounding, verdict=verdict)
 
 
 def _accel_by_reference(
@@ -523,7 +523,7 @@ def calibrate_from_motion(
     check_choice(adc, Adc, "calibrate", "adc")
     if gravity_m_s2 is not None:
         check_local_gravity(gravity_m_s2, "motion")
-    session = _session_of(records, gravity_m_s2, gravity_source)
+    session = _build_session(records, gravity_m_s2, gravity_source)
     return from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)[0]
 
 
@@ -558,14 +558,14 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
         ]
         fit = replace(fit_readings(readings, field=True), field=field)
         verdict = fit.gyro.verdict.also(field.verdict)
-    calibration = _of_recordings(
+    calibration = _build_calibration(
         replace(session, serial=session.serial or records[0].device, records=tuple(records)),
         {"gyro": "motion", "accel": "motion", "adc": "auto" if identify_adc else "none"},
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         magnetometer=None if fit.field is None else fit.field.magnetometer,
         adc=adc,
-        verdict=verdict.also(_verdict_of(findings)),
+        verdict=verdict.also(_collect_verdict(findings)),
     )
     return calibration, fit
 

@@ -54,10 +54,10 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     if (np.abs(phases) >= MAX_PHASE).any():
         return CodeGrid(lsb=steps, rounding=None, reason="an offset was subtracted from the codes")
     counts = np.array([_swept_codes(column, step) for column, step in zip(values.T, steps, strict=True)])
-    others = np.delete(counts, SIDE_CODES, axis=1)
-    if (others.sum(axis=1) >= MIN_SWEPT).sum() < 2:
+    counts_beyond = np.delete(counts, SIDE_CODES, axis=1)
+    if (counts_beyond.sum(axis=1) >= MIN_SWEPT).sum() < 2:
         return CodeGrid(lsb=steps, rounding=None, reason="fewer than two axes sweep through code 0")
-    beside = others.sum(axis=0)
+    beside = counts_beyond.sum(axis=0)
     expected = float(beside.mean())
     uneven = max(1.0, float(beside.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
     ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
@@ -173,10 +173,14 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
 
 def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     """Return Q for steps q and variances S of single readings (3,); 0 if the step is not known."""
-    left = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)
-    shown = _NOISES**2 + 1.0 / 12.0 - left
+    bias_variance = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(
+        axis=0
+    )
+    scatter_variance = _NOISES**2 + 1.0 / 12.0 - bias_variance
     square = np.where(step > 0.0, step, np.inf) ** 2
-    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, shown, left))
+    return np.asarray(
+        np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, scatter_variance, bias_variance)
+    )
 
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:

@@ -47,8 +47,8 @@ def block_of(name: str) -> str:
 
 def gravity_uncertainty(calibration: Calibration, triad: str = "accel") -> float:
     """Return the standard uncertainty of local gravity, relative: 0 where it was stated, or follows from a place."""
-    known = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
-    return 0.0 if known else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
+    local = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
+    return 0.0 if local else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
 
 
 def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
@@ -57,16 +57,16 @@ def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
     budget = triad.budget
     shares = {"fit": sigma} if budget is None else dict(zip(budget.sources, budget.uncertainty, strict=True))
     if gravity > 0.0:
-        of_matrix = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
-        shares["gravity"] = np.where(of_matrix, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
+        matrix_terms = np.array([block_of(name) in ("scale", "cross") for name in triad.parameters])
+        shares["gravity"] = np.where(matrix_terms, gravity * np.abs(np.resize(triad.matrix.ravel(), len(sigma))), 0.0)
     if triad.method.startswith("six-face"):  # opposite faces read q g^2 as offset
-        of_offset = np.where([block_of(name) == "offset" for name in triad.parameters], STANDARD_GRAVITY**2, 0.0)
-        shares["nonlinearity"] = QUADRATIC_SD * of_offset * np.resize(triad.scale_factor, len(sigma))
-    combined = np.sqrt(np.sum([part**2 for part in shares.values()], axis=0))
+        offset_terms = np.where([block_of(name) == "offset" for name in triad.parameters], STANDARD_GRAVITY**2, 0.0)
+        shares["nonlinearity"] = QUADRATIC_SD * offset_terms * np.resize(triad.scale_factor, len(sigma))
+    combined = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
     freedom = np.full(len(sigma), np.inf)
     if "repeatability" in shares:
-        spare, seen = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
-        freedom[seen] = spare * (combined[seen] / shares["repeatability"][seen]) ** 4
+        spare, repeated = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
+        freedom[repeated] = spare * (combined[repeated] / shares["repeatability"][repeated]) ** 4
     coverage = coverage_factors(freedom)
     return ParameterTable(
         names=triad.parameters, value=triad.values, shares=shares, standard=combined, freedom=freedom, coverage=coverage,

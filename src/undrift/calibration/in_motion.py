@@ -77,11 +77,11 @@ def _kinds() -> FloatArray:
         scale[k, 4 * k] = 1.0
         cross[k, [3 * i + j, 3 * j + i]] = 0.5
         turn[k, [3 * i + j, 3 * j + i]] = 0.5, -0.5
-    none, whole = np.zeros((3, 9)), np.eye(21)
-    whole[:18, :18] = np.block(
+    none, deviations = np.zeros((3, 9)), np.eye(21)
+    deviations[:18, :18] = np.block(
         [[scale, none], [cross, none], [none, scale], [none, cross], [turn, -turn], [0.5 * turn, 0.5 * turn]]
     )
-    return whole
+    return deviations
 
 
 TO_KINDS = _kinds()
@@ -140,20 +140,20 @@ class _Part:
             rate, force = self.rate[span] - offset, self.force[span] - device[18:]
             ones = np.ones((len(rate), 1))
             by = np.hstack((rate, ones)), np.hstack((force, ones))
-            mean, by_rate, by_force = gravity.means(rate @ gyro.T, force @ accel.T, *by)
-            matrices = [each[..., :3].reshape(-1, 3, 9) for each in (by_rate, by_force)]
-            design = np.concatenate((*matrices, -by_force[..., 3] @ accel, -by_rate[..., 3] @ gyro), axis=2)
+            mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, *by)
+            matrices = [slopes[..., :3].reshape(-1, 3, 9) for slopes in (rate_slopes, force_slopes)]
+            design = np.concatenate((*matrices, -force_slopes[..., 3] @ accel, -rate_slopes[..., 3] @ gyro), axis=2)
             information, towards = gravity.equations(mean, design, usual, length)
             total, right = total + information, right + towards
             if self.mag is not None:
-                mean, by_rate, _ = north.means(rate @ gyro.T, self.mag[span], by[0], np.empty((len(rate), 0)))
-                design = np.concatenate((by_rate[..., :3].reshape(-1, 3, 9), -by_rate[..., 3] @ gyro), axis=2)
-                of_gyro = np.r_[:9, 21:24]
+                mean, rate_slopes, _ = north.means(rate @ gyro.T, self.mag[span], by[0], np.empty((len(rate), 0)))
+                design = np.concatenate((rate_slopes[..., :3].reshape(-1, 3, 9), -rate_slopes[..., 3] @ gyro), axis=2)
+                gyro_columns = np.r_[:9, 21:24]
                 information, towards = north.equations(
-                    mean, design, usual[of_gyro], (length[0], FIELD_SIZE * length[0])
+                    mean, design, usual[gyro_columns], (length[0], FIELD_SIZE * length[0])
                 )
-                total[np.ix_(of_gyro, of_gyro)] += information
-                right[of_gyro] += towards
+                total[np.ix_(gyro_columns, gyro_columns)] += information
+                right[gyro_columns] += towards
         return total, right
 
 
@@ -174,7 +174,7 @@ def fit_in_motion(
     _check(records)
     parts = _parts([record.in_units("rad/s", "m/s2") for record in records], gravity_m_s2 if field else None)
     rows, value, spread = _prior(parts)
-    rests = [part.rest for part in parts if part.rest is not None]
+    rests = [stretch.rest for stretch in parts if stretch.rest is not None]
     usual_offset = np.mean(rests, axis=0) if rests else np.zeros(3)
     x = np.concatenate((NOMINAL, usual_offset, *(usual_offset if p.rest is None else p.rest for p in parts)))
     length = gravity_m_s2, float(np.hypot(gravity_uncertainty, 1e-4 * gravity_m_s2))
@@ -185,9 +185,9 @@ def fit_in_motion(
         weighted = rows / spread[:, None] ** 2
         motion, right = np.zeros((len(x), len(x))), weighted.T @ (value - rows @ x)
         usual = np.append(np.linalg.norm(np.linalg.inv(TO_KINDS) * spread[:21], axis=1), np.full(3, RAW_RATE))
-        for part, place in zip(parts, places, strict=True):
-            part.cut(stage_s)
-            information, towards = part.equations(x[:21], x[place[21:]], usual, length)
+        for stretch, place in zip(parts, places, strict=True):
+            stretch.cut(stage_s)
+            information, towards = stretch.equations(x[:21], x[place[21:]], usual, length)
             motion[np.ix_(place, place)] += information
             right[place] += towards
         covariance: FloatArray = np.linalg.inv(weighted.T @ rows + motion)
@@ -217,8 +217,12 @@ def without_gaps(record: Record) -> list[Record]:
     parts = [record.part(int(a), int(b)) for a, b in spans if record.time[b - 1] - record.time[a] >= LEAST_S]
     if len(parts) == 1 and len(parts[0]) == len(rows) == len(record):
         return [record]
-    lines = [bridged(part.time, np.hstack((np.asarray(part.gyro), np.asarray(part.accel)))) for part in parts]
-    return [replace(part, gyro=x[:, :3], accel=x[:, 3:]) for part, x in zip(parts, lines, strict=True)] or [record]
+    lines = [
+        bridged(stretch.time, np.hstack((np.asarray(stretch.gyro), np.asarray(stretch.accel)))) for stretch in parts
+    ]
+    return [replace(stretch, gyro=x[:, :3], accel=x[:, 3:]) for stretch, x in zip(parts, lines, strict=True)] or [
+        record
+    ]
 
 
 def _check(records: Sequence[Record]) -> None:
@@ -273,8 +277,8 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
                     rest=rest, rest_spread=rest_spread, mag=None if mag is None else mag[a:b],
                 )
             )  # fmt: skip
-    turned_dps = np.degrees(max(float(np.sqrt(part.rate.var(axis=0).sum())) for part in parts))
-    variances = np.linalg.eigvalsh(np.mean([np.cov(part.rate.T) for part in parts], axis=0))
+    turned_dps = np.degrees(max(float(np.sqrt(stretch.rate.var(axis=0).sum())) for stretch in parts))
+    variances = np.linalg.eigvalsh(np.mean([np.cov(stretch.rate.T) for stretch in parts], axis=0))
     across_dps, along_dps = np.degrees(np.sqrt(variances[1:].clip(0.0))).tolist()
     advice = "Turn the device in the hand, slowly, about every axis, for a minute."
     if turned_dps < LEAST_DPS:
@@ -299,17 +303,17 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
     rows: list[FloatArray] = [kinds, np.eye(3, count, 21)]
     values: list[FloatArray] = [TO_KINDS @ NOMINAL, np.zeros(3)]
     spreads: list[FloatArray] = [np.ones(21), np.full(3, RAW_RATE)]
-    for k, part in enumerate(parts):
-        own = np.eye(3, count, 24 + 3 * k)
-        daily = own.copy()
+    for k, stretch in enumerate(parts):
+        offset_columns = np.eye(3, count, 24 + 3 * k)
+        daily = offset_columns.copy()
         daily[:, 21:24] -= eye
         rows.append(daily)
         values.append(np.zeros(3))
         spreads.append(np.full(3, DAILY))
-        if part.rest is not None:
-            rows.append(own)
-            values.append(part.rest)
-            spreads.append(part.rest_spread)
+        if stretch.rest is not None:
+            rows.append(offset_columns)
+            values.append(stretch.rest)
+            spreads.append(stretch.rest_spread)
     return np.vstack(rows), np.concatenate(values), np.concatenate(spreads)
 
 
@@ -318,7 +322,7 @@ def _result(
 ) -> InMotion:
     """Return the model in the units of the readings; raise if it is not that of a device in motion."""
     matrices, offsets = x[:18].reshape(2, 3, 3), x[24:].reshape(-1, 3)
-    gravity = np.median([np.median(np.linalg.norm(part.force, axis=1)) for part in parts]) / STANDARD_GRAVITY
+    gravity = np.median([np.median(np.linalg.norm(stretch.force, axis=1)) for stretch in parts]) / STANDARD_GRAVITY
     gyro_scale = np.linalg.norm(np.linalg.inv(matrices[0]), axis=1)
     for triad, scale in (("gyroscope", gyro_scale), ("accelerometer", gravity)):
         if (percent := 100.0 * float(np.abs(scale - 1.0).max())) > 100.0 * IMPLAUSIBLE:
@@ -327,34 +331,34 @@ def _result(
                 "limit for uncalibrated sensors. Check unit, gain and sample rate, and that both triads share one clock.",
                 percent=percent,
             )
-    of_each = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]
-    variances = [[np.exp(g.sizes[0]) for k in numbers for _, g, _ in parts[k].stretches] for numbers in of_each]
-    acceleration = np.sqrt([np.mean(each) for each in variances])
+    stretches_of = [[k for k, stretch in enumerate(parts) if stretch.recording == r] for r in range(len(records))]
+    variances = [[np.exp(g.sizes[0]) for k in numbers for _, g, _ in parts[k].stretches] for numbers in stretches_of]
+    acceleration = np.sqrt([np.mean(recording_variances) for recording_variances in variances])
     if (most := float(acceleration.max())) > NOT_GRAVITY:
         raise Implausible(
             f"motion, recording {int(acceleration.argmax()) + 1}: force does not stay gravity where the gyroscopes turn it: "
             f"{most:.2g} m/s2 of acceleration remain in means over 5 s. Check sample rate, units and axes of both triads.",
             acceleration_m_s2=most,
         )
-    left = np.concatenate([gravity.left for part in parts for _, gravity, _ in part.stretches])
+    all_residuals = np.concatenate([gravity.left for stretch in parts for _, gravity, _ in stretch.stretches])
     gyro_unit, accel_unit = records[0].gyro_unit, records[0].accel_unit
-    rates = [(part.rate - offset) @ matrices[0].T for part, offset in zip(parts, offsets, strict=True)]
-    forces = [(part.force - x[18:21]) @ matrices[1].T for part in parts]
+    rates = [(stretch.rate - offset) @ matrices[0].T for stretch, offset in zip(parts, offsets, strict=True)]
+    forces = [(stretch.force - x[18:21]) @ matrices[1].T for stretch in parts]
     gyro, accel = (
         _triad(residuals, x, covariance, rows, readings, verdict, unit_in=unit, unit_out=unit_out)
         for residuals, rows, readings, unit, unit_out in (
-            (left[:, :2] / (STANDARD_GRAVITY * MEAN_S), np.r_[:9, 21:24], rates, gyro_unit, "rad/s"),
-            (left, np.r_[9:21], forces, accel_unit, "m/s2"),
+            (all_residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S), np.r_[:9, 21:24], rates, gyro_unit, "rad/s"),
+            (all_residuals, np.r_[9:21], forces, accel_unit, "m/s2"),
         )
     )
     factor, spread = si_factor(gyro_unit, "rate"), np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
     return InMotion(
         gyro=gyro,
         accel=accel,
-        offsets=np.array([offsets[numbers].mean(axis=0) for numbers in of_each]) / factor,
-        offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in of_each]) / factor,
+        offsets=np.array([offsets[numbers].mean(axis=0) for numbers in stretches_of]) / factor,
+        offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in stretches_of]) / factor,
         acceleration=acceleration,
-        rested=tuple(parts[numbers[0]].rest is not None for numbers in of_each),
+        rested=tuple(parts[numbers[0]].rest is not None for numbers in stretches_of),
     )
 
 
@@ -377,7 +381,7 @@ def _triad(
         covariance=scale[:, None] * covariance[np.ix_(rows, rows)] * scale,
         rank=12,
         condition=float(np.linalg.cond(covariance[np.ix_(rows[:9], rows[:9])])) ** 0.5,
-        valid_range=(min(float(each.min()) for each in readings), max(float(each.max()) for each in readings)),
+        valid_range=(min(float(values.min()) for values in readings), max(float(values.max()) for values in readings)),
     )
 
 
@@ -393,14 +397,14 @@ def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Itera
     for triad, first, size in (("gyroscope", 0, sizes[0]), ("accelerometer", 9, sizes[2])):
         scale = spread[first + np.array([0, 4, 8])]
         if (scale > SHOWN * size).any():
-            axes = tuple(axis for axis, kept in zip("xyz", scale > SHOWN * size, strict=True) if kept)
+            axes = tuple(axis for axis, near_prior in zip("xyz", scale > SHOWN * size, strict=True) if near_prior)
             percent = 100.0 * float(scale.max())
             yield finding(
                 "motion.prior", "warn", triad=triad, axes=axes, uncertainty_percent=percent, advice=ADVICE[triad]
             )
         elif triad == "gyroscope":
-            alike = [0.5 * np.sqrt(covariance[np.ix_(pair, pair)].sum()) for pair in ((1, 3), (2, 6), (5, 7))]
-            if (percent := 100.0 * float(max(*alike, *scale))) > WANTED_PERCENT:
+            rotation_sigmas = [0.5 * np.sqrt(covariance[np.ix_(pair, pair)].sum()) for pair in ((1, 3), (2, 6), (5, 7))]
+            if (percent := 100.0 * float(max(*rotation_sigmas, *scale))) > WANTED_PERCENT:
                 yield finding("reference.uncertainty", "warn", triad=triad, uncertainty_percent=percent)
         if (far := float(np.abs(1.0 / x[first + np.array([0, 4, 8])] - 1.0).max())) > SCALE_LIMIT:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * far)

@@ -103,28 +103,28 @@ def rotation_rows(
     used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
     rests, windows, force, duration, slip = list[Still](), list[FloatArray](), list[FloatArray](), list[float](), []
     for still in stills:
-        gyro, felt = _readings(records[still.recording], still, matrix, offset)
-        whole = np.isfinite(gyro).all(axis=1) & np.isfinite(felt).all(axis=1)
-        if whole.sum() > 1:
+        gyro, specific_force = _readings(records[still.recording], still, matrix, offset)
+        finite = np.isfinite(gyro).all(axis=1) & np.isfinite(specific_force).all(axis=1)
+        if finite.sum() > 1:
             rests.append(still)
-            windows.append(gyro[whole])
-            force.append(felt[whole].mean(axis=0))
+            windows.append(gyro[finite])
+            force.append(specific_force[finite].mean(axis=0))
         elif still.face is not None:
             raise InputError(
-                f"known rotation: expected readings at rest on face {still.face}, got {whole.sum()}. Choose another stretch."
+                f"known rotation: expected readings at rest on face {still.face}, got {finite.sum()}. Choose another stretch."
             )
     sample_sd = _sample_noise(windows, [records[still.recording].sample_rate_hz for still in rests])
     reading, noise = [window.mean(axis=0) for window in windows], [sample_sd / len(window) ** 0.5 for window in windows]
     for turn in used:
         time = records[turn.recording].time
-        gyro, felt = _readings(records[turn.recording], turn, matrix, offset)
-        if np.isnan(gyro).any() or np.isnan(felt).any():
+        gyro, specific_force = _readings(records[turn.recording], turn, matrix, offset)
+        if np.isnan(gyro).any() or np.isnan(specific_force).any():
             raise InputError(f"known rotation: the turn about {turn.axis} has gaps. Record it again.")
         check_range([gyro], f"gyroscope in the turn about {turn.axis}")
         step = np.diff(time, prepend=2.0 * time[0] - time[1])[turn.start : turn.stop]
         duration.append(float(step.sum()))
         reading.append(step @ gyro / duration[-1])
-        force.append(step @ felt / duration[-1])
+        force.append(step @ specific_force / duration[-1])
         noise.append(sample_sd * np.sqrt(step @ step) / duration[-1])
         slip.append(slip_covariance(time[turn.start : turn.stop], gyro))
     every = [np.asarray(records[k].gyro) for k in {still.recording for still in rests}]
@@ -190,9 +190,9 @@ def _sources(
         "axis": axis_uncertainty**2 * in_case(np.eye(3), leaning),
     }
     if rows.rounding is not None:
-        alike = own.copy()  # the rests read one code and err alike; a turn errs by itself
-        alike[:rests, :rests] = 1.0
-        sources["adc"] = in_case(matrix, alike[:, :, None] * rows.rounding**2)
+        code_groups = own.copy()  # the rests read one code and err alike; a turn errs by itself
+        code_groups[:rests, :rests] = 1.0
+        sources["adc"] = in_case(matrix, code_groups[:, :, None] * rows.rounding**2)
     if rows.span is not None:
         sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
     if rows.force is None:  # the g-sensitivity keeps its prior
@@ -217,9 +217,9 @@ def fit_known_rotation(
     Angle and axis have standard uncertainties, rad. ``moves`` takes the fit to the turns and returns the matrix by the moves. The
     columns of axes that were not turned keep the nominal scale factor, and cross-axis terms of ``cross_axis_prior``.
     """
-    turned = _check_complete(rows, mode)
-    matrix = first_table_matrix(rows.rate, rows.reading, turned, rows.unit)
-    _check_turns(np.linalg.inv(matrix), rows, turned, scale_tolerance)
+    turn_axes = _check_complete(rows, mode)
+    matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
+    _check_turns(np.linalg.inv(matrix), rows, turn_axes, scale_tolerance)
     sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
     warmth = np.zeros((rows.reading.size, 6)) if creep is None else creep.columns_in_case(rows.rate)
     sources["temperature"] = warmth @ warmth.T
@@ -227,16 +227,16 @@ def fit_known_rotation(
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
         excess = walks_of(rows.span)
-        if len(rows.axis) > len(turned):  # one turn about each axis shows nothing of the hand
+        if len(rows.axis) > len(turn_axes):  # one turn about each axis shows nothing of the hand
             excess["angle"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
-        prior = table_prior(matrix, turned, rows.force is not None, rows.unit, cross_axis_prior)
+        prior = table_prior(matrix, turn_axes, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
-        if len(turned) == 3:
-            _, to_model = offset_of(fitted.matrix, gls.theta[9:12], len(gls.theta))
-            fitted, findings = _with_moves(fitted, to_model @ gls.gains @ warmth[:, 1::2], moves(fitted))
+        if len(turn_axes) == 3:
+            _, offset_jacobian = offset_of(fitted.matrix, gls.theta[9:12], len(gls.theta))
+            fitted, findings = _combine_with_moves(fitted, offset_jacobian @ gls.gains @ warmth[:, 1::2], moves(fitted))
         else:
-            findings = [axes_missing([AXES[k] for k in turned], rows.unit, cross_axis_prior)]
+            findings = [axes_missing([AXES[k] for k in turn_axes], rows.unit, cross_axis_prior)]
     if rows.rounding is not None:
         findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
     names = {"method": f"known-rotation/{mode}", "unit_in": rows.unit, "unit_out": "rad/s"}
@@ -265,15 +265,15 @@ def _closed_form(
     jacobian[:9, :9], jacobian[12:, :9] = inverse_jacobian(matrix), -np.kron(matrix, g.T)
     jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
     # errors e of the rows are K e of the readings
-    each = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(3, 7, -1)
-    gains = jacobian @ np.vstack((each[:, :3].reshape(9, -1), each[:, 3], each[:, 4:].reshape(9, -1)))
+    change = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(3, 7, -1)
+    gains = jacobian @ np.vstack((change[:, :3].reshape(9, -1), change[:, 3], change[:, 4:].reshape(9, -1)))
     parts = {name: carried(gains, covariance) for name, covariance in sources.items()}
     theta = np.concatenate((matrix.ravel(), forward[:, 3], g.ravel()))
     residuals = (rows.reading - forward[:, 3]) @ matrix.T - force @ g.T - rows.rate
     return TriadParameters(theta, np.sum([*parts.values()], axis=0), parts), residuals
 
 
-def _with_moves(
+def _combine_with_moves(
     turns: TriadParameters, warmth: FloatArray, moves: MatrixOfMoves | PoorFit | None
 ) -> tuple[TriadParameters, list[Finding]]:
     """Return the parameters by turns and moves together, and a finding if they disagree.
@@ -292,7 +292,7 @@ def _with_moves(
     joined = TriadParameters(
         theta=turns.theta + gain @ away,
         covariance=turns.covariance - carried(gain, spread),
-        parts={name: carried(change, part) for name, part in turns.parts.items()},
+        parts={name: carried(change, share) for name, share in turns.parts.items()},
     )
     if away @ np.linalg.solve(spread, away) <= CONTRADICTION:
         return joined, []
@@ -303,8 +303,8 @@ def _with_moves(
 
 def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
     """Return the axes of the turns; raise if rests or turns are too few."""
-    turned = [k for k, axis in enumerate(AXES) if axis in rows.axis]
-    if not turned or not rows.faces:
+    turn_axes = [k for k, axis in enumerate(AXES) if axis in rows.axis]
+    if not turn_axes or not rows.faces:
         raise NotObservable(
             f"known rotation: expected a turn by a known angle and a rest, got {len(rows.axis)} turns and {len(rows.faces)} rests. "
             "Turn the device about x, y and z, and rest before and after each turn."
@@ -320,13 +320,13 @@ def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
             f"{', '.join(lacking)}. Record them.",
             missing=lacking,
         )
-    return turned
+    return turn_axes
 
 
-def _check_turns(forward: FloatArray, rows: RotationRows, turned: list[int], tolerance: float) -> None:
+def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int], tolerance: float) -> None:
     """Raise if the axes of gyroscopes and turns disagree, or if a scale is not that of the unit."""
-    if len(turned) < 3:
-        for k in turned:
+    if len(turn_axes) < 3:
+        for k in turn_axes:
             check_reads_positive(forward[:, k], k)
     elif not np.diag(signs := nearest_signed_permutation(forward)).all():
         check_axis_order(forward, "known rotation", against="turns")
@@ -337,7 +337,7 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turned: list[int], tol
             f"the other way, give its angle as {', '.join(f'{axis} {angle:+g} deg' for axis, angle in angles)}.",
             reversed=reversed_,
         )
-    scale = np.linalg.norm(forward, axis=1)[turned]
+    scale = np.linalg.norm(forward, axis=1)[turn_axes]
     check_own_scale(scale, rows.unit, "rate", tolerance, "gyroscope turned by hand")
 
 
@@ -379,29 +379,32 @@ def _moving_start(reading: FloatArray, chunk: int) -> int:
     return chunk * int(np.flatnonzero(away.any(axis=1)).max(initial=-1) + 1)
 
 
-def _without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
+def _axes_without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
     """Return the axes of turns without a rest close before and one close after them, whatever face is up in it."""
     lacking = set[Axis | None]()
     for turn in turns:
-        time, own = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
-        before = (time[turn.start] - time[s.stop - 1] for s in own if s.start < turn.start)
-        after = (time[s.start] - time[turn.stop - 1] for s in own if s.stop > turn.stop)
+        time, rests_in_recording = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
+        before = (time[turn.start] - time[s.stop - 1] for s in rests_in_recording if s.start < turn.start)
+        after = (time[s.start] - time[turn.stop - 1] for s in rests_in_recording if s.stop > turn.stop)
         if max(min(before, default=np.inf), min(after, default=np.inf)) > NEAR_S:
             lacking.add(turn.axis)
     return tuple(axis for axis in AXES if axis in lacking)
 
 
-def _by_moves(
-    seen: Observed, rows: RotationRows, accel: TriadModel, turns: TriadParameters
+def _fit_matrix_to_moves(
+    observed: Observed, rows: RotationRows, accel: TriadModel, turns: TriadParameters
 ) -> MatrixOfMoves | PoorFit | None:
     """Return the matrix by the moves, None if there are none, or why no matrix fits turns and moves together."""
-    records, slope = seen.session.records, np.linalg.solve(turns.matrix, turns.theta[12:].reshape(3, 3)) @ accel.matrix
+    records, slope = (
+        observed.session.records,
+        np.linalg.solve(turns.matrix, turns.theta[12:].reshape(3, 3)) @ accel.matrix,
+    )
     if any(record.gyro is None or record.accel is None for record in records):
         return None
     freed = [replace(r, gyro=np.asarray(r.gyro) - (np.asarray(r.accel) - accel.offset) @ slope.T) for r in records]
     rests = [piece for piece in rows.pieces if isinstance(piece, Still)]
     stills = sorted(rests, key=lambda still: (still.recording, still.start))
-    creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
+    creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
     try:
         return matrix_of_moves(freed, stills, accel, turns, creep=creep)
     except NotObservable:
@@ -432,38 +435,38 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
     return (replace(conflict, values=values),)
 
 
-def calibrate_turns(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
-    records, settings = seen.session.records, seen.settings
-    turns, findings = tuple(t for t in seen.session.turns if t.angle is not None), list[Finding]()
+    records, settings = observed.session.records, observed.settings
+    turns, findings = tuple(t for t in observed.session.turns if t.angle is not None), list[Finding]()
     if not turns:
-        turns = seen.full_turns()
+        turns = observed.full_turns()
         if not turns:
             raise NotObservable(
                 "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
             )
         taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
         findings.append(finding("known_rotation.turns_found", "warn", turns=taken))
-    rests = seen.stills
-    if _without_rest(records, rests, turns):
-        rests = (*rests, *seen.unused_stills((*rests, *turns)))
-    if lacking := _without_rest(records, rests, turns):
+    rests = observed.stills
+    if _axes_without_rest(records, rests, turns):
+        rests = (*rests, *observed.unused_stills((*rests, *turns)))
+    if lacking := _axes_without_rest(records, rests, turns):
         findings.append(finding("known_rotation.no_rests", "warn", axes=lacking, within_s=NEAR_S))
     model = None if accel is None else accel.model
     matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
     if mode != "paper":
         rests, turns = with_edges(records, rests, turns)
     rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
-    creep = creep_of(seen, rows.pieces, "gyro")
+    creep = creep_of(observed, rows.pieces, "gyro")
     fit = fit_known_rotation(
         rows,
-        gravity=seen.session.gravity_m_s2,
+        gravity=observed.session.gravity_m_s2,
         mode="paper" if mode == "paper" else "affine",
         angle_uncertainty=settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
-        moves=lambda turns: None if model is None else _by_moves(seen, rows, model, turns),
+        moves=lambda turns: None if model is None else _fit_matrix_to_moves(observed, rows, model, turns),
     )
     if model is not None:
         # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's

@@ -94,27 +94,27 @@ class _FieldStretch:
 
     def rows(self, k: FloatArray, b: FloatArray, lag: float) -> FloatArray:
         """Return design and residual turned to level, (N, 3, 13 + 17 + J + 1)."""
-        h, by_dip, by_course = self.field()
-        turned, level = self.turned - lag * self.turning, self.level @ np.linalg.inv(k)
+        h, dip_slope, course_slope = self.field()
+        rotation, level = self.turned - lag * self.turning, self.level @ np.linalg.inv(k)
         place = np.einsum("tij,njk->nitk", GRADIENTS, self.level).reshape(-1, 3, 15)
-        seen, by_h = np.einsum("nij,nj->ni", turned, h), level @ k @ turned
-        residual = np.einsum("nij,nj->ni", level, self.reading - seen @ k.T - b) - place @ self.local[2:17]
+        field, field_jacobian = np.einsum("nij,nj->ni", rotation, h), level @ k @ rotation
+        residual = np.einsum("nij,nj->ni", level, self.reading - field @ k.T - b) - place @ self.local[2:17]
         columns = [
-            np.einsum("nia,nb->niab", level, seen).reshape(-1, 3, 9),
+            np.einsum("nia,nb->niab", level, field).reshape(-1, 3, 9),
             level,
             -np.einsum("nij,nj->ni", level @ k @ self.turning, h)[..., None],
-            *(np.einsum("nij,nj->ni", by_h, part)[..., None] for part in (h, by_dip)),
+            *(np.einsum("nij,nj->ni", field_jacobian, slope)[..., None] for slope in (h, dip_slope)),
             place,
-            np.einsum("nij,nj->ni", by_h, by_course)[..., None] * self.knots[:, None, :],
+            np.einsum("nij,nj->ni", field_jacobian, course_slope)[..., None] * self.knots[:, None, :],
             residual[..., None],
         ]
         return np.concatenate(columns, axis=2)
 
     def leave_out(self, residual: FloatArray) -> None:
         """Mark stretches in which size or inclination of the field are off, over a second."""
-        h, by_dip, _ = self.field()
+        h, dip_slope, _ = self.field()
         self.calm, size = np.ones(len(h), dtype=bool), float(np.exp(self.local[0]))
-        for along in (h, by_dip):
+        for along in (h, dip_slope):
             off = (residual * along).sum(axis=1) / size
             off = np.abs(uniform_filter1d(off - np.median(off), 4))
             self.calm &= ~maximum_filter1d(off > max(FAR * 1.4826 * float(np.median(off)), LEAST_FAR * size), 5)
@@ -124,23 +124,23 @@ class _FieldStretch:
         steps = np.einsum("nij,nij->n", self.level[1:], self.level[:-1])
         angles = np.arccos(np.clip(0.5 * steps - 0.5, -1.0, 1.0)) + RESTING * np.diff(self.time)
         path = np.append(0.0, np.cumsum(angles))[self.calm]
-        place, apart = eigh(np.exp(-np.abs(np.subtract.outer(path, path)) / PATH))
-        rows = np.einsum("nk,nij->kij", apart, rows[self.calm]).reshape(3 * len(path), -1)
+        place, eigenvectors = eigh(np.exp(-np.abs(np.subtract.outer(path, path)) / PATH))
+        rows = np.einsum("nk,nij->kij", eigenvectors, rows[self.calm]).reshape(3 * len(path), -1)
         walk = np.diff(np.eye(self.knots.shape[1]), axis=0)
         walk = walk.T @ walk / (HEADING_WALK**2 * KNOT_S)
 
         def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
             white, density, gradient = np.exp(2.0 * sizes)
-            of_local = block_diag(1e-9 * np.eye(2), np.eye(15) / gradient, walk)
+            local_prior = block_diag(1e-9 * np.eye(2), np.eye(15) / gradient, walk)
             variance = np.repeat(white + density * np.maximum(place, 0.0), 3)
             normal = rows.T @ (rows / variance[:, None])
             information, right = normal[:-1, :-1], normal[:-1, -1]
-            information[SHARED:, SHARED:] += of_local
-            right[SHARED:] -= of_local @ self.local
-            whole = information + block_diag(prior, 1e-6 * np.eye(len(self.local)))
-            cost = normal[-1, -1] + np.log(variance).sum() + np.linalg.slogdet(whole)[1] + 15.0 * np.log(gradient)
-            cost += self.local @ of_local @ self.local + (((sizes - SIZES) / SIZE_RANGE) ** 2).sum()
-            return float(cost - right @ np.linalg.solve(whole, right)), information, right
+            information[SHARED:, SHARED:] += local_prior
+            right[SHARED:] -= local_prior @ self.local
+            total = information + block_diag(prior, 1e-6 * np.eye(len(self.local)))
+            cost = normal[-1, -1] + np.log(variance).sum() + np.linalg.slogdet(total)[1] + 15.0 * np.log(gradient)
+            cost += self.local @ local_prior @ self.local + (((sizes - SIZES) / SIZE_RANGE) ** 2).sum()
+            return float(cost - right @ np.linalg.solve(total, right)), information, right
 
         if sized:
             close = {"xatol": 0.05, "fatol": 0.05}
@@ -155,8 +155,8 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
     where a recording has no magnetometer.
     Raises InputError for recordings that are short, NotObservable for a device that is not turned.
     """
-    numbered = [(number, each) for number, each in enumerate(readings) if each is not None]
-    stretches = [stretch for number, each in numbered for stretch in _cut(number, *each)]
+    numbered = [(number, reading) for number, reading in enumerate(readings) if reading is not None]
+    stretches = [stretch for number, reading in numbered for stretch in _cut(number, *reading)]
     usual, k, b = _start(stretches)
     size = float(np.exp(np.mean([stretch.local[0] for stretch in stretches])))
     lag, spread = 0.0, np.repeat((SOFT_IRON, HARD_IRON * size, LAG_S), (9, 3, 1))
@@ -174,15 +174,15 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
                     f"magnetometer, recording {stretch.recording + 1}: {LEAST_S:g} s or more are needed of a field that turns "
                     "as the gyroscopes do. Check its columns, and move away from iron, cables and magnets."
                 )
-            whole, towards = stretch.normal(rows, prior, sized=number in SIZED)
+            total, towards = stretch.normal(rows, prior, sized=number in SIZED)
             # the parameters of a stretch are eliminated, then the difference of K and b between recordings
-            inverse, by = np.linalg.inv(whole[SHARED:, SHARED:]), whole[SHARED:, :SHARED]
+            inverse, by = np.linalg.inv(total[SHARED:, SHARED:]), total[SHARED:, :SHARED]
             followers.append((inverse, by, towards[SHARED:]))
-            more = whole[:SHARED, :SHARED] - by.T @ inverse @ by
+            shared = total[:SHARED, :SHARED] - by.T @ inverse @ by
             between = np.repeat((BETWEEN, BETWEEN * np.exp(stretch.local[0])), (9, 3))
-            apart = more[:, :12] @ np.linalg.inv(more[:12, :12] + np.diag(between**-2))
+            share = shared[:, :12] @ np.linalg.inv(shared[:12, :12] + np.diag(between**-2))
             towards = towards[:SHARED] - by.T @ inverse @ towards[SHARED:]
-            information, right = information + more - apart @ more[:12], right + towards - apart @ towards[:12]
+            information, right = information + shared - share @ shared[:12], right + towards - share @ towards[:12]
         covariance = np.linalg.inv(information)
         step = covariance @ right
         k, b, lag = k + step[:9].reshape(3, 3), b + step[9:12], lag + float(step[12])
@@ -196,11 +196,11 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
 
 def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> Iterator[_FieldStretch]:
     """Yield the means over blocks of each stretch of a recording."""
-    whole = np.isfinite(mag).all(axis=1) & np.isfinite(q_nb).all(axis=1)
+    finite = np.isfinite(mag).all(axis=1) & np.isfinite(q_nb).all(axis=1)
     time, mag, level = (
-        time[whole],
-        mag[whole],
-        rotation(q_nb[whole]).as_matrix() if whole.any() else np.zeros((0, 3, 3)),
+        time[finite],
+        mag[finite],
+        rotation(q_nb[finite]).as_matrix() if finite.any() else np.zeros((0, 3, 3)),
     )
     length_s = float(time[-1] - time[0]) if len(time) else 0.0
     if length_s < LEAST_S:
@@ -235,19 +235,21 @@ def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, Floa
     R A m = h + R A b is linear in A if h and A b are eliminated. The best right-handed axes are taken: field and axes turned about
     alike look the same.
     """
-    square, whole = np.zeros((9, 9)), list[FloatArray]()
+    square, blocks = np.zeros((9, 9)), list[FloatArray]()
     for stretch in stretches:
         beside = np.concatenate((stretch.level, np.tile(np.eye(3), (len(stretch.level), 1, 1))), axis=2).reshape(-1, 6)
         linear = np.einsum("nij,nk->nijk", stretch.level, stretch.reading).reshape(-1, 9)
         linear -= beside @ np.linalg.lstsq(beside, linear, rcond=None)[0]
         square += linear.T @ linear
-        whole.append(beside)
+        blocks.append(beside)
     signs, orders = product((1.0, -1.0), repeat=3), list(permutations(np.eye(3)))
     signed = [np.array(order) * sign for sign in signs for order in orders]
     axes = min((m for m in signed if np.linalg.det(m) > 0.0), key=lambda m: m.ravel() @ square @ m.ravel())
-    turned = [np.einsum("nij,nj->ni", stretch.level @ axes, stretch.reading).ravel() for stretch in stretches]
-    design = np.hstack((np.concatenate([each[:, :3] for each in whole]), block_diag(*(each[:, 3:] for each in whole))))
-    ab, *fields = np.linalg.lstsq(design, np.concatenate(turned), rcond=None)[0].reshape(-1, 3)
+    level_readings = [np.einsum("nij,nj->ni", stretch.level @ axes, stretch.reading).ravel() for stretch in stretches]
+    design = np.hstack(
+        (np.concatenate([block[:, :3] for block in blocks]), block_diag(*(block[:, 3:] for block in blocks)))
+    )
+    ab, *fields = np.linalg.lstsq(design, np.concatenate(level_readings), rcond=None)[0].reshape(-1, 3)
     for stretch, h in zip(stretches, fields, strict=True):
         stretch.local[:2] = np.log(np.linalg.norm(h)), np.arctan2(h[2], np.hypot(h[0], h[1]))
         stretch.local[17:] = np.arctan2(-h[0], h[1])
@@ -260,10 +262,10 @@ def _result(
 ) -> FieldFit:  # fmt: skip
     """Return the inverse model with its covariance, and the field of each recording."""
     b, lag, matrix = offset_and_lag[:3], float(offset_and_lag[3]), np.linalg.inv(k)
-    to_matrix = block_diag(inverse_jacobian(matrix), np.eye(4))
-    covariance = to_matrix @ covariance @ to_matrix.T
-    of_each = [[*each] for _, each in groupby(stretches, lambda stretch: stretch.recording)]
-    means = np.array([np.mean([stretch.local[:2] for stretch in each], axis=0) for each in of_each])
+    jacobian = block_diag(inverse_jacobian(matrix), np.eye(4))
+    covariance = jacobian @ covariance @ jacobian.T
+    groups = [[*group] for _, group in groupby(stretches, lambda stretch: stretch.recording)]
+    means = np.array([np.mean([stretch.local[:2] for stretch in group], axis=0) for group in groups])
     fields = np.concatenate([(stretch.reading - b) @ matrix.T for stretch in stretches])
     model = triad_fit(
         np.concatenate([stretch.rows(k, b, lag)[stretch.calm][..., -1] for stretch in stretches]).ravel(),
@@ -273,28 +275,28 @@ def _result(
     ).model  # fmt: skip
     return FieldFit(
         magnetometer=Magnetometer(model=model, lag_s=lag, lag_uncertainty_s=float(np.sqrt(covariance[12, 12]))),
-        recording=tuple(each[0].recording for each in of_each),
+        recording=tuple(group[0].recording for group in groups),
         field_ut=np.exp(means[:, 0]),
         dip=-means[:, 1],
-        disturbed=np.array([1.0 - np.mean(np.concatenate([stretch.calm for stretch in each])) for each in of_each]),
-        verdict=Verdict.of(*_findings(covariance, usual, means, of_each)),
+        disturbed=np.array([1.0 - np.mean(np.concatenate([stretch.calm for stretch in group])) for group in groups]),
+        verdict=Verdict.of(*_findings(covariance, usual, means, groups)),
     )
 
 
 def _findings(
-    covariance: FloatArray, usual: FloatArray, means: FloatArray, of_each: list[list[_FieldStretch]]
+    covariance: FloatArray, usual: FloatArray, means: FloatArray, groups: list[list[_FieldStretch]]
 ) -> Iterator[Finding]:
     """Yield a heading that is uncertain with the axes that cause it, and the disturbed stretches of each recording."""
     sigma, size = np.sqrt(np.diag(covariance)), np.exp(means[:, 0])
-    to_gyro = np.abs(usual).T
-    soft, hard = to_gyro @ sigma[:9].reshape(3, 3).max(axis=0), to_gyro @ sigma[9:12]
+    gyro_axes = np.abs(usual).T
+    soft, hard = gyro_axes @ sigma[:9].reshape(3, 3).max(axis=0), gyro_axes @ sigma[9:12]
     heading = float((np.hypot(soft.max(), hard.max() / size) / np.cos(means[:, 1])).max())
     if heading > ROUGH:
         axes = tuple(axis for axis, wide in zip(AXES, hard > WIDEST * hard.max(), strict=True) if wide)
         values = {"heading_deg": heading / RADIAN_PER_DEGREE, "offset_ut": float(hard.max())}
         yield finding("magnetometer.heading", "warn", axes=axes, **values)
-    for stretches in of_each:
-        time, calm = (np.concatenate([getattr(each, name) for each in stretches]) for name in ("time", "calm"))
+    for stretches in groups:
+        time, calm = (np.concatenate([getattr(stretch, name) for stretch in stretches]) for name in ("time", "calm"))
         if calm.all():
             continue
         first, stop = max(runs(~calm), key=lambda span: span[1] - span[0])

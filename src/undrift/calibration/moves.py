@@ -181,10 +181,12 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     length = np.linalg.norm(a, axis=1)
     n = a / length[:, None]
     across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
-    by_matrix = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)  # column 3 i + j: across e_i d_j
-    by_reading = across @ accel.matrix
-    covariance = (by_reading * variance / count[:, None, None]) @ by_reading.transpose(0, 2, 1)
-    return n, np.concatenate((by_matrix, -by_reading), axis=2), covariance
+    matrix_slopes = (across[:, :, :, None] * d[:, None, None, :]).reshape(
+        len(n), 3, 9
+    )  # column 3 i + j: across e_i d_j
+    reading_slopes = across @ accel.matrix
+    covariance = (reading_slopes * variance / count[:, None, None]) @ reading_slopes.transpose(0, 2, 1)
+    return n, np.concatenate((matrix_slopes, -reading_slopes), axis=2), covariance
 
 
 def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
@@ -295,7 +297,7 @@ def fit_moves(
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
-    moves, saturated = _without_saturated(cut_moves(records, stills))
+    moves, saturated = _drop_saturated(cut_moves(records, stills))
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
             f"multi-position gyro: expected {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
@@ -303,10 +305,10 @@ def fit_moves(
             "another axis between still poses of the same recording.",
             moves=len(moves.first),
         )
-    problem, matrix = _observed(moves, accel, records, creep, None)
+    problem, matrix = _build_problem(moves, accel, records, creep, None)
     fit, rows = _descend(problem, matrix, None)
     _check_determined(rows, fit.theta)
-    return _as_triad(problem, fit.theta, fit.covariance, rows, records[0].gyro_unit, saturated)
+    return _judge_triad(problem, fit.theta, fit.covariance, rows, records[0].gyro_unit, saturated)
 
 
 class MatrixOfMoves(NamedTuple):
@@ -331,21 +333,21 @@ def matrix_of_moves(
     Turns and moves together give the point of linearisation, as moves by themselves may leave a scale to its second order. There
     the turns are a prior of little weight: if they contradict the moves, they must not enlarge the excess of the moves.
     """
-    moves, _ = _without_saturated(cut_moves(records, stills))
+    moves, _ = _drop_saturated(cut_moves(records, stills))
     if not len(moves.first):
         raise NotObservable(
             "multi-position gyro: no move between rests. Record the rests and the moves in one recording."
         )
-    problem, matrix = _observed(moves, accel, records, creep, turns)
+    problem, matrix = _build_problem(moves, accel, records, creep, turns)
     fit, rows = _descend(problem, matrix, turns)
-    found = fit.theta[:9].reshape(3, 3)
-    if np.abs(found - turns.matrix).max() > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
+    refined = fit.theta[:9].reshape(3, 3)
+    if np.abs(refined - turns.matrix).max() > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
         raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
-    warmth = fit.gains[:9] @ _by_scale(problem, rows, fit.theta)
-    return MatrixOfMoves(found, fit.covariance[:9, :9], warmth, len(moves.first))
+    warmth = fit.gains[:9] @ _scale_slopes(problem, rows, fit.theta)
+    return MatrixOfMoves(refined, fit.covariance[:9, :9], warmth, len(moves.first))
 
 
-def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
+def _drop_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
     """Return the moves without those in which a gyroscope sticks at the end of its range, and the finding that names them."""
     stuck = stuck_windows([moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)])
     if not stuck.any():
@@ -354,11 +356,11 @@ def _without_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
         f"the move after still {before + 1} ({moves.time[first]:.1f}-{moves.time[last]:.1f} s)"
         for before, first, last in zip(moves.before[stuck], moves.first[stuck], moves.last[stuck], strict=True)
     )
-    left = finding("session.saturated", "warn", what="moves", count=int(stuck.sum()), of=len(stuck), pieces=names)
-    return replace(moves, first=moves.first[~stuck], last=moves.last[~stuck], before=moves.before[~stuck]), (left,)
+    saturated = finding("session.saturated", "warn", what="moves", count=int(stuck.sum()), of=len(stuck), pieces=names)
+    return replace(moves, first=moves.first[~stuck], last=moves.last[~stuck], before=moves.before[~stuck]), (saturated,)
 
 
-def _observed(
+def _build_problem(
     moves: Moves,
     accel: TriadModel,
     records: Sequence[Record],
@@ -405,13 +407,13 @@ def _observed(
 def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | None) -> tuple[GlsFit, _MoveRows]:
     """Return the fit by Gauss-Newton, and the rows there; with turns, the fit of the moves at the point that both give."""
     theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
-    known = np.zeros((len(theta), len(theta)))
-    known[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
-    loose = known.copy()
+    precision = np.zeros((len(theta), len(theta)))
+    precision[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
+    loose = precision.copy()
     if turns is not None:
-        known[:9, :9] = np.linalg.inv(turns.covariance[:9, :9])
-        loose[:9, :9] = LOOSE * known[:9, :9]
-    prior, by_moves = Prior(mean=theta, precision=known), Prior(mean=theta, precision=loose)
+        precision[:9, :9] = np.linalg.inv(turns.covariance[:9, :9])
+        loose[:9, :9] = LOOSE * precision[:9, :9]
+    prior, loose_prior = Prior(mean=theta, precision=precision), Prior(mean=theta, precision=loose)
     drift = np.zeros((len(problem.felt), 3))  # of the offset, rad/s
     for count in range(MOST_STEPS):
         share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
@@ -426,7 +428,7 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
         drift = drift + share * (variance @ np.einsum("epa,e->pa", rows.by_offset, weighted) - drift)
         change, theta = np.abs(fit.theta - theta)[:9].max(), theta + share * (fit.theta - theta)
         if change < CONVERGED * problem.size:
-            return fit if turns is None else _step(problem, theta, drift, by_moves)[0], _rows(problem, theta, drift)
+            return fit if turns is None else _step(problem, theta, drift, loose_prior)[0], _rows(problem, theta, drift)
         if not change < 10.0 * problem.size:
             break
     raise PoorFit(
@@ -440,9 +442,9 @@ def _step(problem: _Problem, theta: FloatArray, drift: FloatArray, prior: Prior)
     """Return the fit with rows that are linear about parameters and a drift of the offset, and these rows."""
     rows = _rows(problem, theta, drift)
     value = rows.design @ theta + np.einsum("epa,pa->e", rows.by_offset, drift) - rows.misfit
-    in_rest = np.arange(len(value)) < rows.rests
-    walk = _of_drift(rows, problem.walk)
-    excess = {"walk": walk, "sway": np.where(in_rest, 1.0, 0.0), "hand": np.where(in_rest, 0.0, 1.0)}
+    rest_rows = np.arange(len(value)) < rows.rests
+    walk = _drift_covariance(rows, problem.walk)
+    excess = {"walk": walk, "sway": np.where(rest_rows, 1.0, 0.0), "hand": np.where(rest_rows, 0.0, 1.0)}
     return solve(rows.design, value, _sources(problem, rows, theta), excess=excess, prior=prior), rows
 
 
@@ -451,34 +453,36 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
     moves = replace(moves, gyro=moves.gyro - problem.force @ slope.T)
-    turn, part = turned_in(moves, matrix, offset, drift[rests:] / size)
+    turn, integral = turned_in(moves, matrix, offset, drift[rests:] / size)
     arrived, tangent = (turn @ n[moves.before][:, :, None])[:, :, 0], _tangent(n[moves.before + 1]).transpose(0, 2, 1)
-    by_matrix = part[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
-    by_turn = tangent @ cross_matrix(arrived) @ turn  # of the angles by a small turn; d(C n) = C n x small turn
-    each = np.arange(len(moves.first))
-    by_still = np.zeros((len(each), 2, len(n), 3))
-    by_still[each, :, moves.before] += tangent @ turn
-    by_still[each, :, moves.before + 1] -= tangent
-    by_offset = np.zeros((3 * rests + 2 * len(each), len(drift), 3))
-    by_offset[: 3 * rests].reshape(rests, 3, len(drift), 3)[np.arange(rests), :, np.arange(rests)] = np.eye(3)
-    in_moves = by_offset[3 * rests :].reshape(len(each), 2, len(drift), 3)
-    in_moves[each, :, rests + each] = -by_turn @ part[:, 0] @ matrix / size
-    at_rest = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
+    matrix_slopes = integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
+    turn_slopes = tangent @ cross_matrix(arrived) @ turn  # of the angles by a small turn; d(C n) = C n x small turn
+    numbers = np.arange(len(moves.first))
+    still_slopes = np.zeros((len(numbers), 2, len(n), 3))
+    still_slopes[numbers, :, moves.before] += tangent @ turn
+    still_slopes[numbers, :, moves.before + 1] -= tangent
+    offset_slopes = np.zeros((3 * rests + 2 * len(numbers), len(drift), 3))
+    offset_slopes[: 3 * rests].reshape(rests, 3, len(drift), 3)[np.arange(rests), :, np.arange(rests)] = np.eye(3)
+    move_slopes = offset_slopes[3 * rests :].reshape(len(numbers), 2, len(drift), 3)
+    move_slopes[numbers, :, rests + numbers] = -turn_slopes @ integral[:, 0] @ matrix / size
+    rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
     angle = (tangent @ (arrived - n[moves.before + 1])[:, :, None]).ravel()
-    by_sum = tangent @ cross_matrix(arrived) @ matrix  # of the angles by the integral of the readings, in the end frame
-    to_case = np.zeros((3 * rests, 9)), (by_turn @ by_matrix).reshape(-1, 9)
-    by_slope = np.einsum("epa,pb->eab", by_offset, problem.felt).reshape(len(by_offset), -1)
+    reading_slopes = (
+        tangent @ cross_matrix(arrived) @ matrix
+    )  # of the angles by the integral of the readings, in the end frame
+    matrix_columns = np.zeros((3 * rests, 9)), (turn_slopes @ matrix_slopes).reshape(-1, 9)
+    g_slopes = np.einsum("epa,pb->eab", offset_slopes, problem.felt).reshape(len(offset_slopes), -1)
     return _MoveRows(
         rests=3 * rests,
-        misfit=np.concatenate((at_rest.ravel(), angle)),
-        design=np.hstack((np.vstack(to_case), size * by_offset.sum(axis=1), size * by_slope)),
-        by_offset=by_offset,
-        by_still=np.concatenate((np.zeros((3 * rests, len(n), 3)), by_still.reshape(-1, len(n), 3))),
-        clock=by_sum @ problem.slip @ by_sum.transpose(0, 2, 1),
+        misfit=np.concatenate((rest_misfit.ravel(), angle)),
+        design=np.hstack((np.vstack(matrix_columns), size * offset_slopes.sum(axis=1), size * g_slopes)),
+        by_offset=offset_slopes,
+        by_still=np.concatenate((np.zeros((3 * rests, len(n), 3)), still_slopes.reshape(-1, len(n), 3))),
+        clock=reading_slopes @ problem.slip @ reading_slopes.transpose(0, 2, 1),
     )
 
 
-def _of_drift(rows: _MoveRows, covariance: FloatArray) -> FloatArray:
+def _drift_covariance(rows: _MoveRows, covariance: FloatArray) -> FloatArray:
     """Return the covariance (E, E) of the rows, from that of the offset in rests and moves (R + J, R + J)."""
     return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
 
@@ -487,40 +491,42 @@ def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str,
     """Return the stated covariance (E, E) of the rows by source."""
     from scipy.linalg import block_diag
 
-    moves, (unit, by_model, of_still), rests = problem.moves, problem.directions, rows.rests
+    moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, rows.rests
     sample = float(
         (theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean()
     )  # (rad/s)^2, mean of the axes
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
-    alike = np.zeros((len(rows.misfit), 3))  # rests lie at one place between two codes; in motion, rounding is noise
-    alike[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
-    of_accel = np.einsum("eka,kap->ep", rows.by_still, by_model)
+    rest_codes = np.zeros(
+        (len(rows.misfit), 3)
+    )  # rests lie at one place between two codes; in motion, rounding is noise
+    rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
+    accel_rows = np.einsum("eka,kap->ep", rows.by_still, accel_slopes)
     sources = {
-        "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, of_still, rows.by_still, optimize=True)
+        "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, still_covariance, rows.by_still, optimize=True)
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
         "clock": block_diag(np.zeros((rests, rests)), *rows.clock),
-        "accelerometer": carried(of_accel, problem.accel.covariance[:12, :12]),
-        "adc": alike @ alike.T,
-        "instability": _of_drift(rows, problem.flicker),
+        "accelerometer": carried(accel_rows, problem.accel.covariance[:12, :12]),
+        "adc": rest_codes @ rest_codes.T,
+        "instability": _drift_covariance(rows, problem.flicker),
     }
     if problem.creep is not None:
         accel, gyro = problem.creep
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
         columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
-        by_pose = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -by_model[:, :, 9:], columns, optimize=True)
-        by_offset = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
-        slopes = np.hstack((by_pose.reshape(-1, 6), _by_scale(problem, rows, theta), by_offset))
+        pose_slopes = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -accel_slopes[:, :, 9:], columns, optimize=True)
+        offset_slopes = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
+        slopes = np.hstack((pose_slopes.reshape(-1, 6), _scale_slopes(problem, rows, theta), offset_slopes))
         sources["temperature"] = slopes @ slopes.T
     return sources
 
 
-def _by_scale(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> FloatArray:
+def _scale_slopes(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> FloatArray:
     """Return the change of the rows (E, 3) by the slope of the scale of each gyroscope, one standard deviation each."""
     if problem.creep is None:
         return np.zeros((len(rows.misfit), 3))
     warmth = np.append(np.zeros(rows.rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
-    by_sensor = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
-    return np.asarray(problem.creep[1].scale_per_k * warmth[:, None] * by_sensor)
+    sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(problem.creep[1].scale_per_k * warmth[:, None] * sensor_rows)
 
 
 def _tangent(n: FloatArray) -> FloatArray:
@@ -532,8 +538,8 @@ def _tangent(n: FloatArray) -> FloatArray:
 
 def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
     """Raise if a relative gain E of M = (1 + E) M turns gravity in no move."""
-    by_matrix = rows.design[rows.rests :, :9].reshape(-1, 3, 3)
-    gain = (by_matrix @ theta[:9].reshape(3, 3).T).reshape(-1, 9)
+    matrix_slopes = rows.design[rows.rests :, :9].reshape(-1, 3, 3)
+    gain = (matrix_slopes @ theta[:9].reshape(3, 3).T).reshape(-1, 9)
     _, singular, right = np.linalg.svd(gain, full_matrices=False)
     singular = singular / np.sqrt(len(gain))
     if singular[-1] < WEAKEST_TURN:
@@ -548,7 +554,7 @@ def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
         )
 
 
-def _as_triad(
+def _judge_triad(
     problem: _Problem,
     theta: FloatArray,
     covariance: FloatArray,
@@ -602,28 +608,28 @@ def _as_triad(
 # ---- from a session
 
 
-def calibrate_poses(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
+def calibrate_poses(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its free poses; an entry of FITS."""
-    stills = _in_order(seen)
-    creep = creep_of(seen, stills, "accel")
-    fit = _fit_poses_of(seen, stills, creep)
+    stills = _sort_stills(observed)
+    creep = creep_of(observed, stills, "accel")
+    fit = _fit_session_poses(observed, stills, creep)
     return Outcome(fit=fit, method="multi-position", findings=creep.findings(), used=stills)
 
 
-def calibrate_moves(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_moves(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
-    stills = _in_order(seen)
-    creep = creep_of(seen, stills, "accel"), creep_of(seen, stills, "gyro")
-    model = (accel or _fit_poses_of(seen, stills, creep[0])).model
-    fit = fit_moves(seen.session.records, stills, model, creep=creep)
+    stills = _sort_stills(observed)
+    creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
+    model = (accel or _fit_session_poses(observed, stills, creep[0])).model
+    fit = fit_moves(observed.session.records, stills, model, creep=creep)
     return Outcome(fit=fit, method="multi-position", findings=creep[1].findings())
 
 
-def _fit_poses_of(seen: Observed, stills: Sequence[Still], creep: Creep) -> TriadFit:
-    session, prior = seen.session, seen.settings.cross_axis_prior
+def _fit_session_poses(observed: Observed, stills: Sequence[Still], creep: Creep) -> TriadFit:
+    session, prior = observed.session, observed.settings.cross_axis_prior
     return fit_poses(session.records, stills, gravity=session.gravity_m_s2, cross_axis_prior=prior, creep=creep)
 
 
-def _in_order(seen: Observed) -> tuple[Still, ...]:
-    stills = seen.session.stills or seen.stills
+def _sort_stills(observed: Observed) -> tuple[Still, ...]:
+    stills = observed.session.stills or observed.stills
     return tuple(sorted(stills, key=lambda still: (still.recording, still.start)))

@@ -246,16 +246,16 @@ def _fit_triad(record: Record, quantity: Quantity, confidence: float) -> tuple[A
     values, unit = getattr(record, name), getattr(record, f"{name}_unit")
     if values is None:
         return ()
-    places, whole = _places(record), np.isfinite(values).all(axis=1)
-    if whole.sum() < SHORTEST:
+    places, finite = _places(record), np.isfinite(values).all(axis=1)
+    if finite.sum() < SHORTEST:
         raise InputError(
-            f"noise: expected {SHORTEST} {name} readings or more, got {int(whole.sum())} and {int((~whole).sum())} gaps (NaN). "
+            f"noise: expected {SHORTEST} {name} readings or more, got {int(finite.sum())} and {int((~finite).sum())} gaps (NaN). "
             "Record longer."
         )
-    at_rest = values[whole] * (si_factor(unit, quantity) if is_physical(unit) else 1.0)
-    _check_rest(at_rest, record.time[whole], record.sample_rate_hz, quantity, physical=is_physical(unit))
+    rest_readings = values[finite] * (si_factor(unit, quantity) if is_physical(unit) else 1.0)
+    _check_rest(rest_readings, record.time[finite], record.sample_rate_hz, quantity, physical=is_physical(unit))
     readings = np.full((int(places[-1]) + 1, 3), np.nan)  # on an even clock
-    readings[places[whole]] = at_rest
+    readings[places[finite]] = rest_readings
     curves = [allan_deviation(column, record.sample_rate_hz, confidence=confidence) for column in readings.T]
     return tuple(
         _fit_axis(curve, axis, _unit(unit, quantity), confidence) for curve, axis in zip(curves, AXES, strict=True)
@@ -305,8 +305,12 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
     """Fit one axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
     from scipy.optimize import nnls
 
-    measured, shapes, own = curve.deviation**2, _shapes(curve.taus_s), 2.0 / curve.edf  # own variance over the square
-    shared = np.where(curve.edf < FEW, SHARED_LONG, SHARED) * own
+    measured, shapes, log_variance = (
+        curve.deviation**2,
+        _shapes(curve.taus_s),
+        2.0 / curve.edf,
+    )  # own variance over the square
+    shared = np.where(curve.edf < FEW, SHARED_LONG, SHARED) * log_variance
     model, departure = measured, 0.0
     for _ in range(ROUNDS):
         spread = model * np.sqrt(shared + departure)
@@ -314,7 +318,9 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
         size = np.linalg.norm(rows, axis=0)
         squares = nnls(rows / size, measured / spread)[0] / size
         model = np.maximum(shapes @ squares, 1e-3 * measured)
-        departure = excess_variance(np.log(measured / model), own, float(len(measured) - np.count_nonzero(squares)))
+        departure = excess_variance(
+            np.log(measured / model), log_variance, float(len(measured) - np.count_nonzero(squares))
+        )
     errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # with all terms free
     observable, value = squares > OBSERVABLE * errors, np.sqrt(squares)
     low, high = _interval_factors(2.0 * np.where(observable, squares / errors, 1.0) ** 2, confidence)

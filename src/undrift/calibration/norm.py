@@ -121,9 +121,9 @@ def fit_norm(
     noise = np.zeros_like(v) if variances is None else variances * scale**2
     free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
     size = np.array([1.0] * 6 + [gravity] * 3)[free]
-    known = np.zeros(9)
-    known[CROSS] = 0.0 if prior_sd is None else prior_sd**-2
-    prior = Prior(mean=np.zeros(len(free)), precision=np.diag(known[free]))
+    precision = np.zeros(9)
+    precision[CROSS] = 0.0 if prior_sd is None else prior_sd**-2
+    prior = Prior(mean=np.zeros(len(free)), precision=np.diag(precision[free]))
     p = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     condition = _check_determined(v, p, free, gravity, with_prior=prior_sd is not None)
     hand = {"repeatability": np.ones(len(v))}
@@ -139,8 +139,8 @@ def fit_norm(
         if step < CONVERGED:
             parts = {**fit.budget, "nonlinearity": _quadratic_share(v, p, design, free, fit, quadratic_sd)}
             budget = {name: np.zeros((9, 9)) for name in parts}
-            for name, part in parts.items():
-                budget[name][np.ix_(free, free)] = part
+            for name, share in parts.items():
+                budget[name][np.ix_(free, free)] = share
             return NormFit(
                 center=center,
                 scale=scale,
@@ -164,10 +164,10 @@ def _sources(
     v: FloatArray, p: FloatArray, design: FloatArray, noise: FloatArray, creep: Creep | None, gravity: float
 ) -> dict[str, FloatArray]:
     """Return the covariance of the lengths by source; noise (K, 3) is the variance of the scaled readings."""
-    by_reading = -design[:, 6:]  # d length / d reading = M'^T n
-    sources = {"noise": (by_reading**2 * noise).sum(axis=1) + (ROUNDING * gravity) ** 2}
+    reading_slopes = -design[:, 6:]  # d length / d reading = M'^T n
+    sources = {"noise": (reading_slopes**2 * noise).sum(axis=1) + (ROUNDING * gravity) ** 2}
     if creep is not None and not creep.none:
-        moved = np.hstack([by_reading[:, [j]] * creep.columns(d) for j, d in enumerate((v - p[6:]).T)])
+        moved = np.hstack([reading_slopes[:, [j]] * creep.columns(d) for j, d in enumerate((v - p[6:]).T)])
         sources["temperature"] = moved @ moved.T
     return sources
 
@@ -179,11 +179,11 @@ def _quadratic_share(
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # of each sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
     absorbed = fit.gains @ lengths
-    left = lengths - design[:, free] @ absorbed
-    weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), left)
+    bows = lengths - design[:, free] @ absorbed
+    weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), bows)
     size = 1.0
     for _ in range(SIZE_ROUNDS):  # the residuals may show larger terms than stated
-        uncertain = np.linalg.inv(left.T @ weighted + np.eye(3) / size**2)
+        uncertain = np.linalg.inv(bows.T @ weighted + np.eye(3) / size**2)
         mean = uncertain @ (weighted.T @ fit.residuals)
         size = max(1.0, float(np.sqrt(np.mean(mean**2 + np.diag(uncertain)))))
     return carried(absorbed, uncertain + np.outer(mean, mean))
@@ -192,8 +192,8 @@ def _quadratic_share(
 def _check_determined(v: FloatArray, p: FloatArray, free: IntArray, gravity: float, *, with_prior: bool) -> float:
     """Return the condition number of the design; raise if a combination of parameters changes no length."""
     size, count = np.array([gravity] * 6 + [1.0] * 3), len(v)
-    known = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
-    design = np.vstack((_linearised(v, p, gravity)[0], known))[:, free]
+    prior_rows = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
+    design = np.vstack((_linearised(v, p, gravity)[0], prior_rows))[:, free]
     _, singular, right = np.linalg.svd(design / size[free], full_matrices=False)
     weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(count)), len(singular) - 1)
     weakest = float(singular[-1] / np.sqrt(count)) if len(design) >= len(free) else 0.0
@@ -257,7 +257,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         matrix=fit.matrix,
         offset=fit.offset,
         covariance=covariance,
-        budget=Budget.of(covariance, {n: np.diag(carried(carry, part)) for n, part in fit.budget.items()}, "noise"),
+        budget=Budget.of(covariance, {n: np.diag(carried(carry, share)) for n, share in fit.budget.items()}, "noise"),
         rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.kept),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),

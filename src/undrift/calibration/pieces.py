@@ -35,23 +35,29 @@ def pieces_of(
     session: Session,
     settings: CalibrateSettings = CalibrateSettings(),
     calibration: Calibration | None = None,
-    seen: Observed | None = None,
+    observed: Observed | None = None,
 ) -> tuple[tuple[Piece, ...], str]:
     """Return the pieces of a session, stated or found, in order of time, and why there is no still.
 
-    With the calibration that was made of it, pieces that it did not use say why. ``seen`` saves a second search.
+    With the calibration that was made of it, pieces that it did not use say why. ``observed`` saves a second search.
     """
-    seen = look(session, settings) if seen is None else seen
-    stills = session.stills or seen.stills
-    kept = session if calibration is None else at_one_temperature(session)[0]
+    observed = look(session, settings) if observed is None else observed
+    stills = session.stills or observed.stills
+    selected = session if calibration is None else at_one_temperature(session)[0]
     accel, gyro = ("", "") if calibration is None else (_method(calibration.accel), _method(calibration.gyro))
-    pieces = [*(_stated_turns(session, kept, gyro, seen.settings) if session.turns else _found_turns(seen, gyro))]
+    pieces = [
+        *(
+            _list_given_turns(session, selected, gyro, observed.settings)
+            if session.turns
+            else _list_detected_turns(observed, gyro)
+        )
+    ]
     for still in stills:
-        unused = (session.stills and still not in kept.stills) or (accel == "six-face" and still.face is None)
+        unused = (session.stills and still not in selected.stills) or (accel == "six-face" and still.face is None)
         pieces.append(_piece(still, still.recording, str(still.face or ""), NOT_USED if unused else ""))
-    for number, (record, search) in enumerate(zip(seen.session.records, seen.searches, strict=False)):
+    for number, (record, search) in enumerate(zip(observed.session.records, observed.searches, strict=False)):
         pieces += [_piece(pause, number, why=pause.why) for pause in left_out(record, search)]
-    reason = "" if stills else next((search.reason for search in seen.searches if search.reason), "")
+    reason = "" if stills else next((search.reason for search in observed.searches if search.reason), "")
     return tuple(sorted(pieces, key=lambda piece: (piece.recording, piece.start))), reason
 
 
@@ -69,7 +75,7 @@ def _is_used(turn: Turn, method: str) -> bool:
     return method == "" or {"rate-table": turn.turn_rate, "known-rotation": turn.angle}.get(method) is not None
 
 
-def _stated_turns(session: Session, kept: Session, method: str, settings: CalibrateSettings) -> Iterator[Piece]:
+def _list_given_turns(session: Session, selected: Session, method: str, settings: CalibrateSettings) -> Iterator[Piece]:
     saturated = saturated_turns(session, settings.settle_s) if method else ()
     for number, turn in enumerate(session.turns):
         label = str(turn.axis or "")
@@ -77,29 +83,29 @@ def _stated_turns(session: Session, kept: Session, method: str, settings: Calibr
             label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
         elif turn.angle is not None:
             label = f"{label} {turn.angle / RADIAN_PER_DEGREE:.0f} deg"
-        why = "" if turn in kept.turns and _is_used(turn, method) else NOT_USED
+        why = "" if turn in selected.turns and _is_used(turn, method) else NOT_USED
         yield _piece(turn, turn.recording, label, SATURATED if number in saturated else why)
 
 
-def _found_turns(seen: Observed, method: str) -> Iterator[Piece]:
+def _list_detected_turns(observed: Observed, method: str) -> Iterator[Piece]:
     """Yield the steady turns and the moves between stills that the gyroscopes show."""
-    for number, record, search in seen.turn_searches:
+    for number, record, search in observed.turn_searches:
         physical = is_physical(record.gyro_unit)
         factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if physical else 1.0
         for turn, rate in zip(search.plateaus, search.plateau_rate * factor, strict=True):
-            in_move = any(turn.start < move.stop and move.start < turn.stop for move in search.rotations)
-            if not in_move or method not in ("", "multi-position", "known-rotation"):  # a move is drawn as a whole
+            rotates = any(turn.start < move.stop and move.start < turn.stop for move in search.rotations)
+            if not rotates or method not in ("", "multi-position", "known-rotation"):  # a move is drawn as a whole
                 label = (
                     f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {'deg/s' if physical else record.gyro_unit}"
                 )
                 yield _piece(turn, number, label, NOT_USED if method else "")
         stuck = stuck_windows([np.asarray(record.gyro)[turn.start : turn.stop] for turn in search.rotations])
         sizes = np.linalg.norm(search.rotation_angle, axis=1) * factor
-        drawn = sizes >= (MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0))
-        for k in np.flatnonzero(drawn):
+        large_moves = sizes >= (MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0))
+        for k in np.flatnonzero(large_moves):
             turn, angle = search.rotations[k], search.rotation_angle[k] * factor
             along = angle[np.argmax(np.abs(angle))]
-            whole = turn.axis is not None and abs(abs(along) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
-            used = method == "multi-position" or _is_used(replace(turn, angle=FULL_TURN if whole else None), method)
+            full_turn = turn.axis is not None and abs(abs(along) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
+            used = method == "multi-position" or _is_used(replace(turn, angle=FULL_TURN if full_turn else None), method)
             label = f"{turn.axis} {along:.0f} deg" if turn.axis and physical else turn.axis or ""
             yield _piece(turn, number, label, SATURATED if stuck[k] and method else "" if used else NOT_USED)

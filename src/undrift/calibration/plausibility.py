@@ -76,12 +76,12 @@ def columns_text(order: FloatArray) -> str:
     negative = [AXES[i] for i in range(3) if order[i].min() < 0.0]
     moved = [AXES[i] for i in range(3) if order[i, i] == 0.0]
     if not moved:
-        return f"column{'s' if len(negative) > 1 else ''} {_listed(negative)} {'are' if len(negative) > 1 else 'is'} reversed"
+        return f"column{'s' if len(negative) > 1 else ''} {_join_names(negative)} {'are' if len(negative) > 1 else 'is'} reversed"
     ring = " in a ring" if len(moved) == 3 else ""
-    return f"columns {_listed(moved)} are exchanged{ring}{f', and {_listed(negative)} reversed' if negative else ''}"
+    return f"columns {_join_names(moved)} are exchanged{ring}{f', and {_join_names(negative)} reversed' if negative else ''}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _join_names(names: Sequence[str]) -> str:
     return " and ".join((", ".join(names[:-1]), names[-1]) if len(names) > 1 else names)
 
 
@@ -219,16 +219,16 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     if read == list(faces):
         return
     pairs = dict.fromkeys(zip(faces, read, strict=True))  # label and face, each combination once
-    labels, shown = [label for label, _ in pairs], [face for _, face in pairs]
-    wrong = [label for label in FACES if any(label == one and one != face for one, face in pairs)]
+    labels, measured_faces = [label for label, _ in pairs], [face for _, face in pairs]
+    wrong = [label for label in FACES if any(label == wanted and wanted != face for wanted, face in pairs)]
     # columns that would give these readings, if all labels are right
-    order = face_vectors(shown).T @ face_vectors(labels)
+    order = face_vectors(measured_faces).T @ face_vectors(labels)
     nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
     if twice := [label for label in FACES if labels.count(label) > 1]:
         missing = missing_faces(faces)
-        cause = f"face {twice[0]} is labelled twice{f', and {_listed(missing)} is missing' if missing else ''}"
-    elif alike := [label for label, face in pairs if shown.count(face) > 1]:
-        cause = f"faces {_listed(alike[:2])} have the same readings, so the same face was recorded twice"
+        cause = f"face {twice[0]} is labelled twice{f', and {_join_names(missing)} is missing' if missing else ''}"
+    elif repeated := [label for label, face in pairs if measured_faces.count(face) > 1]:
+        cause = f"faces {_join_names(repeated[:2])} have the same readings, so the same face was recorded twice"
     elif np.array_equal(order != 0.0, nearest != 0.0) and np.abs(order).sum() == len(pairs):
         reversed_ = [f"+{AXES[j]} and -{AXES[j]}" for j in range(3) if nearest[j, j] < 0.0]
         cause = (
@@ -236,7 +236,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
         )
         cause += f", or faces {' and '.join(reversed_)} are swapped" if reversed_ else ""
     else:
-        cause = f"faces {_listed(wrong)} are swapped" if len(wrong) == 2 else "the labels do not fit the readings"
+        cause = f"faces {_join_names(wrong)} are swapped" if len(wrong) == 2 else "the labels do not fit the readings"
     raise Implausible(
         f"six faces: the poses labelled {', '.join(faces)} read {', '.join(read)} up: {cause}. Correct the labels in session.toml, "
         "or the order or sign of the columns.",
@@ -275,7 +275,7 @@ def check_own_scale(
     ratio = np.atleast_1d(np.asarray(scale_factor, float)) * si_factor(unit, quantity)
     worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
     if abs(worst - 1.0) > tolerance:
-        cause = _named(worst, RATE_UNITS, 1.1) or _times(worst)
+        cause = _name_unit(worst, RATE_UNITS, 1.1) or _times(worst)
         if sample_rate_hz:
             cause += (
                 f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second instead of {sample_rate_hz:.3g}"
@@ -320,15 +320,15 @@ def force_words(median_g: float, spread_g: float) -> str:
     """
     if median_g < 0.5 and spread_g > 0.3 * median_g:
         return "gravity is missing: an app's linear acceleration, without gravity"
-    return _named(median_g, FORCE_UNITS, 1.3)
+    return _name_unit(median_g, FORCE_UNITS, 1.3)
 
 
 def rate_unit_words(ratio: float) -> str:
     """Return the mistaken unit that makes rates read this multiple of the true ones, "" if there is none."""
-    return _named(ratio, RATE_UNITS, 1.1) if np.isfinite(ratio) else ""
+    return _name_unit(ratio, RATE_UNITS, 1.1) if np.isfinite(ratio) else ""
 
 
-def _named(ratio: float, units: Mapping[float, str], within: float) -> str:
+def _name_unit(ratio: float, units: Mapping[float, str], within: float) -> str:
     size = max(abs(ratio), 1e-12)
     return next((text for unit, text in units.items() if abs(np.log(size / unit)) < np.log(within)), "")
 

@@ -162,10 +162,10 @@ def check_counted_once(session: Session) -> None:
                 f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )
     pieces: tuple[tuple[str, tuple[Still | Turn, ...]], ...] = (("still", session.stills), ("turn", session.turns))
-    for what, stated in pieces:
-        order = sorted(range(len(stated)), key=lambda number: (stated[number].recording, stated[number].start))
+    for what, entries in pieces:
+        order = sorted(range(len(entries)), key=lambda number: (entries[number].recording, entries[number].start))
         for number, following in pairwise(order):
-            piece, later = stated[number], stated[following]
+            piece, later = entries[number], entries[following]
             shared = piece.stop - later.start if piece.recording == later.recording else 0
             if shared > SHARED_LIMIT * min(piece.stop - piece.start, later.stop - later.start):
                 name = piece_name(session, later, following, what=what)
@@ -209,7 +209,7 @@ def settling(length: int, settle_s: float, rate_hz: float) -> int:
     return min(round(settle_s * rate_hz), length // 2)
 
 
-def _settled(session: Session, turn: Turn, settle_s: float) -> FloatArray:
+def _discard_settling(session: Session, turn: Turn, settle_s: float) -> FloatArray:
     """Return the gyroscope readings (n, 3) of a turn, without the settling of a dwell at a rate; empty without gyroscopes."""
     record = session.records[turn.recording]
     skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
@@ -218,7 +218,7 @@ def _settled(session: Session, turn: Turn, settle_s: float) -> FloatArray:
 
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
-    windows = [_settled(session, turn, settle_s) for turn in session.turns]
+    windows = [_discard_settling(session, turn, settle_s) for turn in session.turns]
     return tuple(number for number, window in enumerate(windows) if len(window) and stuck_axis([window]))
 
 
@@ -235,7 +235,10 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
             f"gyroscope {turn.axis}: it reads {column[0]:g} throughout, also while the device turns about {turn.axis}: the sensor "
             "is dead, or another column is mapped. Check the map and the device."
         )
-    width, readings = max(1, round(SMOOTH_S * record.sample_rate_hz)), _settled(session, turn, settle_s)[:, axis]
+    width, readings = (
+        max(1, round(SMOOTH_S * record.sample_rate_hz)),
+        _discard_settling(session, turn, settle_s)[:, axis],
+    )
     if not rests or len(readings) < 2 * width or np.isnan(readings).any():
         return np.empty(0)
     rate = np.convolve(readings, np.full(width, 1.0 / width), mode="valid")
@@ -279,10 +282,10 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     away = np.array([window.mean(axis=0) for window in windows]) - model.offset
     force = away @ model.matrix.T
     direction = force / np.linalg.norm(force, axis=1)[:, None]
-    by_reading = direction @ model.matrix
-    jacobian = np.column_stack(((direction[:, :, None] * away[:, None, :]).reshape(-1, 9), -by_reading))
+    reading_slopes = direction @ model.matrix
+    jacobian = np.column_stack(((direction[:, :, None] * away[:, None, :]).reshape(-1, 9), -reading_slopes))
     covariance = np.nan_to_num(model.covariance[:12, :12])
-    variance = (by_reading**2 * noise**2).sum(axis=1) + np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
+    variance = (reading_slopes**2 * noise**2).sum(axis=1) + np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
     miss = np.linalg.norm(force, axis=1) - session.gravity_m_s2
     beyond = int((np.abs(miss) > BEYOND_SIGMAS * np.sqrt(variance)).sum())
     rms, worst = float(np.sqrt(np.mean(miss**2))), int(np.argmax(np.abs(miss)))

@@ -85,19 +85,19 @@ def fit_rate_table(
     Residuals are corrected minus imposed rate, rad/s. The columns of axes that the table did not turn keep the nominal scale
     factor; cross-axis terms of ``cross_axis_prior``.
     """
-    turned, rates = _check_turned(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
-    if mode == "paper" and len(turned) < 3:
-        lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turned)
+    turn_axes, rates = _check_turn_axes(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
+    if mode == "paper" and len(turn_axes) < 3:
+        lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turn_axes)
         raise NotObservable(
             f"rate table, mode paper: expected turns about x, y and z, got none about {lacking}. Record them."
         )
     rows = _rows(dwells, rates, rests)
-    matrix = first_table_matrix(rows.rate, rows.reading, turned, dwells.unit)
+    matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, dwells.unit)
     check_axis_order(np.linalg.inv(matrix), "rate table", against="turns")
     sources = _sources(rows, matrix, dwells)
     if creep is not None:
         sources["temperature"] = creep.covariance_in_case(rows.rate)
-    prior = table_prior(matrix, turned, rows.force is not None, dwells.unit, cross_axis_prior)
+    prior = table_prior(matrix, turn_axes, rows.force is not None, dwells.unit, cross_axis_prior)
     excess = _excess(rows, dwells)
     gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
     names: dict[str, Any] = {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
@@ -113,23 +113,23 @@ def fit_rate_table(
     return fit
 
 
-def _check_turned(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
+def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
     """Return the axes that the table turned at two rates or more; raise if a single one reads as another axis or scale."""
-    turned = list[int]()
+    turn_axes = list[int]()
     for k, axis in enumerate(AXES):
         rows = [n for n, name in enumerate(dwells.axis) if name == axis]
         if len(np.unique(dwells.turn_rate[rows])) < 2:
             continue
-        turned.append(k)
+        turn_axes.append(k)
         if len(set(dwells.axis)) < 3:  # with three axes the whole matrix shows exchanged columns
             slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
-    if not turned:
+    if not turn_axes:
         raise NotObservable(
             "rate table: expected dwells at two different rates or more about an axis, got none about x, y, z. Record both signs."
         )
-    return turned
+    return turn_axes
 
 
 def check_reads_positive(slope: FloatArray, k: int) -> None:
@@ -170,26 +170,26 @@ def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -> _Ta
     )
 
 
-def first_table_matrix(rate: FloatArray, reading: FloatArray, turned: Sequence[int], unit: str) -> FloatArray:
+def first_table_matrix(rate: FloatArray, reading: FloatArray, turn_axes: Sequence[int], unit: str) -> FloatArray:
     """Return a first matrix M: least squares for the turned axes, the nominal scale factor for the others."""
-    design = np.column_stack((rate[:, turned], np.ones(len(rate))))
+    design = np.column_stack((rate[:, turn_axes], np.ones(len(rate))))
     slopes = np.linalg.lstsq(design, reading, rcond=None)[0][:-1]
     forward = np.eye(3) * (
-        1.0 / si_factor(unit, "rate") if is_physical(unit) else np.mean([slopes[n, k] for n, k in enumerate(turned)])
+        1.0 / si_factor(unit, "rate") if is_physical(unit) else np.mean([slopes[n, k] for n, k in enumerate(turn_axes)])
     )
-    forward[:, turned] = slopes.T
+    forward[:, turn_axes] = slopes.T
     return np.asarray(np.linalg.inv(forward))
 
 
 def table_prior(
-    matrix: FloatArray, turned: Sequence[int], force: bool, unit: str, cross_axis_prior: float
+    matrix: FloatArray, turn_axes: Sequence[int], force: bool, unit: str, cross_axis_prior: float
 ) -> Prior | None:
     """Return the prior of M, c and G: the nominal scale in the columns of axes that were not turned, and the g-sensitivity."""
     size = 21 if force else 12
     precision, mean = np.zeros((size, size)), np.zeros(size)
     precision[range(12, size), range(12, size)] = G_SENSITIVITY**-2
     scale = SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS
-    for column in {0, 1, 2} - {*turned}:
+    for column in {0, 1, 2} - {*turn_axes}:
         for row in range(3):
             place = 3 * row + column
             mean[place] = matrix[column, column] if row == column else 0.0
@@ -243,9 +243,9 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
 def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each; 0 at rest."""
     along, across = np.zeros((count, 3)), np.zeros((count, 3))
-    own = np.abs(axis_vectors(dwells.axis)) > 0.5
-    along[: len(own)] = np.where(own, dwells.turn_rate[:, None], 0.0)
-    across[: len(own)] = np.where(own, 0.0, dwells.turn_rate[:, None])
+    rotating = np.abs(axis_vectors(dwells.axis)) > 0.5
+    along[: len(rotating)] = np.where(rotating, dwells.turn_rate[:, None], 0.0)
+    across[: len(rotating)] = np.where(rotating, 0.0, dwells.turn_rate[:, None])
     return across, along
 
 
@@ -258,20 +258,20 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
     yield from above("rate_table.drift", dps, DRIFT_DPS, dps_per_minute=dps)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
-    words = {
+    texts = {
         "what": "Gyroscope matrix",
         "record": "turn at more rates, dwell longer, and check the residual of each dwell",
     }
-    yield from above("session.uncertain", uncertain, UNCERTAIN_PERCENT, size=uncertain, unit="%", **words)
+    yield from above("session.uncertain", uncertain, UNCERTAIN_PERCENT, size=uncertain, unit="%", **texts)
 
 
-def axes_missing(turned: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
+def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
     """Return the finding of turns about one or two axes: which elements keep their prior, and its size."""
     return finding(
         "rate_table.axes_missing",
         "warn",
-        turned=(*turned,),
-        missing=tuple(axis for axis in AXES if axis not in turned),
+        turned=(*turn_axes,),
+        missing=tuple(axis for axis in AXES if axis not in turn_axes),
         scale_percent=100.0 * (SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS),
         cross_percent=100.0 * cross_axis_prior,
     )
@@ -329,14 +329,14 @@ def check_dwells(
     if len(wrong):
         numbers = tuple(range(1, count + 1)) if numbers is None else numbers
         read = (rates + away[:count]) / RADIAN_PER_DEGREE
-        named = "; ".join(
+        contradictions = "; ".join(
             f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "
             f"({', '.join(f'{value:+.4g}' for value in read[k])})"
             for k in wrong[:3]
         )
         raise Implausible(
             f"rate table: {len(wrong)} dwells contradict the others by more than {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s: "
-            f"{named}. Check their sign, value, axis and times, or leave them out.",
+            f"{contradictions}. Check their sign, value, axis and times, or leave them out.",
             turns=tuple(numbers[k] for k in wrong),
         )
 
@@ -344,35 +344,35 @@ def check_dwells(
 # ---- from a session
 
 
-def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
-    session, settings, turns = seen.session, seen.settings, table_turns(seen.session.turns)
+    session, settings, turns = observed.session, observed.settings, table_turns(observed.session.turns)
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
     model = None if accel is None else accel.model
     axes = table_axes(
         session.records,
         turns,
         dwells,
-        mountings([*turns, *seen.stills])[: len(turns)],
+        mountings([*turns, *observed.stills])[: len(turns)],
         table=session.rate_table,
         accel=model,
         gravity_m_s2=session.gravity_m_s2,
         settle_s=settings.settle_s,
     )
-    dwells, rests = replace(dwells, axes=axes), _rest_means(seen, turns, dwells, model)
+    dwells, rests = replace(dwells, axes=axes), _rest_means(observed, turns, dwells, model)
     numbers = tuple(k for k, turn in enumerate(session.turns, 1) if turn in turns)
     imposed, recordings = imposed_rates(dwells, settings.latitude_deg), [turn.recording for turn in turns]
     check_dwells(dwells, imposed, rests=rests, numbers=numbers, recordings=recordings)
-    turned = tuple(axis for axis in AXES if axis in dwells.axis)
-    paper = mode == "paper" and len(turned) == 3
+    turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
+    paper = mode == "paper" and len(turn_axes) == 3
     pieces: list[Still | Turn] = [*turns, *(() if rests is None or paper else rests.stills)]
-    creep = creep_of(seen, pieces, "gyro")
+    creep = creep_of(observed, pieces, "gyro")
     findings = creep.findings()
-    if len(turned) < 3:
-        findings = (*findings, axes_missing(turned, dwells.unit, settings.cross_axis_prior))
+    if len(turn_axes) < 3:
+        findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
     offset = None
     if paper:
-        offset, variance = seen.rest_rate()
+        offset, variance = observed.rest_rate()
         if np.isnan(offset).any():
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
@@ -390,29 +390,29 @@ def calibrate_rates(seen: Observed, mode: str | None, accel: TriadFit | None) ->
 
 
 def _rest_means(
-    seen: Observed, turning: Sequence[Turn], dwells: DwellMeans, accel: TriadModel | None
+    observed: Observed, turning: Sequence[Turn], dwells: DwellMeans, accel: TriadModel | None
 ) -> RestMeans | None:
     """Return readings at rest and specific forces; None if a recording lacks a triad or there is no rest.
 
     Without accelerometers rests on stated faces count, and gravity is along the face.
     """
-    records, rests = seen.session.records, sorted(seen.stills, key=lambda still: still.recording)
+    records, rests = observed.session.records, sorted(observed.stills, key=lambda still: still.recording)
     if accel is None:
         rests = [rest for rest in rests if rest.face is not None]
     pieces: list[Turn | Still] = [*turning, *rests]
     parts = [records[piece.recording].part(piece.start, piece.stop) for piece in pieces]
-    windows = [np.asarray(part.gyro, float) for part in parts[len(turning) :]]
-    lacking = accel is not None and any(part.accel is None for part in parts)
+    windows = [np.asarray(stretch.gyro, float) for stretch in parts[len(turning) :]]
+    lacking = accel is not None and any(stretch.accel is None for stretch in parts)
     if not windows or not turning or lacking or any(np.isnan(window).any() for window in windows):
         return None
     noise = noise_of_means(windows, [block_size(records[rest.recording].sample_rate_hz) for rest in rests])
     if noise is None:
         return None
     if accel is None:
-        force = _stated_force(rests, turning, dwells) * seen.session.gravity_m_s2
+        force = _force_from_labels(rests, turning, dwells) * observed.session.gravity_m_s2
     else:
-        felt = np.array([np.nanmean(part.accel, axis=0) for part in parts if part.accel is not None])
-        force = (felt - accel.offset) @ accel.matrix.T
+        mean_force = np.array([np.nanmean(stretch.accel, axis=0) for stretch in parts if stretch.accel is not None])
+        force = (mean_force - accel.offset) @ accel.matrix.T
     return RestMeans(
         dwell_force=force[: len(turning)],
         reading=np.array([window.mean(axis=0) for window in windows]),
@@ -424,12 +424,12 @@ def _rest_means(
     )
 
 
-def _stated_force(rests: Sequence[Still], turning: Sequence[Turn], dwells: DwellMeans) -> FloatArray:
+def _force_from_labels(rests: Sequence[Still], turning: Sequence[Turn], dwells: DwellMeans) -> FloatArray:
     """Return the direction that points up (N + P, 3) in dwells, by the rests of their mounting, and in rests on faces."""
     faces = [f"{'-' if up < 0.0 else '+'}{axis}" for up, axis in zip(dwells.up, dwells.axis, strict=True)]
     numbers = mountings([*turning, *rests]).tolist()
-    known = {number: rest.face for number, rest in zip(numbers[len(turning) :], rests, strict=True) if rest.face}
-    faces = [known.get(number, face) for number, face in zip(numbers[: len(turning)], faces, strict=True)]
+    rest_faces = {number: rest.face for number, rest in zip(numbers[len(turning) :], rests, strict=True) if rest.face}
+    faces = [rest_faces.get(number, face) for number, face in zip(numbers[: len(turning)], faces, strict=True)]
     faces += [rest.face for rest in rests if rest.face]
     sign = np.array([-1.0 if face[0] == "-" else 1.0 for face in faces])
     return np.asarray(axis_vectors([face[1] for face in faces]) * sign[:, None])

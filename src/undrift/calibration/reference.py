@@ -105,8 +105,8 @@ class Aligned:
 
 def align(record: Record, reference: Reference, lag_settings: sync.LagSettings = sync.LagSettings()) -> Aligned:
     """Find lag and motion of one recording, without padded rows and saturated readings."""
-    whole, record, poses = record, unpadded(record), sync.native_poses(reference)
-    padded = sync.padding(whole, record)
+    full_record, record, poses = record, unpadded(record), sync.native_poses(reference)
+    padded = sync.padding(full_record, record)
     record, saturated = without_saturated(record)
     record, lag, findings = sync.in_step(record, poses, lag_settings)
     poses = sync.seen_poses(record, poses, lag)
@@ -202,7 +202,7 @@ def fit_reference(
 
 def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
     """Fit the gyroscope of one device to recordings whose lag and motion are known."""
-    recordings = [recording_of(each, turning=settings.turning) for each in aligned]
+    recordings = [recording_of(recording, turning=settings.turning) for recording in aligned]
     return _fit(recordings, settings, aligned[0].record.gyro_unit, adc)
 
 
@@ -219,7 +219,7 @@ def leave_one_out(
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
     aligned = _align_all(records, references, lag_settings)
-    recordings = [recording_of(each, turning=settings.turning) for each in aligned]
+    recordings = [recording_of(recording, turning=settings.turning) for recording in aligned]
     trials = list[HeldOut]()
     for k, recording in enumerate(recordings):
         progress(f"fit without recording {k + 1} of {len(records)}", k / len(records))
@@ -272,15 +272,15 @@ class _Parameters:
                 recordings, self.local, self.offsets, self.mountings, strict=True
             )
         ]
-        columns = [each.design @ local[:, self.free] for each, local in zip(windows, self.local, strict=True)]
+        columns = [stretch.design @ local[:, self.free] for stretch, local in zip(windows, self.local, strict=True)]
         return windows, np.concatenate(columns)
 
     def moved(self, step: FloatArray) -> "_Parameters":
         """Return the parameters after a step (F,) of the free ones."""
-        whole = np.zeros(len(self.value))
-        whole[self.free] = step
-        mountings = quaternion_product(self.mountings, quaternion_of((self.local @ whole)[:, 15:]))
-        return replace(self, value=self.value + whole, mountings=mountings)
+        full_step = np.zeros(len(self.value))
+        full_step[self.free] = step
+        mountings = quaternion_product(self.mountings, quaternion_of((self.local @ full_step)[:, 15:]))
+        return replace(self, value=self.value + full_step, mountings=mountings)
 
 
 def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None) -> ReferenceFit:
@@ -292,7 +292,10 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
         length_s = min(FIRST_WINDOW_S * 2.0**number, settings.longest_window_s)
         reach = round(length_s / STRIDE_S)
         windows, design = parameters.equations(recordings, reach)
-        count, unknown = sum(-(-len(each.first) // reach) for each in windows), design.shape[2]
+        count, unknown = (
+            sum(-(-len(recording_windows.first) // reach) for recording_windows in windows),
+            design.shape[2],
+        )
         if 3 * count <= unknown and solution is None:
             causes = " ".join(item.text for recording in recordings for item in recording.findings)
             raise NotObservable(
@@ -328,8 +331,8 @@ def _start(
     axes = np.linalg.svd(common, compute_uv=False)
     if ((np.linalg.det(common) < 0.0) & (axes[:, 2] > THIRD_AXIS**2 * axes[:, 0])).any():
         raise Implausible("reference: one axis of the readings or of the reference is reversed. Change its sign.")
-    each = settings.mounting == "each"
-    bodies = Rotation.from_matrix(_nearest_rotation(each * common + SHARED_BODY * common.sum(axis=0)))
+    free_mountings = settings.mounting == "each"
+    bodies = Rotation.from_matrix(_nearest_rotation(free_mountings * common + SHARED_BODY * common.sum(axis=0)))
     mountings = bodies * bodies.mean().inv()
     physical = is_physical(unit)
     factor = si_factor(unit, "rate") if physical else float(axes.sum() / np.trace(power, axis1=1, axis2=2).sum())
@@ -344,23 +347,23 @@ def _start(
     half = 0.0
     if adc is not None and adc.gyro_lsb is not None:
         step, half = adc.gyro_lsb, 0.5 * (adc.gyro_rounding == "toward_zero")
-    count, apart = len(recordings), settings.turning and bool(rested.any())
+    count, moving_apart = len(recordings), settings.turning and bool(rested.any())
     changes = np.eye(count)[:, ~rested] if count > 1 else np.zeros((1, 0))
-    rotations = null_space(np.ones((1, count))) if each else np.zeros((count, 0))
-    own = 3 * changes.shape[1], 3 * rotations.shape[1]
-    local = np.zeros((count, 18, 15 + sum(own)))
+    rotations = null_space(np.ones((1, count))) if free_mountings else np.zeros((count, 0))
+    group_sizes = 3 * changes.shape[1], 3 * rotations.shape[1]
+    local = np.zeros((count, 18, 15 + sum(group_sizes)))
     local[:, :15, :15] = np.eye(15)
-    local[:, 9:12, 15 : 15 + own[0]], local[:, 15:, 15 + own[0] :] = (
+    local[:, 9:12, 15 : 15 + group_sizes[0]], local[:, 15:, 15 + group_sizes[0] :] = (
         [np.kron(shares, np.eye(3)) for shares in columns] for columns in (changes, rotations)
     )
     spreads = (
-        MATRIX_PRIOR * factor if physical else np.inf, MOVING_PRIOR if apart else np.inf, 0.0, TURN_ON, MOUNTING_PRIOR,
+        MATRIX_PRIOR * factor if physical else np.inf, MOVING_PRIOR if moving_apart else np.inf, 0.0, TURN_ON, MOUNTING_PRIOR,
     )  # fmt: skip
-    spread = np.repeat(spreads, (9, 3, 3, *own))
+    spread = np.repeat(spreads, (9, 3, 3, *group_sizes))
     spread[12:15] = CODE_PRIOR * step
     return _Parameters(
-        value=np.concatenate((matrix.ravel(), np.mean(moving, axis=0), half * step, np.zeros(sum(own)))),
-        expected=np.concatenate((nominal.ravel(), np.zeros(3), half * step, np.zeros(sum(own)))),
+        value=np.concatenate((matrix.ravel(), np.mean(moving, axis=0), half * step, np.zeros(sum(group_sizes)))),
+        expected=np.concatenate((nominal.ravel(), np.zeros(3), half * step, np.zeros(sum(group_sizes)))),
         spread=spread,
         local=local,
         offsets=offsets,
@@ -371,9 +374,9 @@ def _start(
 
 def _nearest_rotation(matrices: FloatArray) -> FloatArray:
     """Return the rotations (R, 3, 3) nearest to matrices, or to their projections on a plane (Kabsch 1976)."""
-    left, _, right = np.linalg.svd(matrices)
-    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
-    return np.asarray(left @ right)
+    u, _, v = np.linalg.svd(matrices)
+    u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
+    return np.asarray(u @ v)
 
 
 def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) -> FloatArray:
@@ -382,9 +385,9 @@ def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) 
     M = (sum M_r W_r + e N) (sum W_r + e)^-1: the nominal matrix N stands for what no recording determines. The difference of a
     recording is that of its rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|.
     """
-    whole = power.sum(axis=0)
-    ridge = START_RIDGE * float(np.linalg.eigvalsh(whole)[2])
-    shared = ((matrices @ power).sum(axis=0) + ridge * nominal) @ np.linalg.inv(whole + ridge * np.eye(3))
+    total_power = power.sum(axis=0)
+    ridge = START_RIDGE * float(np.linalg.eigvalsh(total_power)[2])
+    shared = ((matrices @ power).sum(axis=0) + ridge * nominal) @ np.linalg.inv(total_power + ridge * np.eye(3))
     away, rate = (np.einsum("rij,rjk,rik->r", m, power, m) for m in (matrices - shared, 0.0 * matrices + shared))
     difference = float(np.sqrt((away / rate).max()))
     if difference > MATRIX_DIFFERENCE:
@@ -404,7 +407,7 @@ def _result(
     from scipy.spatial.transform import Rotation
 
     matrix, moving, codes = parameters.value[:9].reshape(3, 3), parameters.value[9:12], parameters.value[12:15]
-    apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
+    moving_apart, coded = bool(np.isfinite(parameters.spread[9])), bool(parameters.spread[12] > 0.0)
     rested = [r for r in recordings if np.isfinite(r.rest).all()]
     base = sign = spread = np.zeros(3)
     if rested:
@@ -414,13 +417,15 @@ def _result(
     # The fit has M, d and c. The offset o is the mean at rest, so its error moves o, and d by as much the other way.
     free, eye, none, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
     motion_offset = inverse @ moving
-    to_rest = [np.zeros((3, 9)), none, np.diag(sign), eye]
-    to_motion = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), none]
+    rest_rows = [np.zeros((3, 9)), none, np.diag(sign), eye]
+    moving_rows = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), none]
     jacobian = np.vstack(
         [
             np.eye(9, 18),
-            np.hstack(to_rest if apart else to_motion),
-            np.hstack([np.zeros((3 * apart, 9)), *(part[: 3 * apart] for part in (eye, none, -matrix))]),
+            np.hstack(rest_rows if moving_apart else moving_rows),
+            np.hstack(
+                [np.zeros((3 * moving_apart, 9)), *(block[: 3 * moving_apart] for block in (eye, none, -matrix))]
+            ),
             np.eye(3 * coded, 18, 12),
         ]
     )
@@ -432,15 +437,20 @@ def _result(
         unit_in=unit,
         unit_out="rad/s",
         matrix=matrix,
-        offset=base if apart else base + motion_offset,
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(MOVING_NAMES if apart else ()), *(CODE_NAMES if coded else ())),
+        offset=base if moving_apart else base + motion_offset,
+        parameters=(
+            *MATRIX_NAMES,
+            *OFFSET_NAMES,
+            *(MOVING_NAMES if moving_apart else ()),
+            *(CODE_NAMES if coded else ()),
+        ),
         covariance=jacobian @ covariance @ jacobian.T,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
         count=solution.residuals.size,
         rank=len(free),
         condition=solution.condition,
         valid_range=(min(float(rate.min()) for rate in rates), max(float(rate.max()) for rate in rates)),
-        moving_offset=moving if apart else None,
+        moving_offset=moving if moving_apart else None,
         code_offset=codes if coded else None,
     )
     findings = [item for r in recordings for item in r.findings]
@@ -462,15 +472,15 @@ def _result(
 def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray]) -> Iterator[Finding]:
     """Yield findings: axes that keep their prior, or else a matrix that is uncertain; and rest offsets that differ."""
     size = float(np.linalg.norm(nominal, 2))
-    to_device = np.kron(nominal.T, np.eye(3)) / size**2
-    spread = np.sqrt(np.diag(to_device @ model.covariance[:9, :9] @ to_device.T)).reshape(3, 3)
-    kept = is_physical(model.unit_in) & (spread > 0.5 * MATRIX_PRIOR).any(axis=0)
-    if kept.any():
+    jacobian = np.kron(nominal.T, np.eye(3)) / size**2
+    spread = np.sqrt(np.diag(jacobian @ model.covariance[:9, :9] @ jacobian.T)).reshape(3, 3)
+    near_prior = is_physical(model.unit_in) & (spread > 0.5 * MATRIX_PRIOR).any(axis=0)
+    if near_prior.any():
         yield finding(
             "motion.prior",
             "warn",
             triad="gyroscope",
-            axes=tuple(axis for axis, keeps in zip("xyz", kept, strict=True) if keeps),
+            axes=tuple(axis for axis, keeps in zip("xyz", near_prior, strict=True) if keeps),
             uncertainty_percent=100.0 * MATRIX_PRIOR,
             advice="also record turns about these axes of the device",
         )

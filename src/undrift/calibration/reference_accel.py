@@ -41,8 +41,8 @@ TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # of gyroscopes on the body of the refer
 
 def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:
     """Return nominal accelerometers in the body that the gyroscopes were fitted to; None in counts, or if it is the device's."""
-    left, _, right = np.linalg.svd(gyro.matrix)
-    turn = left @ right
+    u, _, right = np.linalg.svd(gyro.matrix)
+    turn = u @ right
     if not is_physical(unit) or np.trace(turn) > 1.0 + 2.0 * np.cos(TURNED_ABOVE):
         return None
     factor = si_factor(unit, "accel")
@@ -83,15 +83,17 @@ def fit_reference_accel(
     records = [without_saturated(record)[0] for record in records]
     stills, windows, poses = list[Still](), list[FloatArray](), list[FloatArray]()
     for number, (record, reference) in enumerate(zip(records, references, strict=True)):
-        seen, mounting = native_poses(reference), Rotation.from_rotvec(mountings[number])
+        poses_in_view, mounting = native_poses(reference), Rotation.from_rotvec(mountings[number])
         for still in find_still(record, recording=number).stills:
             start_s, stop_s = record.time[[still.start, still.stop - 1]] - lags_s[number]
-            during = seen.valid & (seen.time >= start_s) & (seen.time <= stop_s)
+            during = poses_in_view.valid & (poses_in_view.time >= start_s) & (poses_in_view.time <= stop_s)
             window = whole_readings(record.accel, still.start, still.stop)
             if during.any() and len(window) > 1:
                 stills.append(still)
                 windows.append(window)
-                poses.append((rotation(seen.q_nb[during]).mean() * mounting).as_matrix())  # R: mean body to level
+                poses.append(
+                    (rotation(poses_in_view.q_nb[during]).mean() * mounting).as_matrix()
+                )  # R: mean body to level
     body = np.reshape(poses, (-1, 3, 3))
     up = body[:, 2]
     rank, condition = scaled_condition(np.column_stack((up, np.ones(len(up))))) if stills else (0, np.inf)
@@ -128,15 +130,15 @@ def _sources(
     noise = np.maximum(noise, MIN_NOISE * max(np.abs(window).max() for window in windows))
     codes = mean_rounding([np.asarray(record.accel) for record in records], windows)
     session = Session(kind="calibration", serial="", gravity_m_s2=gravity_m_s2, records=tuple(records))
-    seen = Observed(session=session, settings=CalibrateSettings(), stills=tuple(stills), found=True)
-    creep, temps_c = creep_of(seen, stills, "accel"), [r.temp_c for r in records if r.temp_c is not None]
+    observed = Observed(session=session, settings=CalibrateSettings(), stills=tuple(stills), found=True)
+    creep, temps_c = creep_of(observed, stills, "accel"), [r.temp_c for r in records if r.temp_c is not None]
     if temps_c:
-        warmer_k = seen.mean_temperature() - np.mean([np.nanmean(temp_c) for temp_c in temps_c])
+        warmer_k = observed.mean_temperature() - np.mean([np.nanmean(temp_c) for temp_c in temps_c])
         creep = replace(creep, warmth=creep.warmth + warmer_k)
-    own = np.eye(len(stills))[:, :, None]
+    identity = np.eye(len(stills))[:, :, None]
     return {
-        "noise": in_case(matrix, own * noise[:, None] ** 2),
-        "adc": in_case(matrix, own * np.broadcast_to(codes**2, noise.shape)[:, None]),
+        "noise": in_case(matrix, identity * noise[:, None] ** 2),
+        "adc": in_case(matrix, identity * np.broadcast_to(codes**2, noise.shape)[:, None]),
         "instability": np.kron(ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, stills)), np.eye(3)),
         "temperature": creep.covariance_in_case(force),
     }

@@ -78,15 +78,19 @@ def window_equations(
     first = np.flatnonzero(valid[:-reach] & valid[reach:] & (gaps[:-reach] == gaps[reach:]))
     last = first + reach
     body = quaternion_product(recording.q_nb, mounting)
-    by_readings, by_poses = (quaternion_product(quaternion_conjugate(each[first]), each[last]) for each in (q, body))
+    reading_turn, pose_turn = (
+        quaternion_product(quaternion_conjugate(samples[first]), samples[last]) for samples in (q, body)
+    )
     back = quaternion_conjugate(q[last])[:, None, None, :]
     gain = np.moveaxis(rotate(back, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
-    by_matrix = gain[..., :3].reshape(len(first), 3, 9)
-    by_codes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
-    by_mounting = np.swapaxes(rotation(by_poses).as_matrix(), 1, 2) - np.eye(3) if len(first) else np.zeros((0, 3, 3))
+    matrix_slopes = gain[..., :3].reshape(len(first), 3, 9)
+    code_slopes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
+    mounting_slopes = (
+        np.swapaxes(rotation(pose_turn).as_matrix(), 1, 2) - np.eye(3) if len(first) else np.zeros((0, 3, 3))
+    )
     return Windows(
-        turn=rotation_vector(quaternion_product(quaternion_conjugate(by_readings), by_poses)),
-        design=np.concatenate((by_matrix, -gain[..., 3], by_codes, by_mounting), axis=2),
+        turn=rotation_vector(quaternion_product(quaternion_conjugate(reading_turn), pose_turn)),
+        design=np.concatenate((matrix_slopes, -gain[..., 3], code_slopes, mounting_slopes), axis=2),
         first=first,
     )
 
@@ -121,15 +125,18 @@ def solve(
     The prior expects a step of ``away`` (P,) with the standard deviation ``spread`` (P,), infinite without a prior. Windows overlap
     ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
     """
-    a, y = design.reshape(-1, len(away)), np.concatenate([each.turn for each in windows]).reshape(-1)
+    a, y = (
+        design.reshape(-1, len(away)),
+        np.concatenate([recording_windows.turn for recording_windows in windows]).reshape(-1),
+    )
     pull = scale * np.sqrt(reach) / spread
     condition = full_rank(np.vstack((a, np.diag(pull))))
     step, weight, scale = fit_huber(np.vstack((a, np.diag(pull))), np.append(y, pull * away), prior=len(pull))
     residuals, weight = y - a @ step, weight[: len(y)]
     inside = weight == 1.0
     normal = (a.T * inside) @ a + np.diag(pull**2)
-    of_prior = np.linalg.solve(normal, np.diag(pull**2 * np.where(pull > 0.0, spread, 0.0)))
-    covariance, blocks = of_prior @ of_prior.T, np.repeat(_blocks(windows, reach), 3)
+    prior_gain = np.linalg.solve(normal, np.diag(pull**2 * np.where(pull > 0.0, spread, 0.0)))
+    covariance, blocks = prior_gain @ prior_gain.T, np.repeat(_blocks(windows, reach), 3)
     for block in range(blocks.max() + 1):
         rows = blocks == block
         without = normal - (a[rows].T * inside[rows]) @ a[rows]
@@ -143,7 +150,7 @@ def solve(
 def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
     """Return the block that each window belongs to. Blocks are numbered through all recordings."""
     for length in (2 * reach, reach):
-        place = np.concatenate([1_000_000 * number + each.first // length for number, each in enumerate(windows)])
+        place = np.concatenate([1_000_000 * number + samples.first // length for number, samples in enumerate(windows)])
         blocks: IntArray = np.unique(place, return_inverse=True)[1]
         if blocks.max() + 1 >= MIN_BLOCKS:
             break

@@ -92,11 +92,11 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
     temps = piece_temperatures(session, pieces)
     order = np.argsort(temps)
-    apart = np.diff(temps[order]) > SAME_TEMPERATURE_K
-    if np.isnan(temps).any() or not apart.any():
+    separated = np.diff(temps[order]) > SAME_TEMPERATURE_K
+    if np.isnan(temps).any() or not separated.any():
         return session, ()
     group = np.empty(len(temps), dtype=np.int64)
-    group[order] = np.concatenate(([0], np.cumsum(apart)))
+    group[order] = np.concatenate(([0], np.cumsum(separated)))
     counts = np.bincount(group)
     means = np.bincount(group, temps) / counts
     chosen = min(np.flatnonzero(2 * counts >= counts.max()), key=lambda k: abs(means[k] - ROOM_C))
@@ -105,16 +105,16 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     most = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen])))
     used = group == chosen
     if faces[chosen] < faces[most]:
-        used |= (group == most) & np.array([each is not None for each in face])
-    kept = [piece for piece, use in zip(pieces, used, strict=True) if use]
+        used |= (group == most) & np.array([piece_face is not None for piece_face in face])
+    selected = [piece for piece, use in zip(pieces, used, strict=True) if use]
     what = (
-        f"stills and turns in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC; the {len(kept)} at "
+        f"stills and turns in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC; the {len(selected)} at "
         f"{temps[used].mean():.1f} degC were used"
     )
     return replace(
         session,
-        stills=tuple(piece for piece in kept if isinstance(piece, Still)),
-        turns=tuple(piece for piece in kept if isinstance(piece, Turn)),
+        stills=tuple(piece for piece in selected if isinstance(piece, Still)),
+        turns=tuple(piece for piece in selected if isinstance(piece, Turn)),
     ), (finding("session.temperature", "warn", what=what, groups=len(counts)),)
 
 
@@ -239,22 +239,24 @@ class Observed:
 
         In physical units their reading is near the known angle; in counts a full turn brings the device back to its pose.
         """
-        turned: list[tuple[Turn, float]] = []
-        whole = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
+        candidates: list[tuple[Turn, float]] = []
+        full_turns = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
         for _, record, search in self.turn_searches:
             factor = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else None
             for turn, reading in zip(search.rotations, search.rotation_angle, strict=True):
-                along, returns = reading[np.argmax(np.abs(reading))], self._returns(turn)
+                along, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
                 if factor is None:
-                    near = whole and returns is True
+                    near = full_turns and returns is True
                 else:  # a move between faces that reads twice as large is no full turn
-                    near = abs(abs(along) * factor - angle) < tolerance * angle and not (whole and returns is False)
+                    near = abs(abs(along) * factor - angle) < tolerance * angle and not (
+                        full_turns and returns is False
+                    )
                 if turn.axis is not None and near:
-                    turned.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
-        most = max((size for _, size in turned), default=0.0)
-        return tuple(turn for turn, size in turned if size * (1.0 + tolerance) > most * (1.0 - tolerance))
+                    candidates.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
+        most = max((size for _, size in candidates), default=0.0)
+        return tuple(turn for turn, size in candidates if size * (1.0 + tolerance) > most * (1.0 - tolerance))
 
-    def _returns(self, turn: Turn) -> bool | None:
+    def _returns_to_pose(self, turn: Turn) -> bool | None:
         """Return True if gravity reads the same before and after a turn, within about 15 deg; None if that is unknown."""
         accel = self.session.records[turn.recording].accel
         stills = [s for s in self.stills if s.recording == turn.recording]
@@ -282,7 +284,7 @@ class Observed:
         """Return why turns by a known angle were not found, empty if it is unknown; raise if their unit is mistaken."""
         for number, record, search in self.turn_searches:
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
-            back = [self._returns(turn) is True for turn in search.rotations]
+            back = [self._returns_to_pose(turn) is True for turn in search.rotations]
             if is_physical(record.gyro_unit) and any(back):
                 read = np.abs(search.rotation_angle[back]).max(axis=1) * si_factor(record.gyro_unit, "rate")
                 ratio = float(np.median(read)) / (angle_deg * RADIAN_PER_DEGREE)
@@ -309,10 +311,10 @@ class Observed:
             return self, ()
         names = tuple(piece_name(session, session.turns[k], k, what="turn") for k in numbers)
         sound = tuple(turn for k, turn in enumerate(session.turns) if k not in numbers)
-        left = finding(
+        omitted = finding(
             "session.saturated", "warn", what="turns", count=len(numbers), of=len(session.turns), pieces=names
         )
-        return replace(self, session=replace(session, turns=sound)), (left,)
+        return replace(self, session=replace(session, turns=sound)), (omitted,)
 
 
 def look(session: Session, settings: CalibrateSettings) -> Observed:

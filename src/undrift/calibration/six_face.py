@@ -109,13 +109,13 @@ def _solve(poses: FaceMeans, gravity: float) -> GlsFit:
             f"six faces: expected faces that span three axes and both signs, got rank {rank} of 4. Record the missing faces.",
             rank=rank,
         )
-    inputs, own = gravity * up, np.eye(len(up))[:, :, None]
+    inputs, identity = gravity * up, np.eye(len(up))[:, :, None]
     matrix, floor = first_matrix(inputs, poses.reading), MIN_NOISE * float(np.abs(poses.reading).max())
     noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
     rounding = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise)
     sources = {
-        "noise": in_case(matrix, own * np.maximum(noise**2 - rounding**2, floor**2)[:, None]),
-        "adc": in_case(matrix, own * np.broadcast_to(rounding**2, noise.shape)[:, None]),
+        "noise": in_case(matrix, identity * np.maximum(noise**2 - rounding**2, floor**2)[:, None]),
+        "adc": in_case(matrix, identity * np.broadcast_to(rounding**2, noise.shape)[:, None]),
     }
     if poses.creep is not None:
         sources["temperature"] = poses.creep.covariance_in_case(inputs)
@@ -206,15 +206,15 @@ def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
 # ---- from a session
 
 
-def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
+def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
     """Fit the accelerometer of a session to its faces; an entry of FITS."""
-    settings, gravity = seen.settings, seen.session.gravity_m_s2
+    settings, gravity = observed.settings, observed.session.gravity_m_s2
     paper, offset = mode == "paper", None
-    stills, placement = (seen.faced, None) if paper else _placements(seen)
+    stills, placement = (observed.faced, None) if paper else _placements(observed)
     poses = face_means(
-        seen.session.records, stills, window_s=settings.window_s, polynomial_degree=settings.polynomial_degree
+        observed.session.records, stills, window_s=settings.window_s, polynomial_degree=settings.polynomial_degree
     )
-    poses = replace(poses, creep=creep_of(seen, stills, "accel"), placement=placement)
+    poses = replace(poses, creep=creep_of(observed, stills, "accel"), placement=placement)
     findings = poses.creep.findings() if poses.creep else ()
     if poses.noise is None:
         findings = (*findings, finding("six_face.short_faces", "warn"))
@@ -229,25 +229,25 @@ def calibrate_faces(seen: Observed, mode: str | None, accel: TriadFit | None = N
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", SCALE_TOLERANCE, "accelerometer")
     if offset is not None:
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=findings, used=seen.faced)
+    return Outcome(fit=fit, method="six-face", findings=findings, used=observed.faced)
 
 
-def _placements(seen: Observed) -> tuple[tuple[Still, ...], IntArray]:
+def _placements(observed: Observed) -> tuple[tuple[Still, ...], IntArray]:
     """Return the rests on faces that are used, and the number of the placement of each.
 
     Rests on one face with no other rest between, or in one mounting on a rate table, are one placement. Rests on a rate table are
     left out if the other rests show all six faces: a device is mounted on a table less squarely than it stands on a plate, and what
     the accelerometers feel there measures the mounting.
     """
-    turns = [turn for turn in seen.session.turns if turn.turn_rate is not None]
-    table = mountings([*seen.stills, *turns])[: len(seen.stills)]
+    turns = [turn for turn in observed.session.turns if turn.turn_rate is not None]
+    table = mountings([*observed.stills, *turns])[: len(observed.stills)]
     number, placement = 0, list[int]()
-    for n, still in enumerate(seen.stills):
-        before = seen.stills[n - 1]
+    for n, still in enumerate(observed.stills):
+        before = observed.stills[n - 1]
         number += n == 0 or (before.face, before.recording) != (still.face, still.recording)
         placement.append(number if table[n] < 0 else -1 - int(table[n]))
-    used = [n for n, still in enumerate(seen.stills) if still.face is not None]
+    used = [n for n, still in enumerate(observed.stills) if still.face is not None]
     plate = [n for n in used if table[n] < 0]
-    if not missing_faces([face for n in plate if (face := seen.stills[n].face) is not None]):
+    if not missing_faces([face for n in plate if (face := observed.stills[n].face) is not None]):
         used = plate
-    return tuple(seen.stills[n] for n in used), np.array(placement, int)[used]
+    return tuple(observed.stills[n] for n in used), np.array(placement, int)[used]

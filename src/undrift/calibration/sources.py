@@ -46,10 +46,10 @@ def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
 def flicker_of_means(span: FloatArray) -> FloatArray:
     """Return F of means over stretches (E, 2), s, which may overlap."""
     start, stop = span[:, 0], np.maximum(span[:, 1], span[:, 0] + 1e-3)
-    apart = [to[:, None] - of for to, of in ((stop, start), (start, stop), (stop, stop), (start, start))]
+    lags = [to[:, None] - of for to, of in ((stop, start), (start, stop), (stop, stop), (start, start))]
     total = np.zeros((len(span), len(span)))
     for time_s in FLICKER_TIMES_S:  # twice the integral of exp(-|t| / time) over t, then its second difference
-        late, early, stops, starts = (np.expm1(-np.abs(t) / time_s) + np.abs(t) / time_s for t in apart)
+        late, early, stops, starts = (np.expm1(-np.abs(t) / time_s) + np.abs(t) / time_s for t in lags)
         total += time_s**2 * (late + early - stops - starts)
     return np.asarray(total / len(FLICKER_TIMES_S) / np.outer(stop - start, stop - start))
 
@@ -200,15 +200,15 @@ def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> 
     both, count = (*session_pieces, *pieces), len(session_pieces)
     time, temps = middles(observed.session.records, both), piece_temperatures(observed.session, both)
     warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
-    stated = np.array([piece.temp_c is not None for piece in both])
+    has_set_point = np.array([piece.temp_c is not None for piece in both])
     least_k = prior.unrecorded_span_k
     if np.isfinite(temps[:count]).any():
-        least_k = 0.0 if stated.any() else _thermometer_step(observed)
+        least_k = 0.0 if has_set_point.any() else _thermometer_step(observed)
     if np.ptp(warmth[:count]) <= least_k:
         warmth = least_k * (time - time[:count].mean()) / (float(np.ptp(time[:count])) or np.inf)
     elif prior.thermometer_lag_s:
         course = np.polynomial.Polynomial.fit(time[:count], warmth[:count], min(2, count - 1)).deriv()
-        warmth = warmth + prior.thermometer_lag_s * np.where(stated, 0.0, course(time))
+        warmth = warmth + prior.thermometer_lag_s * np.where(has_set_point, 0.0, course(time))
     offset, scale = (
         (prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY, prior.accel_scale_percent_per_k)
         if kind == "accel"

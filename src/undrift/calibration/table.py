@@ -85,7 +85,7 @@ def dwell_means(
     """
     used = table_turns(turns)
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
-    parts = [_settled(records[t.recording], t, unit, settle_s) for t in used]
+    parts = [_discard_settling(records[t.recording], t, unit, settle_s) for t in used]
     windows = [np.asarray(record.gyro) for record in parts]
     smooth = [
         w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
@@ -128,11 +128,11 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
     from scipy.interpolate import make_smoothing_spline
 
     stiffness = 1.0 / (float(np.median(np.diff(time))) * (2.0 * np.pi * cutoff_hz) ** 4)
-    own = time - time[0]
-    return np.column_stack([make_smoothing_spline(own, column, lam=stiffness)(own) for column in values.T])
+    elapsed = time - time[0]
+    return np.column_stack([make_smoothing_spline(elapsed, column, lam=stiffness)(elapsed) for column in values.T])
 
 
-def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
+def _discard_settling(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
     if record.gyro is None or record.gyro_unit != unit:
         raise InputError(
             f"rate table: expected gyroscope readings in {unit} in every recording, got "
@@ -153,10 +153,10 @@ def _settled(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
     return dwell
 
 
-def _points_up(part: Record, axis: int) -> float:
-    if part.accel is None or part.accel_unit in ("count", "v"):
+def _points_up(stretch: Record, axis: int) -> float:
+    if stretch.accel is None or stretch.accel_unit in ("count", "v"):
         return 1.0
-    mean = np.nanmean(part.accel, axis=0)
+    mean = np.nanmean(stretch.accel, axis=0)
     share = float(mean[axis] / np.linalg.norm(mean)) if np.linalg.norm(mean) > 0.0 else 0.0
     return float(np.sign(share)) if abs(share) > 0.9 else 0.0
 
@@ -229,7 +229,7 @@ def table_axes(
     stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
     azimuths = _azimuths(records, turns, stretches, dwells)
     direction: FloatArray = np.eye(3)[axis]
-    by_accel: FloatArray = np.zeros((count, 3, 12))
+    accel_slopes: FloatArray = np.zeros((count, 3, 12))
     wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
     columns = list[FloatArray]()
     for number in sorted(set(mounting.tolist())):
@@ -238,11 +238,14 @@ def table_axes(
         across = [(k + 1) % 3, (k + 2) % 3]
         root: FloatArray = np.tile(table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2), (len(rows), 1, 1))
         if accel is not None and abs(gravity) == gravity_m_s2:
-            felt = [_felt(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows]
-            parts: list[FloatArray] = [
-                part[:, [0, 1, 2 + across[0], 2 + across[1]]] / np.array([1.0, 1.0, gravity, gravity]) for part in felt
+            forces = [
+                _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows
             ]
-            if all(len(part) for part in parts):
+            parts: list[FloatArray] = [
+                dwell_rows[:, [0, 1, 2 + across[0], 2 + across[1]]] / np.array([1.0, 1.0, gravity, gravity])
+                for dwell_rows in forces
+            ]
+            if all(len(dwell_rows) for dwell_rows in parts):
                 tilt, root = _tilt_by_gravity(
                     parts, dwells.turn_rate[rows], [turns[n].recording for n in rows], table, gravity
                 )
@@ -253,14 +256,14 @@ def table_axes(
                 codes = accel.matrix[across] / gravity * np.nan_to_num(mean_rounding(readings, windows))
                 root = np.concatenate((root, np.broadcast_to(codes, (len(rows), 2, 3))), axis=2)
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
-                by_accel[np.ix_(rows, across)] = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))[
+                accel_slopes[np.ix_(rows, across)] = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))[
                     across
                 ]
         columns.append(np.zeros((count, 3, root.shape[2])))
         columns[-1][np.ix_(rows, across)] = root
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
-        columns.append(by_accel @ (vectors * np.sqrt(variance.clip(0.0))))
+        columns.append(accel_slopes @ (vectors * np.sqrt(variance.clip(0.0))))
     return TableAxes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
@@ -286,11 +289,11 @@ def _azimuths(
         about = [n for n, other in enumerate(dwells.axis) if other == axis]
         if record.gyro is None or len(np.unique(dwells.turn_rate[about])) < 2:
             continue
-        k, whole = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
+        k, span = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
         scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
-        angle = cumulative_trapezoid((record.gyro[whole, k] - offset) / scale, record.time[whole], initial=0)
+        angle = cumulative_trapezoid((record.gyro[span, k] - offset) / scale, record.time[span], initial=0)
         for n in rows:
-            azimuths[n][whole] = angle
+            azimuths[n][span] = angle
     return azimuths
 
 
@@ -317,7 +320,7 @@ def _ripples(
     return columns
 
 
-def _felt(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
+def _force_in_dwell(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
     """Return block means (B, 5) of cosine and sine of the azimuth and of the specific force, m/s2; without blocks with gaps."""
     if record.accel is None:
         return np.empty((0, 5))
@@ -338,34 +341,37 @@ def _tilt_by_gravity(
     """
     count, levels, designs = len(parts), sorted(set(recordings)), list[FloatArray]()
     common = 4 + 2 * len(levels)  # d, r, and l of each recording; then e_i and e'_i of each dwell
-    for n, (part, rate, recording) in enumerate(zip(parts, turn_rate, recordings, strict=True)):
-        turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
+    for n, (dwell_rows, rate, recording) in enumerate(zip(parts, turn_rate, recordings, strict=True)):
+        level_rows = np.stack((dwell_rows[:, [0, 1]], dwell_rows[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
         level_column, wobble_column = 4 + 2 * levels.index(recording), common + 4 * n
-        design = np.zeros((len(part), 2, common + 4 * count))
+        design = np.zeros((len(dwell_rows), 2, common + 4 * count))
         design[:, :, :2] = design[:, :, wobble_column : wobble_column + 2] = np.eye(2)
         design[:, :, 2:4] = rate**2 / gravity * np.eye(2)
-        design[:, :, level_column : level_column + 2] = turned
-        design[:, :, wobble_column + 2 : wobble_column + 4] = turned
-        designs.append(design.reshape(2 * len(part), -1))
-    level, stated = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD), table.wobble_deg * RADIAN_PER_DEGREE
+        design[:, :, level_column : level_column + 2] = level_rows
+        design[:, :, wobble_column + 2 : wobble_column + 4] = level_rows
+        designs.append(design.reshape(2 * len(dwell_rows), -1))
+    level, wobble_sigma = (
+        max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD),
+        table.wobble_deg * RADIAN_PER_DEGREE,
+    )
     sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level], [2, 2, 2 * len(levels)])
-    design, felt = np.vstack(designs), np.concatenate([part[:, 2:].ravel() for part in parts])
-    noise, wobbles = np.full(len(felt), MIN_TILT_SD**2), design[:, common:] @ design[:, common:].T
+    design, force = np.vstack(designs), np.concatenate([dwell_rows[:, 2:].ravel() for dwell_rows in parts])
+    noise, wobbles = np.full(len(force), MIN_TILT_SD**2), design[:, common:] @ design[:, common:].T
     scatter = solve(
         design[:, :common],
-        felt,
-        {"noise": noise, "wobble": stated**2 * wobbles},
-        excess={"noise": np.ones(len(felt)), "wobble": wobbles},
+        force,
+        {"noise": noise, "wobble": wobble_sigma**2 * wobbles},
+        excess={"noise": np.ones(len(force)), "wobble": wobbles},
         prior=Prior(mean=np.zeros(common), precision=np.diag(sizes**-2)),
     )
     # the same rows, with the wobble of each dwell among the parameters
-    wobble_sd = max(stated**2 + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
+    wobble_sd = max(wobble_sigma**2 + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
     sizes = np.concatenate((sizes, np.full(4 * count, wobble_sd)))
     prior = Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2))
-    fit = solve(design, felt, {"noise": noise + scatter.excess_bound("noise")}, prior=prior)
-    to_axes = np.zeros((count, 2, len(sizes)))  # d + e_i
+    fit = solve(design, force, {"noise": noise + scatter.excess_bound("noise")}, prior=prior)
+    axis_rows = np.zeros((count, 2, len(sizes)))  # d + e_i
     for n in range(count):
-        to_axes[n, :, :2] = to_axes[n, :, common + 4 * n : common + 4 * n + 2] = np.eye(2)
-    both = to_axes.reshape(2 * count, -1)
+        axis_rows[n, :, :2] = axis_rows[n, :, common + 4 * n : common + 4 * n + 2] = np.eye(2)
+    both = axis_rows.reshape(2 * count, -1)
     flicker = (ACCEL_FLICKER / gravity) ** 2 * np.eye(2 * count)
-    return to_axes @ fit.theta, np.linalg.cholesky(both @ fit.covariance @ both.T + flicker).reshape(count, 2, -1)
+    return axis_rows @ fit.theta, np.linalg.cholesky(both @ fit.covariance @ both.T + flicker).reshape(count, 2, -1)

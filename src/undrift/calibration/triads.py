@@ -86,10 +86,10 @@ def _windows(record: Record, unit_s: float) -> _Windows | None:
         step = max(1, int(STEP_S / dt))
         length = 2 * max(2, round(0.5 * window_s / (step * dt)))
         count = len(time) // (length * step)
-        whole = slice(count * length * step)
-        steps = np.diff(time, append=time[-1] + dt)[whole].reshape(count, length * step)
+        windowed = slice(count * length * step)
+        steps = np.diff(time, append=time[-1] + dt)[windowed].reshape(count, length * step)
         shape = (count, length, step, 3)
-        w, f = gyro[whole].reshape(shape), accel[whole].reshape(shape).mean(axis=2)
+        w, f = gyro[windowed].reshape(shape), accel[windowed].reshape(shape).mean(axis=2)
         sound = np.isfinite(w).all(axis=(1, 2, 3)) & np.isfinite(f).all(axis=(1, 2)) & (steps < 3.0 * dt).all(axis=1)
         if sound.sum() < FEWEST_WINDOWS[window_s]:
             continue
@@ -172,25 +172,25 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     if windows is None:
         return None
     # A wrong unit of time is judged against time as stated, in which no window lasts as long: rotation is too fast or slow.
-    stated = windows.kept(np.eye(3), 1.0 / unit_s)
+    unchanged = windows.kept(np.eye(3), 1.0 / unit_s)
     # A mean is no longer than its parts, whatever the rotation.
     longest = np.linalg.norm(windows.force, axis=2).mean(axis=1) ** 2
-    if float((longest - stated).mean()) < max(MIN_GAIN, SIGMAS * MIN_SCATTER / np.sqrt(len(stated))):
+    if float((longest - unchanged).mean()) < max(MIN_GAIN, SIGMAS * MIN_SCATTER / np.sqrt(len(unchanged))):
         return None
     mistakes = _time_mistake(windows, unit_s) if unit_s != 1.0 else _mistakes(windows, record)
     mistake = max(mistakes, key=lambda mistake: float(mistake.kept.mean()), default=None)
     if mistake is None:
         return None
-    gain = float((mistake.kept - stated).mean())
+    gain = float((mistake.kept - unchanged).mean())
     unturned = windows.kept(np.eye(3), 0.0)
     explained = float((mistake.kept - unturned).mean())
-    contradicted = float((unturned - stated).mean()) > CLEAR_GAIN  # rotation as stated is worse than none at all
+    contradicted = float((unturned - unchanged).mean()) > CLEAR_GAIN  # rotation as stated is worse than none at all
     scatter = max(float(np.sqrt(((mistake.kept - 1.0) ** 2).mean())), MIN_SCATTER)
     least = max(MIN_EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
-    significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(stated)))
+    significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(unchanged)))
     if not significant or mistake.kept.mean() < MIN_KEPT or (explained < least and not contradicted):
         return None
-    enough = contradicted or len(stated) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    enough = contradicted or len(unchanged) >= FEWEST_WINDOWS[WINDOWS_S[0]]
     ordinary = enough and abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1
     return finding(
         "record.triads_disagree",
@@ -200,7 +200,7 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
         sample_rate_hz=mistake.sample_rate_hz,
         turned_ratio=mistake.turned_ratio,
         kept_percent=100.0 * np.sqrt(mistake.kept.mean()),
-        stated_percent=100.0 * np.sqrt(stated.mean()),
+        stated_percent=100.0 * np.sqrt(unchanged.mean()),
     )
 
 
@@ -229,17 +229,19 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
     """Yield the best order of the axes, if it is another, and the best scale of rate times time."""
     places, signs = itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)
     orders = [np.eye(3)[list(place)] * np.array(sign)[:, None] for place, sign in itertools.product(places, signs)]
-    kept = [windows.kept(order, 1.0) for order in orders]
-    most = max(float(values.mean()) for values in kept)
-    alike = [k for k, values in enumerate(kept) if values.mean() > most - SAME]
-    best = min(alike, key=lambda k: _changes(orders[k].T))
+    residuals = [windows.kept(order, 1.0) for order in orders]
+    most = max(float(values.mean()) for values in residuals)
+    candidates = [k for k, values in enumerate(residuals) if values.mean() > most - SAME]
+    best = min(candidates, key=lambda k: _changes(orders[k].T))
     reads = orders[best].T  # forward: column i reads + for a turn about +j
     if not np.array_equal(reads, np.eye(3)):
-        others = f", or one of {len(alike) - 1} other orders that fit this motion equally well" if alike[1:] else ""
-        text = (
-            f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{others})"
+        alternatives = (
+            f", or one of {len(candidates) - 1} other orders that fit this motion equally well"
+            if candidates[1:]
+            else ""
         )
-        yield Mistake(text=text, action="correct the order or the sign of the columns", kept=kept[best])
+        text = f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{alternatives})"
+        yield Mistake(text=text, action="correct the order or the sign of the columns", kept=residuals[best])
     yield from _scale_mistake(windows, record)
 
 
@@ -261,10 +263,10 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
     if max(scale, 1.0 / scale) <= ORDINARY:
         return
     for unit, text in UNITS.items():
-        kept = windows.kept(np.eye(3), unit)
-        if max(scale / unit, unit / scale) < ORDINARY or kept.mean() > means[best] - SAME:
+        residuals = windows.kept(np.eye(3), unit)
+        if max(scale / unit, unit / scale) < ORDINARY or residuals.mean() > means[best] - SAME:
             action = "correct the unit of the gyroscope in the map or the columns' names"
-            yield Mistake(text=text, action=action, kept=kept, turned_ratio=1.0 / unit)
+            yield Mistake(text=text, action=action, kept=residuals, turned_ratio=1.0 / unit)
             return
     text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
     if scale < COUNTS:  # no person mistakes a sample rate by as much
@@ -277,5 +279,5 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
             "another"
         )
         action = "state the true sample rate, unit of time or sensitivity"
-    kept = windows.kept(np.eye(3), scale)
-    yield Mistake(text=text, action=action, kept=kept, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)
+    residuals = windows.kept(np.eye(3), scale)
+    yield Mistake(text=text, action=action, kept=residuals, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)

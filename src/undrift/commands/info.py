@@ -314,7 +314,7 @@ def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
     """Draw a recording or session with what was found in it."""
     from undrift.calibration.pieces import pieces_of
 
-    pieces, _ = pieces_of(session, seen=seen)
+    pieces, _ = pieces_of(session, observed=seen)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
 
 

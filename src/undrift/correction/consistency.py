@@ -34,8 +34,8 @@ def check_corrected(
     from undrift.io.inspect import find_saturated
 
     both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
-    named = (*find_saturated(raw), *padding(raw, unpadded(raw)))
-    return (*named, *(check_agreement(record) if both else ()), *check_device(record, calibration, stills))
+    record_findings = (*find_saturated(raw), *padding(raw, unpadded(raw)))
+    return (*record_findings, *(check_agreement(record) if both else ()), *check_device(record, calibration, stills))
 
 
 def check_device(
@@ -51,13 +51,13 @@ def check_device(
     rests = tuple(still for still in stills if still.stop <= len(record) and _whole(record, still))
     if not rests:
         return ()
-    stated = calibration.gravity_m_s2  # parameters of other programs do not state it
-    gravity = stated if np.isfinite(stated) else STANDARD_GRAVITY
+    local_gravity = calibration.gravity_m_s2  # parameters of other programs do not state it
+    gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
     departure, usual = _departure_k(record, calibration), TemperatureSensitivity()
     tabled = calibration.drift is not None and calibration.drift.static is not None
     per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
     off, expected, reversed_ = {"gyro": np.nan, "accel": np.nan}, {"gyro": np.nan, "accel": np.nan}, False
-    for triad, readings, ideal, left, of_temp in zip(
+    for triad, readings, ideal, residual_sigma, sigma_per_k in zip(
         calibration.triads, (record.gyro, record.accel), (0.0, gravity), (LEFT_RATE, LEFT_ACCEL), per_k, strict=True
     ):
         if (model := triad.model) is None or readings is None:
@@ -65,10 +65,10 @@ def check_device(
         means = np.array([readings[rest.start : rest.stop].mean(axis=0) for rest in rests])
         fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # other programs state none
         rms = off[triad.sensor] = _rms(np.linalg.norm(means, axis=1) - ideal)
-        expected[triad.sensor] = math.hypot(fit, left, 0.0 if tabled else of_temp * departure)
+        expected[triad.sensor] = math.hypot(fit, residual_sigma, 0.0 if tabled else sigma_per_k * departure)
         # readings with the opposite sign: M (-u - o) = -f - 2 M o, of f = M (u - o)
-        turned = -means - 2.0 * model.matrix @ model.offset * triad.si
-        reversed_ = rms > LEAST_LEFT and _rms(np.linalg.norm(turned, axis=1) - gravity) < REVERSED * rms
+        reversed_force = -means - 2.0 * model.matrix @ model.offset * triad.si
+        reversed_ = rms > LEAST_LEFT and _rms(np.linalg.norm(reversed_force, axis=1) - gravity) < REVERSED * rms
     far = [sensor for sensor, rms in off.items() if rms > FAR_SIGMAS * expected[sensor]]
     reversed_ = reversed_ and record.accel is not None and calibration.accel is not None and "gyro" not in far
     if not far and not reversed_:

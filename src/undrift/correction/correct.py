@@ -265,10 +265,10 @@ def correct_whole(
             return done
         rest = find_rest_offset(done.record) if offset == "rest" else known_rest_offset(done.record)
         offset = offset_left(done.record, offset, rest, calibration.gyro)
-    return _re_zeroed(done, offset, options.get("out"))
+    return _subtract_motion_offset(done, offset, options.get("out"))
 
 
-def _re_zeroed(done: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
+def _subtract_motion_offset(done: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
     """Subtract an offset from a corrected record: step 7."""
     if done.record.gyro is None:
         return done
@@ -309,11 +309,11 @@ def correct_planned(
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
     spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
-    at_rest = None if plans[0] is None else plans[0].constants.at_rest
-    if at_rest is not None:  # step 6: the constants hold in motion
-        outputs[0][:] += at_rest
+    rest_offset = None if plans[0] is None else plans[0].constants.at_rest
+    if rest_offset is not None:  # step 6: the constants hold in motion
+        outputs[0][:] += rest_offset
         turning, state = find_turning(outputs[0], time, carry.turning)
-        outputs[0][turning > 0.0] -= at_rest
+        outputs[0][turning > 0.0] -= rest_offset
         coming = replace(coming, turning=state)
     extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
     if policy == "nan" and outside is not None:
@@ -466,7 +466,7 @@ class Corrector:
         done = correct_planned(
             chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
         )
-        done = done if self._offset is None else _re_zeroed(done, self._offset)
+        done = done if self._offset is None else _subtract_motion_offset(done, self._offset)
         self.state = CorrectorState(reach=self.state.reach.joined(done.reach), carry=done.carry)
         return done
 

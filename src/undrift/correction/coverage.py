@@ -116,8 +116,8 @@ def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatAr
     for plan, rates in zip(plans, corrected, strict=True):
         for table in () if plan is None else plan.constants.tables:
             if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
-                drawn = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
-                mask = drawn if mask is None else mask | drawn
+                used = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
+                mask = used if mask is None else mask | used
     return mask
 
 

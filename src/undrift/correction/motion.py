@@ -107,11 +107,11 @@ class MotionOffset:
         numbers = f"{rate} deg/s subtracted, +- {uncertainty} deg/s, known to +- {prior} before; "
         numbers += f"acceleration leaves {self.acceleration:.2g} m/s2 in a mean over 5 s"
         subtracted = finding("correct.offset_subtracted", "info", what="Offset found from the motion", numbers=numbers)
-        kept = self.deviation > _KEPT * self.prior
-        if self.rest is not None or not kept.any():
+        near_prior = self.deviation > _KEPT * self.prior
+        if self.rest is not None or not near_prior.any():
             return (subtracted,)
-        axes = ", ".join(axis for axis, hidden in zip("xyz", kept.tolist(), strict=True) if hidden)
-        size = float(self.prior[kept].max()) / RADIAN_PER_DEGREE
+        axes = ", ".join(axis for axis, hidden in zip("xyz", near_prior.tolist(), strict=True) if hidden)
+        size = float(self.prior[near_prior].max()) / RADIAN_PER_DEGREE
         return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
 
 
@@ -127,66 +127,70 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         raise InputError(
             f"offset from motion: expected {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}. {advice}"
         )
-    prior = _unrested(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
+    prior = _prior_without_rest(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
     usual = np.zeros(3) if rest is None else rest.rate
-    stretches, theta, information = _fitted(record, usual, usual, prior, STRETCH_S)
+    stretches, theta, information = _fit_stretches(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
-        pieces, short, _ = _fitted(record, usual, usual, prior, SHORT_S)
+        pieces, short, _ = _fit_stretches(record, usual, usual, prior, SHORT_S)
         near = short[: 3 * len(pieces)].reshape(-1, 3).mean(axis=0)
-        other = _fitted(record, near, usual, prior, STRETCH_S)
-        if sum(one.cost for one in other[0]) < sum(one.cost for one in stretches):
+        other = _fit_stretches(record, near, usual, prior, STRETCH_S)
+        if sum(stretch.cost for stretch in other[0]) < sum(stretch.cost for stretch in stretches):
             stretches, theta, information = other
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
     covariance *= _UNRESTED**2 if rest is None else 1.0
-    if (of_matrix := matrix_deviation(record, model)) is not None:  # E turns gravity as an offset does
-        answers = _answers(record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro))
-        covariance += (answers * of_matrix.ravel() ** 2) @ answers.T
+    if (matrix_sigma := matrix_deviation(record, model)) is not None:  # E turns gravity as an offset does
+        answers = _offset_gains(
+            record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro)
+        )
+        covariance += (answers * matrix_sigma.ravel() ** 2) @ answers.T
     first = np.r_[:3, count : count + 3]
-    vertical, of_vertical = stretches[0].vertical(covariance[np.ix_(first, first)])
+    vertical, vertical_covariance = stretches[0].vertical(covariance[np.ix_(first, first)])
     return MotionOffset(
         vertical=vertical,
-        vertical_covariance=of_vertical,
-        time=np.array([one.middle for one in stretches]),
+        vertical_covariance=vertical_covariance,
+        time=np.array([stretch.middle for stretch in stretches]),
         rate=theta[:count].reshape(-1, 3),
         covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
         prior=np.sqrt(np.diag(prior)),
-        acceleration=float(np.sqrt(np.mean([np.exp(one.sizes[0]) for one in stretches]))),
+        acceleration=float(np.sqrt(np.mean([np.exp(stretch.sizes[0]) for stretch in stretches]))),
         rest=rest,
     )
 
 
-def offset_answer(record: Record, prior: FloatArray, of_rate: FloatArray) -> FloatArray:
+def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) -> FloatArray:
     """Return what error of the offset from motion, mean of its stretches, an error of the rates makes: (3, 3, C).
 
     Of an error x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A calibration's error of a scale
     factor turns gravity as an offset does: where the offset answers it, less of it is left in the orientation.
     """
-    none, unit = np.zeros(3), of_rate.shape[1]
+    none, unit = np.zeros(3), rate_errors.shape[1]
     if record.duration_s < 2.0 * MEAN_S:  # two means show nothing beside the prior
         return np.zeros((3, 3, unit))
-    answers = _answers(record, none, none, np.diag(prior**2), of_rate)[:-3]
+    answers = _offset_gains(record, none, none, np.diag(prior**2), rate_errors)[:-3]
     mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
     return mean
 
 
-def _answers(record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, of_rate: FloatArray) -> FloatArray:
+def _offset_gains(
+    record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, rate_errors: FloatArray
+) -> FloatArray:
     """Return the change of the offsets of each stretch and of d, (3 S + 3, 3 C), per unit of an error x_c e_b of the rates."""
-    stretches, _, information = _fitted(record, near, usual, prior, STRETCH_S, of_rate)
-    own = 3 * len(stretches) + 3
-    return np.asarray(np.linalg.solve(information[:own, :own], information[:own, own:]))
+    stretches, _, information = _fit_stretches(record, near, usual, prior, STRETCH_S, rate_errors)
+    offsets = 3 * len(stretches) + 3
+    return np.asarray(np.linalg.solve(information[:offsets, :offsets], information[:offsets, offsets:]))
 
 
-def _fitted(
+def _fit_stretches(
     record: Record,
     near: FloatArray,
     usual: FloatArray,
     prior: FloatArray,
     stretch_s: float,
-    of_rate: FloatArray | None = None,
+    rate_errors: FloatArray | None = None,
 ) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
     """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start.
 
-    With ``of_rate`` (N, C), in one step, information of errors x_c e_b of the rates too, which nobody seeks.
+    With ``rate_errors`` (N, C), in one step, information of errors x_c e_b of the rates too, which nobody seeks.
     """
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
     force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty
@@ -194,29 +198,33 @@ def _fitted(
     accel = CALIBRATED if calibrated else RAW
     spans = [slice(a, b) for a, b in pairwise(edges)]
     stretches = [CarriedMeans(record.time[span]) for span in spans]
-    whole = tilted(force, accel[0])
-    axes = [tilted(force[span], accel[0]) if np.trace(whole) > 2.5 else whole for span in spans]
-    more = np.ones((len(rate), 1)) if of_rate is None else np.hstack((np.ones((len(rate), 1)), of_rate))
-    errors = 3 * (more.shape[1] - 1)
+    tilted_mean = tilted(force, accel[0])
+    axes = [tilted(force[span], accel[0]) if np.trace(tilted_mean) > 2.5 else tilted_mean for span in spans]
+    columns = np.ones((len(rate), 1)) if rate_errors is None else np.hstack((np.ones((len(rate), 1)), rate_errors))
+    errors = 3 * (columns.shape[1] - 1)
     loose = np.concatenate((np.repeat((_LOOSE, accel[0]), 3), np.full(errors, _FIXED)))
-    middle, count = np.array([one.middle for one in stretches]), 3 * len(stretches)
+    middle, count = np.array([stretch.middle for stretch in stretches]), 3 * len(stretches)
     walk_of_offsets = np.pad(_walk_information(middle, prior, accel[0]), (0, errors))
-    start, theta = (np.append(np.tile(one, len(stretches)), np.zeros(3 + errors)) for one in (usual, near))
+    start, theta = (np.append(np.tile(stretch, len(stretches)), np.zeros(3 + errors)) for stretch in (usual, near))
     for _ in range(_ROUNDS):
-        information, seen = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
-        for k, (one, span) in enumerate(zip(stretches, spans, strict=True)):
+        information, right = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
+        for k, (stretch, span) in enumerate(zip(stretches, spans, strict=True)):
             places = np.r_[3 * k : 3 * k + 3, count : count + 3 + errors]
-            offset, of_force = theta[places[:6]].reshape(2, 3)
-            mean, turned, fixed = one.means(rate[span] - offset, force[span] - of_force, more[span], more[span, :1])
-            turned = np.einsum("kibc,ab->kiac", turned, axes[k])
-            of_error = turned[..., 1:].reshape(len(mean), 3, errors)
-            design = -np.concatenate((turned[..., 0], fixed[..., 0], of_error), axis=2)
-            own, towards = one.equations(mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY))
-            information[np.ix_(places, places)] += own
-            seen[places] += towards
+            offset, force_offset = theta[places[:6]].reshape(2, 3)
+            mean, moments, fixed = stretch.means(
+                rate[span] - offset, force[span] - force_offset, columns[span], columns[span, :1]
+            )
+            moments = np.einsum("kibc,ab->kiac", moments, axes[k])
+            error_columns = moments[..., 1:].reshape(len(mean), 3, errors)
+            design = -np.concatenate((moments[..., 0], fixed[..., 0], error_columns), axis=2)
+            stretch_information, towards = stretch.equations(
+                mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY)
+            )
+            information[np.ix_(places, places)] += stretch_information
+            right[places] += towards
         if errors:
             break
-        step = np.linalg.solve(information, seen)
+        step = np.linalg.solve(information, right)
         theta = theta + step
         if np.abs(step[:count]).max() < _SETTLED:
             break
@@ -250,7 +258,7 @@ def axis_moved_by(model: TriadModel | None) -> float:
     return fitted * MOVED / math.hypot(fitted, MOVED)
 
 
-def _unrested(model: TriadModel | None) -> FloatArray:
+def _prior_without_rest(model: TriadModel | None) -> FloatArray:
     """Return the covariance of an offset that no rest shows: that of the calibration, and what a switch-on changes."""
     if model is None or not model.covariance.any():
         return np.eye(3) * RAW_RATE**2

@@ -268,8 +268,8 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
         raise InputError(
             "correct: expected raw readings, got a corrected record. Give the recording that the device wrote."
         )
-    gyro = None if record.gyro is None else _plan_of(constants_of(calibration, "gyro", record.gyro_unit))
-    accel = None if record.accel is None else _plan_of(constants_of(calibration, "accel", record.accel_unit))
+    gyro = None if record.gyro is None else _build_plan(constants_of(calibration, "gyro", record.gyro_unit))
+    accel = None if record.accel is None else _build_plan(constants_of(calibration, "accel", record.accel_unit))
     if gyro is not None and gyro.g_sensitivity is not None and accel is None:
         raise InputError(
             "correct: the g-sensitivity of the gyroscopes needs accelerometer readings. Map the accelerometer columns."
@@ -284,20 +284,20 @@ def has_tables(plans: Plans) -> bool:
     return any(plan is not None and plan.tables is not None for plan in plans)
 
 
-def _plan_of(constants: Constants) -> TriadPlan:
+def _build_plan(constants: Constants) -> TriadPlan:
     g, used = constants.g_sensitivity, constants.tables
     return TriadPlan(
         constants=constants,
         matrix=np.ravel(constants.matrix),
         half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
         g_sensitivity=None if g is None else np.ravel(g),
-        tables=_cells_of(constants) if used else None,
+        tables=_build_cells(constants) if used else None,
         temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
         warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
     )
 
 
-def _cells_of(constants: Constants) -> "Tables":
+def _build_cells(constants: Constants) -> "Tables":
     """Return the cells of all tables over temperature; empty for a table that is missing."""
     from undrift.kernels.correct import Grid, Tables
 

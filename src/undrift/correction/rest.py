@@ -107,8 +107,8 @@ def mean_variance(x: FloatArray) -> float:
     covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n] / n
     pairs = covariance[: n - n % 2].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0.0)
-    kept = pairs[: negative[0]] if negative.size else pairs
-    total = 2.0 * float(kept.sum()) - float(covariance[0])
+    initial_pairs = pairs[: negative[0]] if negative.size else pairs
+    total = 2.0 * float(initial_pairs.sum()) - float(covariance[0])
     return max(total, float(covariance[0])) / (n - 1)
 
 
@@ -167,18 +167,18 @@ def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffse
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
     stills = _first_rests(record, what)
-    whole = stills if len(_head(record)) == len(record) else find_still(record).stills
-    return stills[0], *(still for still in whole if still.start >= stills[0].stop)
+    later_stills = stills if len(_head(record)) == len(record) else find_still(record).stills
+    return stills[0], *(still for still in later_stills if still.start >= stills[0].stop)
 
 
 def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
     """Return the same from corrected chunks, reading no more of them than needed."""
     start_s, stop_s = stretch
-    named = start_s is not None and stop_s is not None and start_s < stop_s
+    has_bounds = start_s is not None and stop_s is not None and start_s < stop_s
     head: list[Record] = []
     for chunk in chunks:
         head.append(chunk)
-        search_end = head[0].time[0] + FOUND_IN_S if stretch == NAMED_NONE else stop_s if named else np.inf
+        search_end = head[0].time[0] + FOUND_IN_S if stretch == NAMED_NONE else stop_s if has_bounds else np.inf
         if chunk.time[-1] >= search_end:
             break
     if not head:
@@ -241,12 +241,12 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
     if error is None:
         return covariances
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
-    felt = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
+    design = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
     offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
     steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
     return covariances | {
-        "calibration": felt @ error.covariance @ felt.T,
+        "calibration": design @ error.covariance @ design.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
         "ageing": np.eye(3)
         * (TURN_ON**2 + AGEING**2 * _years_between(error.calibrated, float(record.time[still.start]))),

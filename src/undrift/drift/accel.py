@@ -54,7 +54,7 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
             "accelerometers over temperature: no rest has a reading and a temperature. Check the temperature column and the gaps."
         )
     rests = rests.taken(np.argsort(rests.temp_c, kind="stable"))
-    free, poses_c, temps, values, variances = _by_temperature(rests, model, calibration.gravity_m_s2)
+    free, poses_c, temps, values, variances = _fit_temperatures(rests, model, calibration.gravity_m_s2)
     curve = fit_curve(temps, values[:, free], variances[:, free]).at(temp_c)
     value, deviation = np.zeros((2, len(temp_c), 9))
     value[:, free], deviation[:, free] = curve.value, curve.uncertainty
@@ -64,11 +64,11 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
     cross_axis = np.zeros((3, 3))
     if len(free) == _DIAGONAL:  # not measured: the calibration's
         cross_axis = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
-    to_raw = model.forward_matrix / si_factor(model.unit_out, "accel")
+    raw_per_si = model.forward_matrix / si_factor(model.unit_out, "accel")
     return AccelDriftFit(
         temp_c=temp_c,
-        offset=model.offset + value[:, 6:] @ to_raw.T,
-        offset_uncertainty=np.sqrt(deviation[:, 6:] ** 2 @ (to_raw**2).T),
+        offset=model.offset + value[:, 6:] @ raw_per_si.T,
+        offset_uncertainty=np.sqrt(deviation[:, 6:] ** 2 @ (raw_per_si**2).T),
         matrix=symmetric @ model.matrix,
         matrix_uncertainty=np.sqrt(spread**2 @ model.matrix**2 + cross_axis**2),
         extrapolated=~near_data(temp_c, poses_c, gap_c=MATRIX_GAP_C),
@@ -76,7 +76,7 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
     )
 
 
-def _by_temperature(
+def _fit_temperatures(
     rests: RestBlocks, model: TriadModel, gravity: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Fit each temperature; return the free parameters, all temperatures, and those fitted with P's elements, d and variances."""

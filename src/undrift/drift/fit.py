@@ -222,33 +222,34 @@ def fit_drift(
     (17.5, 75.0)
     """
     report = progress or (lambda what, share: None)
-    sessions = _checked(sessions, calibration, settings)
+    sessions = _check_sessions(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]
     accel_unit = observe.accel_unit_of(sessions, device)
     report("smoothing the temperature", 0.0)
     trusted = [[thermometer.trusted_temperature(s, k) for k in range(len(s.records))] for s in sessions]
-    temperatures = [temperature for of_session in trusted for temperature in of_session]
+    temperatures = [temperature for session_temperatures in trusted for temperature in session_temperatures]
     thermometer.check_span(temperatures)
     report("gathering rests and turns", 0.15)
-    course = [[temperature.temp_c for temperature in of_session] for of_session in trusted]
+    course = [[temperature.temp_c for temperature in session_temperatures] for session_temperatures in trusted]
     rests, lag, lag_s, smooth_s = observe.observe_rests(sessions, temperatures=course), None, settings.lag_s or 0.0, 0.0
     if settings.lag_s is None and any(temperature.source == "column" for temperature in temperatures):
         lag = thermometer.estimate_lag(rests)
         lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
     if lag_s > 0.0:
-        course, smooth_s = _without_lag(sessions, trusted, lag_s)
+        course, smooth_s = _remove_lag(sessions, trusted, lag_s)
         rests = observe.observe_rests(sessions, temperatures=course)
     steps = observe.observe_steps(sessions, temperatures=course)
     verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
     margin_c = max(
-        _noise_in_use(s, of_session, lag_s, smooth_s) for s, of_session in zip(sessions, trusted, strict=True)
+        _noise_in_use(s, session_temperatures, lag_s, smooth_s)
+        for s, session_temperatures in zip(sessions, trusted, strict=True)
     )
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings)
     steps = steps.taken((steps.temp_c >= nodes[0]) & (steps.temp_c <= nodes[-1]))
-    accel, of_accel = _accelerometers(rests, device, nodes)
+    accel, accel_verdict = _accelerometers(rests, device, nodes)
     static_settings = replace(
         settings.static, accel=accel is None, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)
     )
@@ -257,14 +258,14 @@ def fit_drift(
     verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
     verdict = verdict.also(judge.gravity_verdict(rests, device))
     report("cross-validating scale and dynamic tables", 0.5)
-    choice, of_choice = _chosen(steps, device, static, rests, settings)
+    choice, choice_verdict = _choose_rate_tables(steps, device, static, rests, settings)
     scale = None if choice is None else choice.scale
-    verdict = verdict.also(judge.turns_verdict(scale, device)).also(of_choice)
-    verdict = verdict.also(of_accel).also(judge.static_verdict(static, device, temperatures))
+    verdict = verdict.also(judge.turns_verdict(scale, device)).also(choice_verdict)
+    verdict = verdict.also(accel_verdict).also(judge.static_verdict(static, device, temperatures))
     if lag is not None and lag_s == 0.0:
         verdict = verdict.also(judge.lag_verdict(lag))
     tables = replace(_tables(static.table, choice, accel), lag_s=lag_s, lag_smooth_s=smooth_s)
-    calibrated = _calibrated(device, tables, verdict, sessions, settings, choice)
+    calibrated = _build_calibration(device, tables, verdict, sessions, settings, choice)
     return DriftFit(
         calibration=calibrated,
         static=static,
@@ -280,7 +281,9 @@ def fit_drift(
     )
 
 
-def _checked(sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings) -> list[Session]:
+def _check_sessions(
+    sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
+) -> list[Session]:
     """Return sessions of one device, each in one unit."""
     if not sessions:
         raise InputError("drift: no session was given. Name its folder.")
@@ -304,14 +307,14 @@ def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:
     return float(min(left_s, THERMOMETER_LAG))
 
 
-def _without_lag(
+def _remove_lag(
     sessions: Sequence[Session], trusted: Sequence[Sequence[Temperature]], lag_s: float
 ) -> tuple[list[list[FloatArray]], float]:
     """Return the temperatures of the sensors, and the smoothing with which a correction subtracts the lag, s."""
     course, smooth_s = list[list[FloatArray]](), 0.0
-    for session, of_session in zip(sessions, trusted, strict=True):
-        course.append([temperature.temp_c for temperature in of_session])
-        for k, (record, temperature) in enumerate(zip(session.records, of_session, strict=True)):
+    for session, session_temperatures in zip(sessions, trusted, strict=True):
+        course.append([temperature.temp_c for temperature in session_temperatures])
+        for k, (record, temperature) in enumerate(zip(session.records, session_temperatures, strict=True)):
             interval_s = float(np.median(np.diff(record.time)))
             noisy_s = thermometer.default_smooth_s(lag_s, noise_c=temperature.noise_c, interval_s=interval_s)
             smooth_s = max(smooth_s, noisy_s)
@@ -322,12 +325,12 @@ def _without_lag(
 
 def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float, smooth_s: float) -> float:
     """Return how far single readings, which ``correct`` looks up, are from the smooth course of a session, K."""
-    apart = [
+    deviations = [
         float(np.nanmedian(np.abs(record.temp_c - temperature.temp_c)))
         for record, temperature in zip(session.records, trusted, strict=True)
         if record.temp_c is not None and temperature.source == "column"
     ]
-    return max(apart, default=0.0) * OUTLYING * (lag_s / smooth_s if lag_s > 0.0 else 1.0)
+    return max(deviations, default=0.0) * OUTLYING * (lag_s / smooth_s if lag_s > 0.0 else 1.0)
 
 
 def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
@@ -348,7 +351,7 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
     return np.linspace(low, high, round(count) + 1)
 
 
-def _chosen(
+def _choose_rate_tables(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
 ) -> tuple[Choice | None, Verdict]:
     """Return the choice of tables and what they are worth, or why there is none."""
@@ -399,7 +402,7 @@ def _tables(offsets: StaticDrift, choice: Choice | None, accel: AccelDriftFit | 
     return DriftTables(static=offsets, scale=scale, dynamic=dynamic)
 
 
-def _calibrated(
+def _build_calibration(
     device: Calibration,
     tables: DriftTables,
     verdict: Verdict,
@@ -451,22 +454,23 @@ def choose_tables(
     fitted = _mean_squares(clean, fits, calibration)
     soaks, point = _set_points(clean)
     folds = [clean.soak == s for s in soaks[(point > 0) & (point < point.max())]]  # nothing predicts beyond the ends
-    left, error = np.full((2, len(ALTERNATIVES)), np.nan)
+    mean_square, error = np.full((2, len(ALTERNATIVES)), np.nan)
     chosen: Alternative = "scale" if "scale" in fits else "dynamic"
     if folds:
         without = [_fit_all(clean.taken(~fold), calibration, temp_c, like=fits)[0] for fold in folds]
         squares = [
-            _mean_squares(clean.taken(fold), others, calibration) for fold, others in zip(folds, without, strict=True)
+            _mean_squares(clean.taken(fold), training, calibration)
+            for fold, training in zip(folds, without, strict=True)
         ]
-        left = np.mean(squares, axis=0)
-        error = np.std(squares, axis=0, ddof=1) / np.sqrt(len(folds)) if len(folds) > 1 else np.zeros(len(left))
-        best = int(np.nanargmin(left))
-        enough = left <= max(left[best] + error[best], left[best] * WORTH**2)
+        mean_square = np.mean(squares, axis=0)
+        error = np.std(squares, axis=0, ddof=1) / np.sqrt(len(folds)) if len(folds) > 1 else np.zeros(len(mean_square))
+        best = int(np.nanargmin(mean_square))
+        enough = mean_square <= max(mean_square[best] + error[best], mean_square[best] * WORTH**2)
         chosen = ALTERNATIVES[int(np.flatnonzero(enough)[0])]
     chosen = chosen if tables == "auto" else tables
     if chosen not in fits:
         raise NotObservable(f"{chosen} cannot be fitted to these steps. " + " ".join(problems))
-    index, left_dps = ALTERNATIVES.index(chosen), np.sqrt(left)
+    index, left_dps = ALTERNATIVES.index(chosen), np.sqrt(mean_square)
     values = {"tables": chosen, "set_points": int(point.max()) + 1, "soaks": len(soaks), "held_out": len(folds)}
     if folds:
         requested = "selected" if tables == "auto" else "requested"
@@ -504,8 +508,8 @@ def _fit_all(
     except CalibrationError as error:
         problems.append(str(error))
     try:
-        named: list[tuple[Alternative, ScaleFit | None]] = [("dynamic", None), ("scale + dynamic", scale)]
-        for name, matrix in named[: 1 if scale is None else 2]:
+        alternatives: list[tuple[Alternative, ScaleFit | None]] = [("dynamic", None), ("scale + dynamic", scale)]
+        for name, matrix in alternatives[: 1 if scale is None else 2]:
             softness = (like or {}).get(name, (None, None))[1]
             table = None if matrix is None else matrix.drift
             fits[name] = matrix, fit_dynamic(steps, calibration, span_c=span_c, like=softness, scale=table)
@@ -525,17 +529,17 @@ def _mean_squares(steps: Steps, fits: Fits, calibration: Calibration) -> FloatAr
             continue
         scale, dynamic = fits[name]
         rate = measured_rate(steps.reading, steps.temp_c, calibration, None if scale is None else scale.drift)
-        left = rate - steps.rate_b
+        residual = rate - steps.rate_b
         for axis, surface in enumerate(dynamic.surfaces if dynamic else ()):
             if surface is not None:
-                left[:, axis] -= surface.at(rate[:, axis], steps.temp_c)
+                residual[:, axis] -= surface.at(rate[:, axis], steps.temp_c)
         for m in np.unique(steps.mounting):
             rows = steps.mounting == m
             turns, rests = rows & steps.turning, rows & ~steps.turning
             level = turns if steps.has_rates(turns) else rests
             if level.any():
-                left[rows] -= left[level].mean(axis=0)
-        squares[k] = np.mean((left[steps.turning] / RADIAN_PER_DEGREE) ** 2)
+                residual[rows] -= residual[level].mean(axis=0)
+        squares[k] = np.mean((residual[steps.turning] / RADIAN_PER_DEGREE) ** 2)
     return squares
 
 
@@ -544,5 +548,5 @@ def _set_points(steps: Steps) -> tuple[IntArray, IntArray]:
     soaks = np.unique(steps.soak)
     middle = np.array([steps.temp_c[steps.soak == s].mean() for s in soaks])
     order = np.argsort(middle, kind="stable")
-    apart = np.concatenate(([0], np.cumsum(np.diff(middle[order]) > SAME_C)))
-    return soaks[order], apart
+    set_point = np.concatenate(([0], np.cumsum(np.diff(middle[order]) > SAME_C)))
+    return soaks[order], set_point

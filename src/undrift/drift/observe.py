@@ -70,7 +70,7 @@ class StretchMeans:
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return all rows, one part after another."""
         return cls(
-            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__}
+            **{name: np.concatenate([getattr(rows, name) for rows in parts]) for name in cls.__dataclass_fields__}
         )
 
 
@@ -104,12 +104,15 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
         blocks = set_point_rests(session, temps) if session.means else session_rests(session, temps)
         parts += [
             replace(
-                part, session=part.session + number, pose=part.pose + poses, mounting=np.asarray(part.mounting) + poses
+                rests,
+                session=rests.session + number,
+                pose=rests.pose + poses,
+                mounting=np.asarray(rests.mounting) + poses,
             )
-            for part in blocks
+            for rests in blocks
         ]
-        poses = 1 + max((int(np.max(np.asarray(part.mounting), initial=-1)) for part in parts), default=-1)
-    if not any(len(part) for part in parts):
+        poses = 1 + max((int(np.max(np.asarray(rests.mounting), initial=-1)) for rests in parts), default=-1)
+    if not any(len(rests) for rests in parts):
         raise NotObservable(
             "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, "
             "and record the temperature or state temp_c."
@@ -119,11 +122,11 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates of thermal sessions."""
-    none, three, whole = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
+    none, three, integers = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
     parts = [
         RateSteps(
-            session=whole,
-            soak=whole,
+            session=integers,
+            soak=integers,
             time=none,
             temp_c=none,
             rate_b=three,
@@ -134,9 +137,9 @@ def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) ->
     ]
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
-        for part in steps:
+        for rows in steps:
             soaks = 1 + max(int(before.soak.max(initial=-1)) for before in parts)
-            parts.append(replace(part, session=part.session + number, soak=part.soak + soaks))
+            parts.append(replace(rows, session=rows.session + number, soak=rows.soak + soaks))
     return RateSteps.joined(parts)
 
 
@@ -198,14 +201,14 @@ def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
         forces.append(None if accel is None else np.nanmedian(accel[still.start : still.stop], axis=0))
         if still.face is not None:
             poses.append(faces.setdefault(still.face, following))
-        elif k and stills[k - 1].recording == still.recording and _lie_alike(forces[k - 1], forces[k]):
+        elif k and stills[k - 1].recording == still.recording and _is_same_pose(forces[k - 1], forces[k]):
             poses.append(poses[-1])
         else:
             poses.append(following)
     return np.array(poses, np.int64)
 
 
-def _lie_alike(force: FloatArray | None, other: FloatArray | None) -> bool:
+def _is_same_pose(force: FloatArray | None, other: FloatArray | None) -> bool:
     if force is None or other is None:
         return force is other
     return bool(np.arctan2(np.linalg.norm(np.cross(force, other)), force @ other) < SAME_POSE)
@@ -227,7 +230,7 @@ def _block_means(
         return mean, variance, step_error
     squares, scatter, counts = list[FloatArray](), list[FloatArray](), np.zeros((len(mean), 1))
     for k, (start, stop) in enumerate(pairwise(edges)):
-        block = _without_outliers(readings[rows][start:stop], step)
+        block = _drop_outliers(readings[rows][start:stop], step)
         if len(block) >= LEAST_SHARE * (stop - start):
             mean[k], counts[k] = block.mean(axis=0), len(block)
             width = min(size, max(1, len(block) // 2))
@@ -242,7 +245,7 @@ def _block_means(
     return mean, variance, step_error
 
 
-def _without_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
+def _drop_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
     """Return the samples of a block, (n, 3), that are readings and no outliers; noise below one code has no median deviation."""
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
@@ -253,18 +256,18 @@ def _without_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
 
 
 def _mean_temperature(temp_c: FloatArray) -> float:
-    known = temp_c[np.isfinite(temp_c)]
-    return float(known.mean()) if len(known) >= LEAST_SHARE * len(temp_c) else np.nan
+    finite = temp_c[np.isfinite(temp_c)]
+    return float(finite.mean()) if len(finite) >= LEAST_SHARE * len(temp_c) else np.nan
 
 
 def _slope(time: FloatArray, temp_c: FloatArray, middle: float) -> float:
     """Return the slope of the temperature about a moment, degC/min."""
     near = slice(*np.searchsorted(time, (middle - 0.5 * RAMP_S, middle + 0.5 * RAMP_S)))
-    known = np.isfinite(temp_c[near])
-    if known.sum() < 2:
+    finite = np.isfinite(temp_c[near])
+    if finite.sum() < 2:
         return 0.0
-    about = time[near][known] - time[near][known].mean()
-    return float(60.0 * (about @ temp_c[near][known]) / (about @ about))
+    about = time[near][finite] - time[near][finite].mean()
+    return float(60.0 * (about @ temp_c[near][finite]) / (about @ about))
 
 
 def _ages(records: Sequence[Record]) -> FloatArray:
@@ -291,13 +294,13 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
     dwells = dwell_means(session.records, turns, settle_s=SETTLE_S)
     temp_c, accel = np.zeros(len(turns)), np.full((len(turns), 3), np.nan)
     for k, turn in enumerate(turns):
-        known = temps[turn.recording][turn.start : turn.stop]
-        if not np.isfinite(known).any():
+        dwell_temps = temps[turn.recording][turn.start : turn.stop]
+        if not np.isfinite(dwell_temps).any():
             raise InputError(
                 f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording} has no temperature. Map its column or state "
                 "temp_c."
             )
-        temp_c[k] = np.nanmean(known)
+        temp_c[k] = np.nanmean(dwell_temps)
         values = session.records[turn.recording].accel
         if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
             accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
@@ -336,9 +339,9 @@ def set_point_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestB
         columns, pose = _columns(session, k, temps[k], rows), np.zeros(len(rows), np.int64)
         for row, force in enumerate(columns["accel"]):
             if np.isfinite(force).all():
-                alike = [i for i, other in enumerate(forces) if _lie_alike(other, force)]
-                forces += [] if alike else [force]
-                pose[row] = alike[0] if alike else len(forces) - 1
+                same_pose = [i for i, other in enumerate(forces) if _is_same_pose(other, force)]
+                forces += [] if same_pose else [force]
+                pose[row] = same_pose[0] if same_pose else len(forces) - 1
         no_steps = np.zeros((len(rows), 3))
         parts.append(
             RestBlocks(
@@ -359,10 +362,10 @@ def set_point_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateS
     """Return the rows with an imposed rate of a session of set-points."""
     parts = list[RateSteps]()
     for k, (means, temp_c) in enumerate(zip(session.means, temps, strict=True)):
-        known = np.flatnonzero(np.isfinite(temp_c))
-        turning = (means.rate_b[known] != 0.0).any(axis=1)
-        columns = _columns(session, k, temp_c, known[turning])
-        parts.append(RateSteps(**columns, soak=_soaks(temp_c[known])[turning], rate_b=means.rate_b[known[turning]]))
+        rows = np.flatnonzero(np.isfinite(temp_c))
+        turning = (means.rate_b[rows] != 0.0).any(axis=1)
+        columns = _columns(session, k, temp_c, rows[turning])
+        parts.append(RateSteps(**columns, soak=_soaks(temp_c[rows])[turning], rate_b=means.rate_b[rows[turning]]))
     return parts
 
 
@@ -384,7 +387,7 @@ def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray) -> di
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
     """Return a session in the units that a calibration reads, with the half steps of truncated codes put back."""
-    records = tuple(_prepared(record, k, calibration) for k, record in enumerate(session.records))
+    records = tuple(_prepare_session(record, k, calibration) for k, record in enumerate(session.records))
     means = [
         replace(
             means,
@@ -400,7 +403,7 @@ def _unit_ratio(old: str, new: str, quantity: Quantity) -> float:
     return 1.0 if old == new else si_factor(old, quantity) / si_factor(new, quantity)
 
 
-def _prepared(record: Record, number: int, calibration: Calibration) -> Record:
+def _prepare_session(record: Record, number: int, calibration: Calibration) -> Record:
     if record.state == "corrected":
         raise InputError(
             f"recording {number} is corrected already. Give the raw readings: tables are subtracted from those."
@@ -473,7 +476,7 @@ def one_power_on(sessions: Sequence[Session]) -> list[Session]:
     """Put recordings together whose clock runs on from one to the next: the device was not switched off between them."""
     chains = list[list[int]]()
     for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
-        before = [chain for chain in chains if _continues(sessions[chain[-1]], sessions[k])]
+        before = [chain for chain in chains if _is_continuation(sessions[chain[-1]], sessions[k])]
         if before:
             max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
         else:
@@ -482,13 +485,13 @@ def one_power_on(sessions: Sequence[Session]) -> list[Session]:
         replace(
             sessions[chain[0]],
             records=tuple(record for k in chain for record in sessions[k].records),
-            inputs=tuple(named for k in chain for named in sessions[k].inputs),
+            inputs=tuple(entry for k in chain for entry in sessions[k].inputs),
         )
         for chain in sorted(chains, key=min)
     ]
 
 
-def _continues(earlier: Session, later: Session) -> bool:
+def _is_continuation(earlier: Session, later: Session) -> bool:
     pause = later.records[0].time[0] - earlier.records[-1].time[-1]
     return bool(0.0 < pause <= GAP_S and earlier.serial == later.serial)
 
@@ -498,7 +501,7 @@ def check_once(sessions: Sequence[Session]) -> None:
     first = dict[str, int]()
     for number, session in enumerate(sessions, start=1):
         for record in session.records:
-            readings = np.column_stack([part for part in (record.gyro, record.accel) if part is not None])
+            readings = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
             if not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any():
                 continue  # sensors that repeat one value
             digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()

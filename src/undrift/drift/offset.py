@@ -210,8 +210,8 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
     common = np.zeros(3)
     if model is not None and model.g_sensitivity is not None and force is not None and G_NAMES[0] in model.parameters:
         start, k, mean = model.parameters.index(G_NAMES[0]), model.forward_matrix, force.mean(axis=0)
-        of_g = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
-        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, of_g)  # at the mean specific force
+        g_covariance = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
+        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, g_covariance)  # at the mean specific force
     return Offsets(
         blocks=blocks,
         value=blocks.gyro - felt_by_gyro(blocks, calibration),
@@ -311,13 +311,13 @@ def _fit_triad(
     if turn_on is None:
         problem = "it is not in the uncertainty. Record two sessions on two days, over the same temperatures."
         findings.append(finding("drift.not_observable", "info", what="Turn-on bias repeatability", problem=problem))
-    curve = _curve_through(cells, turn_on, settings.lag_uncertainty_s)
+    curve = _fit_curve(cells, turn_on, settings.lag_uncertainty_s)
 
     # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference
     temp_c, n = blocks.temp_c, len(nodes)
     inside = np.quantile(temp_c, np.linspace(0.0, 1.0, SLOPE_POINTS))
     points = np.concatenate((nodes, inside, [nodes[0] if reference is None else reference[0]]))
-    at = _through_set_points(cells, curve, points) if settings.not_a_knot else curve.at(points)
+    at = _fit_set_points(cells, curve, points) if settings.not_a_knot else curve.at(points)
     variances = at.uncertainty**2
     value, variance = at.value[:n], variances[:n]
     gravity = np.zeros(3)
@@ -369,9 +369,9 @@ def near_data(nodes: FloatArray, temp_c: FloatArray, *, gap_c: float) -> BoolArr
     return np.asarray(nearest <= np.where((nodes < temp_c.min()) | (nodes > temp_c.max()), EDGE_C, gap_c))
 
 
-def _curve_through(cells: Cells, turn_on: TurnOn | None, lag_s: float, shifts: FloatArray | None = None) -> Curve:
+def _fit_curve(cells: Cells, turn_on: TurnOn | None, lag_s: float, shifts: FloatArray | None = None) -> Curve:
     """Fit the curve with the regressors of the cells, and with shifts of sessions (n, f) if they are to be determined."""
-    between, of_lag = np.zeros(3) if turn_on is None else turn_on.variance, lag_s * _offset_per_lag(cells).T
+    between, lag_slope = np.zeros(3) if turn_on is None else turn_on.variance, lag_s * _offset_per_lag(cells).T
     return fit_curve(
         cells.temp_c,
         cells.value,
@@ -379,7 +379,7 @@ def _curve_through(cells: Cells, turn_on: TurnOn | None, lag_s: float, shifts: F
         regressors=cells.regressors if shifts is None else np.column_stack((shifts, cells.regressors)),
         correlation=cells.correlation,
         shared=cells.flicker
-        + of_lag[:, :, None] * of_lag[:, None, :]
+        + lag_slope[:, :, None] * lag_slope[:, None, :]
         + between[:, None, None] * (cells.session[:, None] == cells.session),
     )
 
@@ -394,7 +394,7 @@ def _offset_per_lag(cells: Cells) -> FloatArray:
     return np.asarray(polyval(x, polyder(cubic)).T / span_c * cells.ramp_c_per_s[:, None])
 
 
-def _through_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues:
+def _fit_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues:
     """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
     residual = cells.value - cells.regressors @ curve.coefficient
     variance = cells.variance + np.diag(cells.correlation)[:, None] * curve.visit_deviation**2
@@ -422,9 +422,9 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
     parts = split_by(used, rest[used], np.round(direction[used]), chunk[used])
     parts = [rows[np.argsort(blocks.temp_c[rows], kind="stable")] for rows in parts]
     width = max(CELL_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / MOST_CELLS)
-    members = [rows for part in parts for rows in split_by(part, bins_of(blocks.temp_c[part], width))]
+    members = [rows for group in parts for rows in split_by(group, bins_of(blocks.temp_c[group], width))]
     members.sort(key=lambda rows: float(blocks.temp_c[rows].mean()))
-    first, at_soak = [rows[0] for rows in members], at_soaks(blocks, used)
+    first, soaked = [rows[0] for rows in members], at_soaks(blocks, used)
     flicker = flicker_correlation(blocks, members)
     return Cells(
         session=blocks.session[first],
@@ -432,7 +432,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
         value=np.array([offsets.value[rows].mean(axis=0) for rows in members]),
         variance=np.array([offsets.variance_of_mean(rows) for rows in members]),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        ramp_c_per_s=np.array([(at_soak * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
+        ramp_c_per_s=np.array([(soaked * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
         correlation=OWN * (rest[first][:, None] == rest[first]) + (1.0 - OWN) * flicker / np.diag(flicker).mean(),
         flicker=offsets.flicker[:, None, None] * flicker,
     )
@@ -533,13 +533,13 @@ def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
         return None
     contrasts = np.vstack((np.eye(free), -np.ones(free)))
     try:
-        curve = _curve_through(cells, None, lag_s, (cells.session[:, None] == sharing) @ contrasts)
+        curve = _fit_curve(cells, None, lag_s, (cells.session[:, None] == sharing) @ contrasts)
     except NotObservable:
         return None
-    shift, known = contrasts @ curve.coefficient[:free], curve.coefficient_uncertainty[:free] ** 2
-    known = np.vstack((known, known.mean(axis=0)))
-    excess = np.array([excess_variance(shift[:, axis], known[:, axis], free) for axis in range(3)])
-    variance = np.maximum(excess, known.mean(axis=0))
+    shift, shift_variance = contrasts @ curve.coefficient[:free], curve.coefficient_uncertainty[:free] ** 2
+    shift_variance = np.vstack((shift_variance, shift_variance.mean(axis=0)))
+    excess = np.array([excess_variance(shift[:, axis], shift_variance[:, axis], free) for axis in range(3)])
+    variance = np.maximum(excess, shift_variance.mean(axis=0))
     return TurnOn(variance=variance, future_variance=student_factor(free) * variance)
 
 
@@ -581,9 +581,9 @@ def warm_up_time(blocks: RestBlocks, value: FloatArray) -> float:
 
     constants = np.geomspace(30.0, 3600.0, 25)
     decay, residual = np.exp(-blocks.power_on_s[:, None] / constants), unexplained(value)
-    own = unexplained(decay)
-    share = own.var(axis=0) / np.maximum(decay.var(axis=0), 1e-300)
-    explained = (own.T @ residual) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300)[:, None]
+    unexplained_decay = unexplained(decay)
+    share = unexplained_decay.var(axis=0) / np.maximum(decay.var(axis=0), 1e-300)
+    explained = (unexplained_decay.T @ residual) ** 2 / np.maximum((unexplained_decay**2).sum(axis=0), 1e-300)[:, None]
     best = int((explained / np.maximum(residual.var(axis=0), 1e-300)).sum(axis=1).argmax())
     if share[best] < LEAST_OWN:
         raise NotObservable(

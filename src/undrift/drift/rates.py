@@ -136,10 +136,10 @@ def prepared(
         )
     lost = len(steps) - int(finite.sum())
     left_out, why = f"{lost} of {len(steps)} rate steps", "gaps in rate, reading or temperature"
-    soak, axis = _numbered(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
-    made = Steps(
+    soak, axis = _number_groups(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
+    turning_steps = Steps(
         soak=soak,
-        mounting=_numbered(soak, axis),
+        mounting=_number_groups(soak, axis),
         axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
@@ -148,39 +148,39 @@ def prepared(
         findings=(finding("drift.left_out", "warn", what=left_out, why=why),) if lost else (),
     )
     if rests is None:
-        return made
+        return turning_steps
     first, levels, variances, temps_c = list[int](), list[FloatArray](), list[FloatArray](), list[float]()
-    for m in range(made.mounting.max() + 1):
-        turns = np.flatnonzero(made.mounting == m)
-        blocks = _rests_of(usable.taken(turns), rests, any_pose=not made.has_rates(turns))
+    for m in range(turning_steps.mounting.max() + 1):
+        turns = np.flatnonzero(turning_steps.mounting == m)
+        blocks = _select_rests(usable.taken(turns), rests, any_pose=not turning_steps.has_rates(turns))
         if len(blocks):
             level = blocks.gyro - _offset_at(blocks.temp_c, calibration, static)
             noise = level.var(axis=0, ddof=1) if len(blocks) > 1 else known_variance(blocks.gyro_variance)[0]
             first.append(turns[0])
             levels.append(level.mean(axis=0))
-            variances.append(np.maximum(noise / len(blocks), made.variance.min(axis=0)))
+            variances.append(np.maximum(noise / len(blocks), turning_steps.variance.min(axis=0)))
             temps_c.append(float(blocks.temp_c.mean()))
     still = replace(
-        made.taken(first),
+        turning_steps.taken(first),
         temp_c=np.array(temps_c),
         rate_b=np.zeros((len(first), 3)),
         reading=np.reshape(levels, (-1, 3)),
         variance=np.reshape(variances, (-1, 3)),
     )
-    rows: dict[str, Any] = {name: np.concatenate((getattr(made, name), getattr(still, name))) for name in ROWS}
-    return replace(made, **rows)
+    rows: dict[str, Any] = {name: np.concatenate((getattr(turning_steps, name), getattr(still, name))) for name in ROWS}
+    return replace(turning_steps, **rows)
 
 
-def _rests_of(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
+def _select_rests(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
     """Return the rests at the session and temperature of a mounting in its pose; if there are none, in any pose if allowed."""
     near = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
     near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
     force = turns.accel.mean(axis=0)
-    alike = near & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
-    return rests.taken(near if any_pose and not alike.any() else alike)
+    same_pose = near & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
+    return rests.taken(near if any_pose and not same_pose.any() else same_pose)
 
 
-def _numbered(*keys: IntArray) -> IntArray:
+def _number_groups(*keys: IntArray) -> IntArray:
     """Return the number of each combination of keys, (n,)."""
     return np.unique(np.column_stack(keys), axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -216,9 +216,9 @@ def measured_rate(
 def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> ScaleFit:
     """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
     model, soaks = gyro_model(calibration), soak_matrices(steps, calibration)
-    turned = np.isfinite(soaks.forward[:, 0, :])
-    count = turned.sum(axis=0)
-    spans_c = [float(np.ptp(soaks.temp_c[rows])) if rows.any() else 0.0 for rows in turned.T]
+    turned_soaks = np.isfinite(soaks.forward[:, 0, :])
+    count = turned_soaks.sum(axis=0)
+    spans_c = [float(np.ptp(soaks.temp_c[rows])) if rows.any() else 0.0 for rows in turned_soaks.T]
     if max(spans_c) <= 0.0:
         raise NotObservable(
             f"scale over temperature: expected rate steps at two soaks or more, got {count.max()}. Repeat the steps at another "
@@ -228,27 +228,28 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     forward = np.tile(_forward(model), (len(temp_c), 1, 1))
     variance, percent, percent_uncertainty = np.full(forward.shape, np.nan), np.full(3, np.nan), np.full(3, np.nan)
     for j in np.flatnonzero(spans_c):
-        rows = turned[:, j]
+        rows = turned_soaks[:, j]
         nodes = fit_curve(soaks.temp_c[rows], soaks.forward[rows, :, j], soaks.variance[rows, :, j]).at(temp_c)
         forward[:, :, j], variance[:, :, j] = nodes.value, nodes.uncertainty**2
         zero_c = soaks.temp_c[rows].mean()
         zero_c = calibration.reference_temp_c if np.isfinite(calibration.reference_temp_c) else zero_c
         line = np.column_stack((np.ones(count[j]), soaks.temp_c[rows] - zero_c))
-        (value, slope), covariance = _weighted(line, soaks.forward[rows, j, j], soaks.variance[rows, j, j])
+        (value, slope), covariance = _weigh(line, soaks.forward[rows, j, j], soaks.variance[rows, j, j])
         percent[j], percent_uncertainty[j] = 100.0 * slope / value, abs(100.0 / value) * np.sqrt(covariance[1, 1])
     matrix, unknown = np.linalg.inv(forward), np.isnan(variance)
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
-    to_out = 1.0 / si_factor(model.unit_out, "rate")
+    unit_per_si = 1.0 / si_factor(model.unit_out, "rate")
     open_axes, two = (", ".join(AXES[j] for j in np.flatnonzero(which)) for which in (count < 2, count == 2))
-    findings = [_not_turned(f"Scale factor {open_axes} over temperature")] if open_axes else []
+    findings = [_axis_not_turned(f"Scale factor {open_axes} over temperature")] if open_axes else []
     if two:
         findings.append(two_temperatures(f"scale factor {two}"))
     return ScaleFit(
         drift=ScaleDrift(
             temp_c=temp_c,
-            gyro_matrix=matrix * to_out,
-            gyro_uncertainty=np.where(unknown, np.nan, spread.reshape(-1, 3, 3)) * to_out,  # column j of M by that of K
+            gyro_matrix=matrix * unit_per_si,
+            gyro_uncertainty=np.where(unknown, np.nan, spread.reshape(-1, 3, 3))
+            * unit_per_si,  # column j of M by that of K
             gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
         ),
         soaks=soaks,
@@ -264,7 +265,7 @@ def two_temperatures(what: str) -> Finding:
     return finding("drift.not_observable", "warn", what=f"Curvature over temperature of {what}", problem=problem)
 
 
-def _not_turned(what: str) -> Finding:
+def _axis_not_turned(what: str) -> Finding:
     problem = "it was not turned about this axis at two rates and two temperatures. Turn about it both ways at three soaks or more."
     return finding("drift.not_observable", "warn", what=what, problem=problem)
 
@@ -278,21 +279,21 @@ def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
     for k, s in enumerate(numbers[order]):
         rows = steps.soak == s
         rate, size = steps.rate_b[rows], np.linalg.norm(steps.rate_b[rows], axis=1, keepdims=True)
-        turned = (np.abs(rate) > MAINLY * size).any(axis=0)
-        reading = steps.reading[rows] - rate[:, ~turned] @ constant[:, ~turned].T
+        turn_axes = (np.abs(rate) > MAINLY * size).any(axis=0)
+        reading = steps.reading[rows] - rate[:, ~turn_axes] @ constant[:, ~turn_axes].T
         free = [
             m for m in np.unique(steps.mounting[rows]) if steps.has_rates(steps.mounting == m)
         ]  # with an offset of their own
-        design = np.column_stack((rate[:, turned] / size.max(), steps.mounting[rows][:, None] == np.array(free)))
+        design = np.column_stack((rate[:, turn_axes] / size.max(), steps.mounting[rows][:, None] == np.array(free)))
         if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
             raise NotObservable(
                 f"scale over temperature: {rows.sum()} turns at {temp_c[order[k]]:.1f} degC do not separate the axes. Turn about "
                 "each axis at two rates or more."
             )
         for i in range(3):
-            theta, covariance = _weighted(design, reading[:, i], steps.variance[rows, i])
-            forward[k, i, turned] = theta[: turned.sum()] / size.max()
-            variance[k, i, turned] = np.diag(covariance)[: turned.sum()] / size.max() ** 2
+            theta, covariance = _weigh(design, reading[:, i], steps.variance[rows, i])
+            forward[k, i, turn_axes] = theta[: turn_axes.sum()] / size.max()
+            variance[k, i, turn_axes] = np.diag(covariance)[: turn_axes.sum()] / size.max() ** 2
     return SoakMatrices(temp_c=temp_c[order], forward=forward, variance=variance)
 
 
@@ -300,7 +301,7 @@ def _forward(model: TriadModel) -> FloatArray:
     return np.asarray(model.forward_matrix / si_factor(model.unit_out, "rate"))
 
 
-def _weighted(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _weigh(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return least-squares parameters and their covariance for values y (n,) of variance v (n,), and of their excess."""
     residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
     v = v + excess_variance(residual, v, len(y) - design.shape[1])
@@ -361,9 +362,9 @@ def fit_dynamic(
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
     ``span_c``. The softness of each surface is chosen by cross-validation, or taken from an earlier fit, ``like``.
     """
-    points = [_points_of(axis, steps, calibration, scale) for axis in range(3)]
-    turned = [data for data in points if data is not None]
-    if not turned:
+    points = [_surface_points(axis, steps, calibration, scale) for axis in range(3)]
+    axis_points = [data for data in points if data is not None]
+    if not axis_points:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
             f"dynamic drift: no axis turned at two rates and two soaks among {len(steps)} steps at {soaks} soaks, "
@@ -374,7 +375,7 @@ def fit_dynamic(
     between = STEP_C * np.arange(np.floor(low_c / STEP_C) + 1.0, np.ceil(high_c / STEP_C))
     temp_c = np.concatenate(([low_c], between, [high_c]))
     imposed = np.take_along_axis(steps.rate_b, steps.axis[:, None], axis=1)
-    turn_rate = _rate_nodes(imposed[:, 0], np.concatenate([data.turn_rate for data in turned]))
+    turn_rate = _rate_nodes(imposed[:, 0], np.concatenate([data.turn_rate for data in axis_points]))
     grid_w, grid_t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
     shape = (len(temp_c), len(turn_rate))
     error, uncertainty, extrapolated = np.zeros((*shape, 3)), np.full((*shape, 3), np.nan), np.zeros(shape, bool)
@@ -382,7 +383,7 @@ def fit_dynamic(
     findings = list(steps.findings)
     for axis, data in enumerate(points):
         if data is None:
-            findings.append(_not_turned(f"Dynamic drift {AXES[axis]}"))
+            findings.append(_axis_not_turned(f"Dynamic drift {AXES[axis]}"))
             continue
         earlier = None if like is None else like.surfaces[axis]
         surface = surfaces[axis] = fit_surface(
@@ -403,21 +404,23 @@ def fit_dynamic(
     return DynamicFit(drift=drift, surfaces=tuple(surfaces), verdict=Verdict.of(*findings))
 
 
-def _points_of(axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None) -> SurfacePoints | None:
+def _surface_points(
+    axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None
+) -> SurfacePoints | None:
     """Return the rows of mountings that turned about an axis; None without two soaks and two rates."""
-    own = steps.taken(steps.axis == axis)
-    turning, imposed = own.turning, own.rate_b[:, axis]
-    if len(np.unique(own.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
+    axis_steps = steps.taken(steps.axis == axis)
+    turning, imposed = axis_steps.turning, axis_steps.rate_b[:, axis]
+    if len(np.unique(axis_steps.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
         return None
-    rate = measured_rate(own.reading, own.temp_c, calibration, scale)[:, axis]
+    rate = measured_rate(axis_steps.reading, axis_steps.temp_c, calibration, scale)[:, axis]
     row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # of M
     return SurfacePoints(
         turn_rate=np.where(turning, rate, 0.0),
-        temp_c=own.temp_c,
+        temp_c=axis_steps.temp_c,
         value=rate - imposed,
-        variance=own.variance @ row**2,
-        soak=_numbered(own.soak),
-        mounting=_numbered(own.mounting),
+        variance=axis_steps.variance @ row**2,
+        soak=_number_groups(axis_steps.soak),
+        mounting=_number_groups(axis_steps.mounting),
     )
 
 
@@ -464,7 +467,7 @@ def fit_surface(
     surface = _design(rate, temp, points.turn_rate, points.temp_c)
     x, p = np.column_stack((surface, np.eye(groups)[points.mounting])), surface.shape[1]
     size = max(float(np.sqrt(np.mean(value**2))), float(np.sqrt(points.variance.min())), LEAST_NOISE)
-    stated, excess = np.maximum(points.variance, (LEAST_NOISE * size) ** 2), 0.0  # a device without noise
+    known_variance, excess = np.maximum(points.variance, (LEAST_NOISE * size) ** 2), 0.0  # a device without noise
     flat, bent = (_vanishing(rate).T @ rate.products(d) @ _vanishing(rate) for d in (0, 2))
     bends = np.kron(temp.products(0), bent), np.kron(temp.products(2), flat)
 
@@ -478,15 +481,15 @@ def fit_surface(
     over_temp = SOFTNESS if soaks > 2 else SOFTNESS[:1]
     choices = [(w, t) for t in over_temp for w in SOFTNESS] if softness is None else [softness]
     for _ in range(3):  # the excess follows from the residuals, and the softness from both
-        v = stated + excess
+        v = known_variance + excess
         best = (
-            min(choices, key=lambda s: _left_out_square(points, value, x, v, solved(s, v)[1]))
+            min(choices, key=lambda s: _leave_out_square(points, value, x, v, solved(s, v)[1]))
             if choices[1:]
             else choices[0]
         )
         c, covariance = solved(best, v)
         freedom = len(value) - float(((x @ covariance) * x / v[:, None]).sum())
-        excess = excess_variance(value - x @ c, stated, round(freedom))
+        excess = excess_variance(value - x @ c, known_variance, round(freedom))
     return Surface(
         rate=rate,
         temp=temp,
@@ -498,7 +501,7 @@ def fit_surface(
     )
 
 
-def _left_out_square(
+def _leave_out_square(
     points: SurfacePoints, value: FloatArray, x: FloatArray, v: FloatArray, covariance: FloatArray
 ) -> float:
     """Return the weighted sum of squares of rows that are left out: soaks between others, or rates if there are two soaks."""

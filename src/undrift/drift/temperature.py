@@ -103,16 +103,16 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
             temp_c=float(temp_c[bad[0]]),
         )
     if source == "column":
-        return _from_column(temp_c, record.time, set_points, index)
+        return _column_temperature(temp_c, record.time, set_points, index)
     return Temperature(temp_c=temp_c, source=source)
 
 
 def check_span(temperatures: Sequence[Temperature]) -> float:
     """Return the span of temperatures together, K; raise if it is too small for a thermal fit."""
-    known = np.concatenate([temperature.temp_c[np.isfinite(temperature.temp_c)] for temperature in temperatures])
-    if not len(known):
+    temp_c = np.concatenate([temperature.temp_c[np.isfinite(temperature.temp_c)] for temperature in temperatures])
+    if not len(temp_c):
         raise NotObservable("thermal drift: no recording has a known temperature. Map its column.")
-    low, high = float(known.min()), float(known.max())
+    low, high = float(temp_c.min()), float(temp_c.max())
     if high - low < LEAST_SPAN_C:
         constant = " (constant): check that the column is the thermometer's" if low == high else ""
         raise NotObservable(
@@ -123,7 +123,7 @@ def check_span(temperatures: Sequence[Temperature]) -> float:
     return high - low
 
 
-def _from_column(
+def _column_temperature(
     readings: FloatArray, time: FloatArray, set_points: list[tuple[slice, float]], index: int
 ) -> Temperature:
     finite = np.isfinite(readings)
@@ -137,7 +137,7 @@ def _from_column(
     spikes = _spikes(readings, step)
     stale = _stale(np.where(spikes, np.nan, readings), time, step)
     used = finite & ~spikes & ~stale
-    noise_c, course = _smoothed(readings[used], time[used], step)
+    noise_c, course = _smooth(readings[used], time[used], step)
     temp_c = np.interp(time, time[used], course)
     for start, stop in runs(~used):  # long gaps stay open
         if start == 0 or stop == len(time) or time[stop] - time[start - 1] > LONGEST_GAP_S:
@@ -151,8 +151,8 @@ def _from_column(
     if low > HOT_C:
         problem = f"{low:.1f} to {high:.1f} degC throughout: a chamber, self-heating of a chip, degF read as degC, or a wrong scale"
         findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
-    apart = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
-    off, set_point = max(apart, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
+    differences = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
+    off, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(off) > OFF_SET_POINT_C:
         problem = f"{off:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
         findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
@@ -163,9 +163,9 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     """Mark readings that lie apart from those before and after, (N,)."""
     from scipy.ndimage import median_filter
 
-    known, spikes = np.isfinite(temp_c), np.zeros(len(temp_c), dtype=bool)
-    off = np.abs(temp_c[known] - median_filter(temp_c[known], size=5, mode="nearest"))
-    spikes[known] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
+    finite, spikes = np.isfinite(temp_c), np.zeros(len(temp_c), dtype=bool)
+    off = np.abs(temp_c[finite] - median_filter(temp_c[finite], size=5, mode="nearest"))
+    spikes[finite] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
     return spikes
 
 
@@ -199,7 +199,7 @@ def step_of(temp_c: FloatArray) -> float:
     return step if (off < SAME_STEP * np.maximum(gaps / step, 1.0)).mean() > 0.95 else 0.0
 
 
-def _smoothed(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
+def _smooth(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
     """Return the noise of the mean of a second, and the smooth course behind readings; nothing is carried across a long gap."""
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return 0.0, temp_c
@@ -305,9 +305,9 @@ class LagFit:
 
 def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> LagFit:
     """Return the time constant, up to a longest one, at which readings at one temperature agree whatever the ramp was."""
-    direction, known = cooling(blocks), np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min)
-    settled = known & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
-    rows = settled if settled.sum() >= FEWEST and len(np.unique(np.sign(direction[settled]))) > 1 else known
+    direction, usable = cooling(blocks), np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min)
+    settled = usable & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
+    rows = settled if settled.sum() >= FEWEST and len(np.unique(np.sign(direction[settled]))) > 1 else usable
     blocks, direction = blocks.taken(rows), direction[rows]
     readings, temp_c, slope = _readings(blocks), blocks.temp_c, blocks.ramp_c_per_min / 60.0
     speed = np.sort(np.abs(blocks.ramp_c_per_min[np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN]))
@@ -317,7 +317,7 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> Lag
         )
     poses = np.asarray(blocks.pose[:, None] == np.unique(blocks.pose)[1:], dtype=np.float64)
     open_share = float(
-        np.sum(_without(slope[:, None], _spline(temp_c), poses) ** 2) / max(float(slope @ slope), 1e-300)
+        np.sum(_remove_effects(slope[:, None], _spline(temp_c), poses) ** 2) / max(float(slope @ slope), 1e-300)
     )
     if open_share < BOTH_WAYS:
         return LagFit(problem="each temperature was passed at one speed.")
@@ -329,7 +329,7 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> Lag
     effects += [power_on] if np.ptp(power_on) > 0.1 else []
 
     def residual(lag: float) -> FloatArray:
-        return _without(readings, _spline(temp_c + lag * slope), *effects)
+        return _remove_effects(readings, _spline(temp_c + lag * slope), *effects)
 
     def losses(lags: FloatArray) -> FloatArray:
         return np.array([float(np.log(np.mean(residual(lag) ** 2, axis=0)).sum()) for lag in lags])
@@ -372,7 +372,7 @@ def _spline(temp_c: FloatArray) -> FloatArray:
     return Cubics(low=low, high=high, intervals=int(np.clip(round((high - low) / NODE_C), 1, MOST_KNOTS))).at(temp_c)
 
 
-def _without(values: FloatArray, *effects: FloatArray) -> FloatArray:
+def _remove_effects(values: FloatArray, *effects: FloatArray) -> FloatArray:
     """Return what effects (n, .) leave of values (n, k) by least squares."""
     q, r = np.linalg.qr(np.hstack(effects))
     q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]

@@ -194,8 +194,8 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
         rows = np.flatnonzero(np.isfinite(soaks.forward[:, 0, j]))
         if len(rows):
             temp_c, ratio = soaks.temp_c[rows], against[rows, j, j]
-            known = np.isfinite(device.reference_temp_c)
-            reference_c = device.reference_temp_c if known else temp_c[np.abs(ratio - 1.0).argmin()]
+            has_reference = np.isfinite(device.reference_temp_c)
+            reference_c = device.reference_temp_c if has_reference else temp_c[np.abs(ratio - 1.0).argmin()]
             off[j] = np.interp(reference_c, temp_c, ratio) - 1.0
             allowed[j] = SCALE_PER_C * np.abs(temp_c - reference_c).min()
     level = level_of(float((np.abs(off) - allowed).max()), SCALE_OFF)
@@ -204,18 +204,18 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * SCALE_OFF[0]))
 
 
-def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | float = 0.0) -> Verdict:
-    """Compare the offset table with the calibration's constants; ``felt`` (3,) is what gravity adds to readings at rest."""
+def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Verdict:
+    """Compare the offset table with the calibration's constants; ``gravity_rate`` (3,) is what gravity adds to readings at rest."""
     model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or triad is None or offset is None:
         return Verdict()
     nodes, reference_c = static.table.temp_c, device.reference_temp_c
-    seen = np.flatnonzero((nodes >= triad.span_c[0] - 1.0) & (nodes <= triad.span_c[1] + 1.0))
-    apart = np.abs(nodes[seen] - reference_c)
+    nodes_in_span = np.flatnonzero((nodes >= triad.span_c[0] - 1.0) & (nodes <= triad.span_c[1] + 1.0))
+    distance = np.abs(nodes[nodes_in_span] - reference_c)
     if not np.isfinite(reference_c):  # the best case for the device
-        apart = np.abs(offset - model.offset)[seen].max(axis=1)
-    node = int(seen[apart.argmin()])
-    away_c = float(apart.min()) if np.isfinite(reference_c) else 0.0
+        distance = np.abs(offset - model.offset)[nodes_in_span].max(axis=1)
+    node = int(nodes_in_span[distance.argmin()])
+    away_c = float(distance.min()) if np.isfinite(reference_c) else 0.0
     off = (offset[node] - model.offset) * _dps(model)
     uncertainty = np.hypot(triad.uncertainty[node], model.standard_uncertainty[9:12]) * _dps(model)
     beyond = np.abs(off) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + TEMPERATURE_OFF_C)
@@ -228,7 +228,7 @@ def offsets_verdict(static: StaticFit, device: Calibration, felt: FloatArray | f
         "uncertainty_dps": uncertainty,
         "turn_on_dps": TURN_ON_DPS,
     }
-    cause = _unit_of(offset[node] + felt, model.offset + felt)
+    cause = _guess_unit(offset[node] + gravity_rate, model.offset + gravity_rate)
     return Verdict.of(finding("drift.offset_differs", "fail" if far else "warn", **values, cause=cause))
 
 
@@ -243,22 +243,22 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
     near = away_c <= away_c.min() + NEAR_C
     poses = split_by(np.flatnonzero(near), rests.session[near], rests.pose[near])
     length = np.linalg.norm([force[rows].mean(axis=0) for rows in poses], axis=1)
-    stated = device.gravity_m_s2  # parameters of other programs do not state it
-    gravity = stated if np.isfinite(stated) else STANDARD_GRAVITY
+    local_gravity = device.gravity_m_s2  # parameters of other programs do not state it
+    gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
     miss_mg = 1e3 * float(np.sqrt(np.mean((length / gravity - 1.0) ** 2)))
     matrix, offset = model.standard_uncertainty[:9].reshape(3, 3), model.standard_uncertainty[9:12]
-    known = np.nan_to_num(
+    sigma_terms = np.nan_to_num(
         np.hypot(matrix @ model.forward_matrix * gravity, np.diag(offset * model.si_per_reading("accel")))
     )
     drift_mg = TemperatureSensitivity().accel_offset_mg_per_k * float(away_c[near].mean())
-    usual_mg = float(np.sqrt(1e6 * np.sum(known**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
+    usual_mg = float(np.sqrt(1e6 * np.sum(sigma_terms**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
     if miss_mg <= SIGNIFICANT * usual_mg:
         return Verdict()
     values = {"temp_c": float(rests.temp_c[near].mean()), "poses": len(poses), "miss_mg": miss_mg, "usual_mg": usual_mg}
     return Verdict.of(finding("drift.accel_differs", "fail" if miss_mg > CERTAIN * usual_mg else "warn", **values))
 
 
-def _unit_of(reading: FloatArray, constant: FloatArray) -> str:
+def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
     """Return which unit explains one offset (3,) by the other, along the same direction."""
     along = float(reading @ constant) / max(float(constant @ constant), 1e-300)
     same_direction = np.linalg.norm(reading - along * constant) <= 0.2 * np.linalg.norm(reading)
@@ -317,10 +317,10 @@ def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
     for rows in split_by(np.arange(len(blocks)), blocks.session):
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
         parts = np.split(rows, np.flatnonzero(np.diff(blocks.temp_c[rows]) > APART_C) + 1)
-        if len(parts) < 4 or max(float(np.ptp(blocks.temp_c[part])) for part in parts) > WIDE_C:  # few, or a sweep
+        if len(parts) < 4 or max(float(np.ptp(blocks.temp_c[group])) for group in parts) > WIDE_C:  # few, or a sweep
             continue
-        points = np.array([blocks.temp_c[part].mean() for part in parts])
-        means = np.array([triad.offsets.value[part].mean(axis=0) for part in parts]) * _dps(model)
+        points = np.array([blocks.temp_c[group].mean() for group in parts])
+        means = np.array([triad.offsets.value[group].mean(axis=0) for group in parts]) * _dps(model)
         steps = np.diff(points)[:, None]
         bend = 2.0 * np.diff(np.diff(means, axis=0) / steps, axis=0) / (steps[1:] + steps[:-1])
         miss = np.where(np.abs(bend) > MOST_BEND, np.abs(bend) * steps[1:] * steps[:-1] / 2.0, 0.0).max(axis=1)

@@ -43,25 +43,27 @@ class CarriedMeans:
         rests = share == _RESTING
         taken = np.flatnonzero(~rests | ~np.append(False, rests[:-1]))  # a rest has one mean: more would set the sizes
         self.first, scatter, when = self.first[taken], np.sqrt(share[taken]), when[taken]
-        apart = np.subtract.outer(taken, taken)
-        shared = np.outer(scatter, scatter) * ((apart == 0) + _SHARED * (abs(apart) == 1))
+        distance = np.subtract.outer(taken, taken)
+        shared = np.outer(scatter, scatter) * ((distance == 0) + _SHARED * (abs(distance) == 1))
         # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
         walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
         self.walk = np.concatenate((walk, walk, np.zeros(len(walk))))
 
     def means(
-        self, rate: FloatArray, force: FloatArray, of_rate: FloatArray, of_force: FloatArray
+        self, rate: FloatArray, force: FloatArray, rate_regressors: FloatArray, force_regressors: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return means (K, 3) of F, and what is added to them by a rate x_c e_b (K, 3, 3, C) and by a force y_c e_b (K, 3, 3, D).
 
         Rates w (N, 3), rad/s, forces f (N, 3), m/s2, and their regressors x (N, C) and y (N, D).
         """
-        count, channels = len(self.first), (of_rate.shape[1], of_force.shape[1])
+        count, channels = len(self.first), (rate_regressors.shape[1], force_regressors.shape[1])
         out = np.empty((count, 3 + 9 * sum(channels)))
-        w, f, x, y = (np.ascontiguousarray(each).reshape(-1) for each in (rate, force, of_rate, of_force))
+        w, f, x, y = (
+            np.ascontiguousarray(values).reshape(-1) for values in (rate, force, rate_regressors, force_regressors)
+        )
         carried_means(w, f, x, y, self.time, self.first, self.weight, out.reshape(-1))
-        by_rate, by_force = np.split(out[:, 3:], [9 * channels[0]], axis=1)
-        return out[:, :3], by_rate.reshape(count, 3, 3, -1), by_force.reshape(count, 3, 3, -1)
+        rate_slopes, force_slopes = np.split(out[:, 3:], [9 * channels[0]], axis=1)
+        return out[:, :3], rate_slopes.reshape(count, 3, 3, -1), force_slopes.reshape(count, 3, 3, -1)
 
     def equations(
         self, mean: FloatArray, design: FloatArray, usual: FloatArray, length: tuple[float, float]
@@ -82,26 +84,26 @@ class CarriedMeans:
         def solved(sizes: FloatArray) -> tuple[float, FloatArray, FloatArray]:
             white, density = np.exp(sizes)
             variance = white + density * self.walk
-            known = rows.T @ (rows / variance[:, None])
-            information, seen, cost = known[:-1, :-1], known[:-1, -1], float(known[-1, -1] + np.log(variance).sum())
+            normal = rows.T @ (rows / variance[:, None])
+            information, right, cost = normal[:-1, :-1], normal[:-1, -1], float(normal[-1, -1] + np.log(variance).sum())
             information[-1, -1] += 1.0 / spread**2
-            seen[-1] += gravity / spread**2
-            whole = information + np.diag(np.append(1.0 / usual**2, np.zeros(3)))
-            cost += float(np.linalg.slogdet(whole)[1] - seen @ np.linalg.solve(whole, seen))
-            return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, seen
+            right[-1] += gravity / spread**2
+            total = information + np.diag(np.append(1.0 / usual**2, np.zeros(3)))
+            cost += float(np.linalg.slogdet(total)[1] - right @ np.linalg.solve(total, right))
+            return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, right
 
         close = {"xatol": 0.02, "fatol": 0.02}
         self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
-        self.cost, information, seen = solved(self.sizes)
+        self.cost, information, right = solved(self.sizes)
         inverse = np.linalg.inv(information[unknown:, unknown:])
         gone = information[:unknown, unknown:] @ inverse
-        self.left = mean - inverse @ seen[unknown:]  # (K, 3), two horizontal components and the vertical one
-        self.level = frame, inverse, gone.T, seen[unknown:]
-        return information[:unknown, :unknown] - gone @ information[unknown:, :unknown], seen[:unknown] - gone @ seen[
+        self.left = mean - inverse @ right[unknown:]  # (K, 3), two horizontal components and the vertical one
+        self.level = frame, inverse, gone.T, right[unknown:]
+        return information[:unknown, :unknown] - gone @ information[unknown:, :unknown], right[:unknown] - gone @ right[
             unknown:
         ]
 
     def vertical(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the vertical (3,) by the last equations, and its covariance by that of the parameters (P, P)."""
-        frame, alone, by_parameters, seen = self.level
-        return frame.T @ alone @ seen, frame.T @ (alone + by_parameters @ covariance @ by_parameters.T) @ frame
+        frame, inverse, gain, right = self.level
+        return frame.T @ inverse @ right, frame.T @ (inverse + gain @ covariance @ gain.T) @ frame

@@ -95,10 +95,10 @@ class Curve:
         weighted = np.linalg.solve(self.covariance, self.basis[None]).swapaxes(1, 2)
         return np.linalg.solve(weighted @ self.basis, weighted)
 
-    def kernel(self, one: FloatArray, two: FloatArray) -> FloatArray:
+    def kernel(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Covariance of f beside its line at scaled temperatures (i,) and (j,), (k, i, j)."""
-        bows = 16.0 * np.outer(one**2, two**2)
-        return self.bow[:, None, None] * bows + self.bend[:, None, None] * bending(one, two)
+        bows = 16.0 * np.outer(x**2, y**2)
+        return self.bow[:, None, None] * bows + self.bend[:, None, None] * bending(x, y)
 
     def at(self, temp_c: FloatArray) -> NodeValues:
         """Return the curves at temperatures (m,), degC, with their covariance; regressors count as 0 there.
@@ -149,20 +149,20 @@ def fit_curve(
     noise, spread = np.sqrt(np.median(variance, axis=0)), np.ptp(value, axis=0)
     size = np.maximum(np.maximum(spread, math.sqrt(np.mean(spread**2))), np.maximum(2.0 * noise, SMALLEST))
     exact = JITTER * np.maximum(value.var(axis=0), 0.01 * size**2)
-    stated = np.array([np.diag(rows) for rows in (variance + exact).T])
+    known_covariance = np.array([np.diag(rows) for rows in (variance + exact).T])
     curve = Curve(
         origin_c=origin,
         span_c=span,
         x=x,
         value=value,
         basis=basis,
-        stated=stated if shared is None else stated + shared,
+        stated=known_covariance if shared is None else known_covariance + shared,
         correlation=np.eye(len(x)) if correlation is None else correlation,
         bow=(span / (8.0 * BOW_SPAN_C) * size) ** 2,
         bend=(DEPARTURE / DEPARTURE_OF_UNIT * size) ** 2 * span / BEND_SPAN_C,
         visit=np.maximum(VISIT_OF_RANGE * size, VISIT_OF_NOISE * noise) ** 2,
     )
-    curve = _likeliest(curve)
+    curve = _maximize_likelihood(curve)
     freedom = _visit_freedom(curve)
     # without a contrast the prior speaks
     return replace(curve, widening=student_factor(freedom) if freedom >= 1.0 else 1.0)
@@ -175,7 +175,7 @@ def log_restricted_likelihood(contrasts: FloatArray, covariance: FloatArray) -> 
     return float(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum() - 0.5 * (white**2).sum())
 
 
-def _likeliest(usual: Curve) -> Curve:
+def _maximize_likelihood(usual: Curve) -> Curve:
     """Return the curve at the sizes of bends and visits that maximise likelihood times prior."""
     from scipy.optimize import minimize
 
@@ -184,12 +184,12 @@ def _likeliest(usual: Curve) -> Curve:
     visits = usual.visit[:, None, None] * (free.T @ usual.correlation @ free)
     bends = usual.bend[:, None, None] * (free.T @ bending(usual.x, usual.x) @ free)
     bows = usual.bow[:, None, None] * np.outer(*[4.0 * free.T @ usual.x**2] * 2)
-    stated = free.T @ usual.stated @ free + bows
+    known_covariance = free.T @ usual.stated @ free + bows
 
     def loss(log_size: FloatArray) -> float:
         bend, visit = np.exp(log_size)
         prior = _log_half_t(bend, 1.0, 3.0) + _log_half_t(visit, 1.0, 1.0)
-        return -log_restricted_likelihood(contrasts, stated + bend**2 * bends + visit**2 * visits) - prior
+        return -log_restricted_likelihood(contrasts, known_covariance + bend**2 * bends + visit**2 * visits) - prior
 
     coarse = [np.array([bend, visit]) for bend in (-2.0, 0.0, 2.0) for visit in (-2.0, 0.0, 2.0, 4.0)]
     start: Any = min(coarse, key=loss)
@@ -219,14 +219,14 @@ def _visit_freedom(curve: Curve) -> float:
     return float(np.trace(product, axis1=1, axis2=2).sum() ** 2 / max(float(squares), 1e-300))
 
 
-def bending(one: FloatArray, two: FloatArray) -> FloatArray:
+def bending(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the covariance of a once integrated Wiener process that runs both ways from 0, where it is flat.
 
     k(s, t) = m^2 (3 M - m) / 6 with m the lesser and M the greater of |s| and |t|, on one side of 0; zero across it.
     """
-    least = np.minimum(np.abs(one)[:, None], np.abs(two)[None, :])
-    most = np.maximum(np.abs(one)[:, None], np.abs(two)[None, :])
-    same_side = one[:, None] * two[None, :] > 0.0
+    least = np.minimum(np.abs(x)[:, None], np.abs(y)[None, :])
+    most = np.maximum(np.abs(x)[:, None], np.abs(y)[None, :])
+    same_side = x[:, None] * y[None, :] > 0.0
     return np.where(same_side, least**2 * (3.0 * most - least) / 6.0, 0.0)
 
 

@@ -112,7 +112,7 @@ def solve(
     """
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
-    parts = {name: _matrix(part) for name, part in sources.items()}
+    parts = {name: _matrix(share) for name, share in sources.items()}
     shapes = {kind: _matrix(shape) for kind, shape in (excess or {}).items()}
     rows = _Rows(
         design=design / length,
@@ -128,7 +128,7 @@ def solve(
     for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
         parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * shape
-    budget = {name: carried(gains, part) for name, part in parts.items()}
+    budget = {name: carried(gains, share) for name, share in parts.items()}
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
         budget["prior"] = covariance @ prior.precision @ covariance
@@ -161,20 +161,22 @@ def solve_inverse(
     """
     count, forces = len(reading), [] if force is None else [force]
     # inputs along an axis with a prior are a small tilt of the others, and their noise would pull its scale towards zero
-    turned = np.full(3, True) if prior is None else np.diag(prior.precision)[:9:4] == 0.0
-    known = np.hstack([value[:, turned], np.ones((count, 1)), *forces])
-    left, singular, _ = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), full_matrices=False)
+    turn_axes = np.full(3, True) if prior is None else np.diag(prior.precision)[:9:4] == 0.0
+    columns = np.hstack([value[:, turn_axes], np.ones((count, 1)), *forces])
+    left, singular, _ = np.linalg.svd(
+        columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
+    )
     left = left[:, singular > RANK * singular[0]]
     smooth = left @ (left.T @ reading)
     blocks = [
-        np.einsum("ij,ek->eijk", np.eye(3), part) for part in (smooth, -np.ones((count, 1)), *(-f for f in forces))
+        np.einsum("ij,ek->eijk", np.eye(3), term) for term in (smooth, -np.ones((count, 1)), *(-f for f in forces))
     ]
     design, away = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
-    smallest = float(np.sqrt(np.diag(np.sum([_matrix(part) for part in sources.values()], axis=0)).min()))
+    smallest = float(np.sqrt(np.diag(np.sum([_matrix(term) for term in sources.values()], axis=0)).min()))
     known_g = force is not None and prior is not None
     slope: FloatArray = np.zeros((3, 3))  # H
     for number in range(ROUNDS):
-        as_read = prior if prior is None or not known_g else _prior_as_read(prior, matrix, slope)
+        as_read = prior if prior is None or not known_g else _convert_prior(prior, matrix, slope)
         fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=as_read)
         change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
         if np.abs(away @ change.T).max() <= CONVERGED * smallest and not (known_g and number == 0):
@@ -184,13 +186,13 @@ def solve_inverse(
     return fit
 
 
-def _prior_as_read(prior: Prior, matrix: FloatArray, slope: FloatArray) -> Prior:
+def _convert_prior(prior: Prior, matrix: FloatArray, slope: FloatArray) -> Prior:
     """Return the prior of M, c and G (21) with G - (M - M_0) H in place of G, for M_0 ``matrix`` and H ``slope``."""
-    to_read = np.eye(21)
-    to_read[12:, :9] = -np.kron(np.eye(3), slope.T)
+    jacobian = np.eye(21)
+    jacobian[12:, :9] = -np.kron(np.eye(3), slope.T)
     shift = np.append(np.zeros(12), matrix @ slope)
-    mean = np.linalg.solve(to_read, prior.mean - shift)
-    return Prior(mean=mean, precision=to_read.T @ prior.precision @ to_read)
+    mean = np.linalg.solve(jacobian, prior.mean - shift)
+    return Prior(mean=mean, precision=jacobian.T @ prior.precision @ jacobian)
 
 
 def _matrix(covariance: FloatArray) -> FloatArray:
@@ -251,9 +253,9 @@ class _Rows:
         pivots = np.abs(np.diag(triangle))
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
-        known = np.concatenate((white @ self.value, self.prior @ self.mean))
-        back, along = np.linalg.inv(triangle), orthonormal.T @ known
-        theta, away = back @ along, known - orthonormal @ along
+        observations = np.concatenate((white @ self.value, self.prior @ self.mean))
+        back, along = np.linalg.inv(triangle), orthonormal.T @ observations
+        theta, away = back @ along, observations - orthonormal @ along
         residuals, inverse = self.value - self.design @ theta, white.T @ white
         weighted_design = white.T @ orthonormal[: len(white)]
         return _State(
@@ -284,11 +286,11 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
     shares = [((start[1].projector * shape).sum(), SHOWN * (start[1].inverse * shape).sum()) for shape in rows.shapes]
-    shown = np.array([k for k, (kept, least) in enumerate(shares) if kept > least], int)
-    if len(shown) > 1:
-        alone = (_climb(rows, *start, shown[[n]], FIRST_STEPS) for n in range(len(shown)))
-        start = min(alone, key=lambda found: found[1].deviance)
-    return _climb(rows, *start, shown, MAX_ITERATIONS)
+    observable = np.array([k for k, (residual, least) in enumerate(shares) if residual > least], int)
+    if len(observable) > 1:
+        candidates = (_climb(rows, *start, observable[[n]], FIRST_STEPS) for n in range(len(observable)))
+        start = min(candidates, key=lambda found: found[1].deviance)
+    return _climb(rows, *start, observable, MAX_ITERATIONS)
 
 
 def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:

@@ -58,7 +58,7 @@ class TriadParameters(NamedTuple):
         return TriadParameters(
             self.theta[:12],
             self.covariance[:12, :12],
-            {name: part[:12, :12] for name, part in self.parts.items()},
+            {name: share[:12, :12] for name, share in self.parts.items()},
         )
 
 
@@ -68,7 +68,7 @@ def parameters_of(fit: GlsFit) -> TriadParameters:
     return TriadParameters(
         np.concatenate((fit.theta[:9], offset, fit.theta[12:])),
         jacobian @ fit.covariance @ jacobian.T,
-        {name: jacobian @ part @ jacobian.T for name, part in fit.budget.items()},
+        {name: jacobian @ share @ jacobian.T for name, share in fit.budget.items()},
     )
 
 
@@ -86,8 +86,8 @@ def fit_of(
     ``remainder`` is the source that takes what the parts of the covariance leave of it.
     """
     rank, condition = scaled_condition(np.column_stack((inputs, np.ones(len(inputs)))))
-    known = bool(np.isfinite(parameters.covariance).all())
-    variances = {name: np.diag(part) for name, part in parameters.parts.items()}
+    finite = bool(np.isfinite(parameters.covariance).all())
+    variances = {name: np.diag(share) for name, share in parameters.parts.items()}
     g = parameters.g_sensitivity
     return triad_fit(
         residuals,
@@ -97,7 +97,7 @@ def fit_of(
         g_sensitivity=g,
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *(() if g is None else G_NAMES)),
         covariance=parameters.covariance,
-        budget=Budget.of(parameters.covariance, variances, remainder) if known else None,
+        budget=Budget.of(parameters.covariance, variances, remainder) if finite else None,
         rank=3 * rank + (0 if g is None else 9),
         condition=condition,
         valid_range=(float(inputs.min()), float(inputs.max())),
@@ -105,9 +105,9 @@ def fit_of(
     )
 
 
-def first_matrix(inputs: FloatArray, reading: FloatArray, others: FloatArray | None = None) -> FloatArray:
+def first_matrix(inputs: FloatArray, reading: FloatArray, regressors: FloatArray | None = None) -> FloatArray:
     """Return a first M by least squares of readings (E, 3) over inputs (E, 3), an offset, and other columns (E, C)."""
-    design = np.column_stack((inputs, np.ones(len(inputs)), *([] if others is None else [others])))
+    design = np.column_stack((inputs, np.ones(len(inputs)), *([] if regressors is None else [regressors])))
     return np.asarray(np.linalg.inv(np.linalg.lstsq(design, reading, rcond=None)[0][:3].T))
 
 
@@ -153,11 +153,11 @@ def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: An
     matrix = inputs.T @ solver  # eq. 3, eq. 6
     gains = np.zeros((12, inputs.size))
     gains[:9] = np.einsum("ik,nj->ijnk", np.eye(3), solver).reshape(9, -1)
-    parts = {name: carried(gains, part[: inputs.size, : inputs.size]) for name, part in fit.sources.items()}
+    parts = {name: carried(gains, share[: inputs.size, : inputs.size]) for name, share in fit.sources.items()}
     theta = np.concatenate((matrix.ravel(), np.zeros(3)))
     parameters = TriadParameters(theta, np.sum([*parts.values()], axis=0), parts)
-    made = fit_of(parameters, inputs, readings @ matrix.T - inputs, **names)
-    return replace(made, model=replace(made.model, rank=9, condition=condition))
+    fitted = fit_of(parameters, inputs, readings @ matrix.T - inputs, **names)
+    return replace(fitted, model=replace(fitted.model, rank=9, condition=condition))
 
 
 # ---- names of parameters: m_xx is the scale of x, m_xy a cross-axis term, offset_y the offset of y

@@ -46,7 +46,9 @@ def filtered_with_field(
     else:
         step = float(time[-1] - time[0]) / len(steps)
     sigma_dps = max(offset_sigma / RADIAN_PER_DEGREE, MIN_OFFSET_SIGMA_DPS)
-    gyr, acc, *mag = (np.ascontiguousarray(part) for part in np.split(values, range(3, values.shape[1], 3), axis=1))
+    gyr, acc, *mag = (
+        np.ascontiguousarray(columns) for columns in np.split(values, range(3, values.shape[1], 3), axis=1)
+    )
     out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma_dps, "tauAcc": acc_s})
     q: FloatArray = out["quat9D" if mag else "quat6D"]
     disturbed = float(out["magDistDetected"].mean()) if mag else 0.0

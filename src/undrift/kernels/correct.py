@@ -287,12 +287,12 @@ def without_line(
 def follow_turning(
     rate: FloatArray, time: FloatArray, above: float, mean_s: float, hold_s: float, state: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
-    m0, m1, m2, last, turned = state
+    m0, m1, m2, last, last_turning = state
     for k in range(time.size):
         w0, w1, w2, t = rate[3 * k], rate[3 * k + 1], rate[3 * k + 2], time[k]
         if w0 == w0 and w1 == w1 and w2 == w2:
             share = 1.0 if math.isnan(last) else (t - last) / (mean_s + t - last)
             m0, m1, m2, last = m0 + share * (w0 - m0), m1 + share * (w1 - m1), m2 + share * (w2 - m2), t
-            turned = t if m0 * m0 + m1 * m1 + m2 * m2 > above * above else turned
-        out[k] = 1.0 if t - turned <= hold_s else 0.0
-    state[0], state[1], state[2], state[3], state[4] = m0, m1, m2, last, turned
+            last_turning = t if m0 * m0 + m1 * m1 + m2 * m2 > above * above else last_turning
+        out[k] = 1.0 if t - last_turning <= hold_s else 0.0
+    state[0], state[1], state[2], state[3], state[4] = m0, m1, m2, last, last_turning

@@ -24,16 +24,16 @@ def add_drift(
     # given the dwell before, then the mean given the start, take a normal number each: exact for any gap and length.
     count = constants.size
     ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # the end of the dwell before: mean, variance about it
-    phi, root, pull, left, fade = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    known = -1.0
+    phi, root, pull, step_sd, fade = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    last_length = -1.0
     for s in range(first.size - 1):
         ahead[:], spread[:] = 0.0, 1.0
         spread[count] = 0.0
         for j in range(first[s], first[s + 1]):
             length, u = duration[j], normals[row[j]]
             gap = start[j] - start[j - 1] - duration[j - 1] if j > first[s] else math.inf
-            if length != known:
-                known = length
+            if length != last_length:
+                last_length = length
                 for p in range(count):
                     a = length / constants[p]
                     lost = -math.expm1(-a)
@@ -41,7 +41,7 @@ def add_drift(
                     v = 2.0 / a * (1.0 - phi[p]) - phi[p] * phi[p]
                     root[p], pull[p] = math.sqrt(v), phi[p] * lost / v
                     fade[p] = math.exp(-a)
-                    left[p] = max(lost * (2.0 - lost) - pull[p] * phi[p] * lost, 0.0)
+                    step_sd[p] = max(lost * (2.0 - lost) - pull[p] * phi[p] * lost, 0.0)
             for p in range(count):
                 keep = math.exp(-gap / constants[p])
                 fresh = math.sqrt(keep * keep * (spread[p] - 1.0) + 1.0)
@@ -50,7 +50,7 @@ def add_drift(
                     mean = phi[p] * x + root[p] * u[i, 2 * p + 1]
                     out[j, i] += sd[p, i] * mean
                     ahead[p, i] = fade[p] * x + pull[p] * root[p] * u[i, 2 * p + 1]
-                spread[p] = left[p]
+                spread[p] = step_sd[p]
             p = count
             fresh = math.sqrt(spread[p] + gap) if j > first[s] else 0.0
             for i in range(3):
@@ -73,9 +73,9 @@ def mean_codes(
             x, b, s = level[j, i], bias[kind[j], i], sd[kind[j], i]
             place = (x - np.floor(x)) * cells
             cell = min(int(place), cells - 1)
-            part = place - cell
-            spread = s[cell] + part * (s[cell + 1] - s[cell])
-            out[j, i] = x + b[cell] + part * (b[cell + 1] - b[cell]) + spread * normals[row[j], i, -1]
+            fraction = place - cell
+            spread = s[cell] + fraction * (s[cell + 1] - s[cell])
+            out[j, i] = x + b[cell] + fraction * (b[cell + 1] - b[cell]) + spread * normals[row[j], i, -1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine

@@ -64,7 +64,7 @@ def accumulate(
     channels = regressors.size // n
     width = 9 * channels
     total = np.zeros(width)
-    part = np.empty(width)
+    increment = np.empty(width)
     qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
     p = 0
     while p < points and at[p] <= time[0]:
@@ -81,7 +81,7 @@ def accumulate(
         for e in range(9):
             scaled = r[e] * dt
             for c in range(channels):
-                part[e * channels + c] = scaled * regressors[k * channels + c]
+                increment[e * channels + c] = scaled * regressors[k * channels + c]
         while p < points and at[p] <= time[k]:
             x = (at[p] - time[k - 1]) / dt
             half = 0.5 * x * dt
@@ -89,14 +89,14 @@ def accumulate(
                 qw, qx, qy, qz, wx * half, wy * half, wz * half
             )
             for e in range(width):
-                sum_out[p * width + e] = total[e] + x * part[e]
+                sum_out[p * width + e] = total[e] + x * increment[e]
             p += 1
         half = 0.5 * dt
         qw, qx, qy, qz = turned(qw, qx, qy, qz, wx * half, wy * half, wz * half)
         scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)
         qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
         for e in range(width):
-            total[e] += part[e]
+            total[e] += increment[e]
 
 
 # ---- strapdown
@@ -161,8 +161,8 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
 def carried_means(
     rate: FloatArray,
     force: FloatArray,
-    of_rate: FloatArray,
-    of_force: FloatArray,
+    rate_regressors: FloatArray,
+    force_regressors: FloatArray,
     time: FloatArray,
     first: IntArray,
     weight: FloatArray,
@@ -171,28 +171,28 @@ def carried_means(
     # Weighted sums over windows, in the frame of the first sample, R by strapdown from there: R f; what a rate x_c e_b adds to
     # them, [a, b, c] of (the integral of R[:, b] x_c dt) x R f; what a force y_c e_b adds, R[a, b] y_c. Regressors as above.
     n = time.size
-    x, y = of_rate.size // n, of_force.size // n
+    x, y = rate_regressors.size // n, force_regressors.size // n
     width = 3 + 9 * x + 9 * y
     q = np.empty(4 * n)
     strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]), q)
     out[:] = 0.0
-    total, one, before = np.zeros(9 * x), np.empty(width), np.eye(3).ravel()
+    total, values, before = np.zeros(9 * x), np.empty(width), np.eye(3).ravel()
     p, row = 0, 3 * x
     for k in range(n):
         half = 0.5 * (time[k] - time[max(k - 1, 0)])
         r = matrix_of(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3])
         for e in range(9):
             for c in range(x):
-                total[e * x + c] += (before[e] + r[e]) * half * of_rate[k * x + c]
+                total[e * x + c] += (before[e] + r[e]) * half * rate_regressors[k * x + c]
             before[e] = r[e]
             for c in range(y):
-                one[3 + 9 * x + e * y + c] = r[e] * of_force[k * y + c]
+                values[3 + 9 * x + e * y + c] = r[e] * force_regressors[k * y + c]
         for a in range(3):
-            one[a] = r[3 * a] * force[3 * k] + r[3 * a + 1] * force[3 * k + 1] + r[3 * a + 2] * force[3 * k + 2]
+            values[a] = r[3 * a] * force[3 * k] + r[3 * a + 1] * force[3 * k + 1] + r[3 * a + 2] * force[3 * k + 2]
         for b in range(row):
-            one[3 + b] = total[row + b] * one[2] - total[2 * row + b] * one[1]
-            one[3 + row + b] = total[2 * row + b] * one[0] - total[b] * one[2]
-            one[3 + 2 * row + b] = total[b] * one[1] - total[row + b] * one[0]
+            values[3 + b] = total[row + b] * values[2] - total[2 * row + b] * values[1]
+            values[3 + row + b] = total[2 * row + b] * values[0] - total[b] * values[2]
+            values[3 + 2 * row + b] = total[b] * values[1] - total[row + b] * values[0]
         while p < first.size and first[p] + weight.size <= k:
             p += 1
         for w in range(p, first.size):
@@ -200,4 +200,4 @@ def carried_means(
                 break
             share = weight[k - first[w]]
             for e in range(width):
-                out[width * w + e] += share * one[e]
+                out[width * w + e] += share * values[e]
