@@ -1,21 +1,24 @@
-"""From a session to a Calibration: one file a procedure, from what a session shows to a fit with covariance, budget and verdict.
+"""Fit a Calibration to a Session: one file per procedure, each returning a fit with covariance, budget and verdict.
 
-In: a ``Session``, raw recordings (N, 3) in the unit of the device, with stills and turns as stated in it, else found; or records
-with an orientation reference each. Out: a ``Calibration``: a TriadModel for each triad, the ADC's rounding, verdict, provenance.
+In: a ``Session`` of raw recordings (N, 3) in the unit of the device. Its stills and turns are used as given, or detected. Motion
+calibrations need recordings only, with an orientation reference or without one.
+Out: a ``Calibration`` with a TriadModel for each triad, the rounding of the ADC, verdict and provenance.
 
-    session                      stills, faces, turns and temperature of a session; what every fit returns
-    calibrate                    the fits that a session allows, in turn
-    six_face, moves              accelerometers against gravity: on faces, in free poses (norm: |M (u - o)| = g)
-    rate_table, known_rotation   gyroscopes against rates (dwells: what the table did) and angles; moves: between rests
-    reference, reference_accel   both against the poses of a reference
-    creep, codes                 what moves within a session; what rounding to codes does
-    noise                        of a device at rest, by Allan variance
-    quality, plausibility        are rests still and turns steady; answers that cannot be
-    triads                       do gyroscopes and accelerometers agree on one motion
-    pieces                       what recordings contain, and why it was or was not used
-    settings                     settings of a fit
+    session                      stills, faces, turns and temperature of a session, and the result type of every fit
+    calibrate                    choice among the fits that a session allows
+    six_face, moves              accelerometers against gravity, on faces or in free poses (norm: |M (u - o)| = g)
+    rate_table, known_rotation   gyroscopes against steady rates and known angles (table: true axes and rates of a dwell)
+    reference, reference_accel   both triads against the poses of a reference (reference_windows: equations)
+    in_motion, magnetometer      both triads and the magnetometer in free motion
+    sources, codes               drift within a session, rounding to codes
+    noise                        Allan variance of a device at rest
+    quality, plausibility        still rests and steady turns, implausible results
+    triads                       agreement of gyroscopes and accelerometers on one motion
+    pieces                       contents of recordings, and why they were used or not
+    settings, expanded           settings of a fit, expanded uncertainty of its parameters
 
-The method is alike in all: means over rests and turns, the errors of these means by source, least squares that weighs by them, and
-a verdict whose findings name what was not observable. Results are SI, rad/s and m/s2, in axes of the case b:
-corrected = M (raw - o) - G accel, its covariance by parameter as in ``model.TriadModel``. Open calibrate first, then six_face.
+All procedures share one method. They compute means over rests and turns, and the errors of these means by source. Least squares
+weights the means with these errors. The findings of the verdict name the parameters that were not observable.
+Results are in SI units, rad/s and m/s2, in axes of the case b: corrected = M (raw - o) - G accel. The covariance follows the
+parameters as in ``model.TriadModel``. Open calibrate first, then six_face.
 """

@@ -1,15 +1,14 @@
-"""From a session to a Calibration, with the fits that its recordings allow.
+"""Fit a Calibration to a Session with the procedures that its recordings allow.
 
     accelerometer   six-face         rests on six faces, or on five that are labelled
                     multi-position   nine free poses or more
-    gyroscope       rate-table       turns at a stated rate about x, y and z
-                    known-rotation   turns by a stated angle, or three full turns found between rests
+    gyroscope       rate-table       turns at a known rate about x, y and z
+                    known-rotation   turns by a known angle, or three full turns found between rests
                     multi-position   moves between nine rests or more
                     rest             only the offset, if the readings are in a physical unit
 
-The first that the session allows is used, unless the caller names one. Readings whose codes are found to be truncated are
-corrected by half a step before anything is fitted, as ``correct`` does. A parameter that the session does not determine is a
-finding, which names the recording that would determine it.
+The first procedure that the session allows is used, unless the caller names another. Truncated readings are corrected by half a
+step before the fit, as ``correct`` does. If the session does not determine a parameter, a finding names a recording that does.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -52,15 +51,17 @@ Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 
 MIN_FREE_POSES = 9  # of a multi-position fit
 LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # as degrees a place at the equator, as radians 23 to 70 deg, where people live
-GRAVITY_SPREAD = 0.02  # m/s2: standard gravity against that of any place, 9.78 to 9.83
+GRAVITY_SPREAD = (
+    0.02  # m/s2: largest difference between standard gravity and local gravity, which ranges from 9.78 to 9.83
+)
 RECORD_TURNS = "record turns by known rates or angles"
 
 
 def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
-    """Measure the offset of the gyroscopes in rests; the scale factor is nominal."""
+    """Measure the offset of the gyroscopes at rest, with a nominal scale factor."""
     records, stills = observed.session.records, observed.stills
     unit = records[0].gyro_unit
-    # Faces and poses are meant for the accelerometers; full turns were meant for the gyroscopes.
+    # Faces and poses are meant for the accelerometers. Full turns were meant for the gyroscopes.
     level: Level = "warn" if accel is None or observed.turns_of(2.0 * np.pi) else "info"
     if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
         return Outcome(findings=(_not_observable("Gyroscope", level, record=RECORD_TURNS),))
@@ -110,34 +111,40 @@ def calibrate(
 
     Parameters
     ----------
-    session, more : Session, or recordings of one device
-        A session's stills and turns are used as stated; in recordings they are found.
+    session, further : Session, or recordings of one device
+        A session's stills and turns are used as given. Recordings have no stills and turns, so these are detected.
     accel, gyro : str, optional
-        Method of each triad; gyro "none" leaves it out. None chooses.
+        Method of each triad. None selects the first method that the session allows; gyro "none" omits the gyroscopes.
     mode : str, optional
-        paper or affine; None is affine.
-    gravity_m_s2, serial
-        Of recordings: local gravity, m/s2 (None assumes standard gravity, and the verdict says so), and the serial number.
+        "paper" or "affine". None is affine.
+    gravity_m_s2 : float, optional
+        Local gravity of recordings, m/s2. If None, standard gravity is assumed and the verdict reports it.
+    serial : str
+        Serial number of the device of recordings.
     settings : CalibrateSettings
         Further choices.
 
     Returns
     -------
     Calibration
-        What the recordings determine, the verdict, and where it came from.
+        Models of the triads that the recordings determine, with verdict and provenance.
 
     Raises
     ------
-    NotObservable, Implausible, InputError
-        Recordings do not allow a fit that was asked for, or any; data cannot be this device; a choice is unknown.
+    NotObservable
+        The recordings do not allow the requested fit, or none at all.
+    Implausible
+        The data cannot come from this device.
+    InputError
+        A choice is unknown, or a recording is unusable.
 
     Examples
     --------
     >>> import numpy as np, undrift
     >>> device = undrift.random_device(np.random.default_rng(7))
     >>> session = undrift.simulate_session("bench", device, rng=np.random.default_rng(8))
-    >>> made = undrift.calibrate(session)
-    >>> made.gyro.method, made.accel.method, made.verdict.status
+    >>> calibration = undrift.calibrate(session)
+    >>> calibration.gyro.method, calibration.accel.method, calibration.verdict.status
     ('rate-table/affine', 'six-face/affine', 'good')
     """
     if isinstance(session, Record):
@@ -152,7 +159,7 @@ def calibrate(
 def _build_session(
     records: Sequence[Record], gravity_m_s2: float | None, source: GravitySource, serial: str = ""
 ) -> Session:
-    """Return recordings as a session; gravity is the standard one if it is not given."""
+    """Return recordings as a session, with standard gravity if none is given."""
     return Session(
         kind="calibration",
         serial=serial or records[0].device,
@@ -223,7 +230,7 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
 
 
 def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
-    """Yield what speaks against what the session states, and how far its rests drift."""
+    """Yield findings about a doubtful latitude, gravity or gyroscope scale, and about the drift at rest."""
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
         as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
@@ -240,15 +247,15 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
 
 
 def _observe_restored(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
-    """Return the converter's rounding, and what the session shows once it is corrected."""
+    """Return the converter's rounding, and the rests and turns of the session after its correction."""
     adc = device_adc(session.records) if settings.identify_adc else None
     return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
 
 
 def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
-    """Return a bare session with the rests and turns found in it, and its steady turns, whose rate only the rig knows.
+    """Return a session with the rests and turns detected in it, and its steady turns, whose rate only the rig knows.
 
-    Rests carry a face if the accelerometers would be calibrated from faces.
+    Rests get a face label if the accelerometers would be calibrated on faces.
     """
     observed = _observe_restored(in_one_unit(session), settings)[1]
     stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
@@ -289,7 +296,7 @@ def _calibrate_accel(observed: Observed, method: AccelFit | None, mode: Mode | N
 
 
 def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:
-    """Return the gyroscopes' fit; if none is possible, their offset at rest."""
+    """Fit the gyroscopes. If no fit is possible, return their offset at rest."""
     if method == "none" or all(record.gyro is None for record in observed.session.records):
         if method not in (None, "none"):
             raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
@@ -332,7 +339,7 @@ def _choose_gyro_fit(observed: Observed, accel: TriadFit | None, saturated: tupl
         return "rest", 0
     if any(turn.angle is not None for turn in turns) or observed.full_turns():
         return "known-rotation", 0
-    # Slow moves between free poses are steady too; beside six faces, steady turns may be those of a table.
+    # Slow moves between free poses are steady too. With six faces, steady turns may come from a rate table.
     free_poses = accel is not None and accel.model.method == "multi-position"
     steady = 0 if free_poses else len(observed.plateaus())
     with_force = any(record.accel is not None for record in observed.session.records)
@@ -360,7 +367,7 @@ def _provenance(choices: Mapping[str, object], inputs: tuple[tuple[str, str], ..
 
 
 def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
-    """Return every setting that a fit of a session used, and what it used of the session."""
+    """Return every setting that a fit used, and the parts of the session that it used."""
     session, settings = observed.session, asdict(observed.settings)
     turns = session.turns or (observed.full_turns() if gyro == "known-rotation" else ())
     faces = {still.face for still in observed.faced}
@@ -420,23 +427,25 @@ def calibrate_to_references(
     Parameters
     ----------
     records, references : sequence of Record, sequence of Reference
-        Raw recordings of one device, best with a rest of 3 s before the motion, and the reference of each.
+        Raw recordings of one device, best with a rest of 3 s before the motion, and one reference per recording.
     adc : str
-        "auto" fits what the codes lost if their rounding is identified; "none" leaves the codes.
+        "auto" corrects the rounding of the codes if it can be identified. "none" leaves the codes unchanged.
     settings, lag_settings : ReferenceSettings, LagSettings
-        Of the fit, and of the search for the lag between the clocks.
-    gravity_m_s2, gravity_source
-        Local gravity, m/s2, and where it is from; None assumes standard gravity, and the verdict says so.
+        Settings of the fit, and of the search for the lag between the clocks.
+    gravity_m_s2 : float, optional
+        Local gravity, m/s2. If None, standard gravity is assumed and the verdict reports it.
+    gravity_source : str
+        Source of the value of gravity, stored in the calibration.
 
     Returns
     -------
     Calibration
-        Gyroscopes, and accelerometers if all recordings have them; the verdict names what neither rests nor motion show.
+        Gyroscopes, and accelerometers if all recordings have them. The verdict names parameters that are not observable.
 
     Raises
     ------
     InputError
-        All that ``fit_reference`` raises.
+        The recordings or references are unusable, as for ``fit_reference``.
     """
     session = _build_session(records, gravity_m_s2, gravity_source)
     check_choice(adc, Adc, "calibrate", "adc")
@@ -484,26 +493,29 @@ def calibrate_from_motion(
     gravity_source: GravitySource = "stated",
     magnetometer: bool = False,
 ) -> Calibration:
-    """Calibrate one device from recordings in which it is turned: gravity in motion shows both triads.
+    """Calibrate both triads of a device from recordings in which it is turned about all axes.
 
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in physical units, 20 s and more each, best with a rest somewhere.
+        Raw recordings of one device in physical units, 20 s or more each, best with a rest somewhere.
     adc, gravity_m_s2, gravity_source
         As for ``calibrate_to_references``.
     magnetometer : bool
-        Whether to fit the magnetometer too, by the recordings that have one.
+        If True, also calibrate the magnetometer with the recordings that have one.
 
     Returns
     -------
     Calibration
-        Both triads; the gyroscopes' offset is that of all recordings. The verdict names what the motion did not show.
+        Both triads, with the mean offset of the gyroscopes over all recordings. The verdict names elements that the motion
+        did not determine.
 
     Raises
     ------
-    InputError, NotObservable
-        As ``fit_in_motion``, or a corrected recording.
+    InputError
+        A recording is corrected already, or ``fit_in_motion`` cannot use it.
+    NotObservable
+        The device is not turned about all axes.
 
     Examples
     --------
@@ -546,7 +558,7 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
     )
     fit = fit_readings(readings)
     verdict = fit.gyro.verdict
-    if magnetometer:  # the field is then a second direction beside gravity
+    if magnetometer:  # the magnetic field then is a second reference direction next to gravity
         field = _fit_field(readings, fit)
         readings = [
             record
@@ -576,7 +588,7 @@ def _rate_in_motion(record: Record, fit: InMotion, number: int) -> FloatArray:
 
 
 def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
-    """Fit the magnetometer to the recordings that have one; the gyroscopes and gravity give the attitude."""
+    """Fit the magnetometer with the recordings that have one. Gyroscopes and gravity determine the attitude."""
     readings: list[FieldReadings | None] = [None] * len(records)
     for number, record in enumerate(records):
         if record.mag_ut is not None:

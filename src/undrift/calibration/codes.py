@@ -1,16 +1,17 @@
-"""Codes of a converter: their step, how readings were rounded to them, and what rounding leaves in a mean.
+"""Step of the codes of a converter, the kind of rounding, and the rounding error that remains in a mean.
 
-The step q is the common divisor of the differences between readings. Readings in rad/s that went through a float are the same
-codes with rounding dust on them. The rounding shows at code 0: truncation toward zero maps (-q, q) to 0, a bin twice as wide as
-its neighbours. With n(k) samples at code k and expected(0) the mean of n over codes +-1..+-8::
+The step q is the common divisor of the differences between readings. Readings in rad/s that were stored as a float are the same
+codes with float errors. Code 0 identifies the rounding: truncation toward zero maps (-q, q) to 0, a bin twice as wide as its
+neighbours. With n(k) samples at code k and expected(0) the mean of n over codes +-1..+-8::
 
     ratio = n(0) / expected(0)          1 for nearest and floor, 2 for toward zero
 
-Nearest and floor differ by half a step everywhere, which an offset takes up. Only samples that sweep through zero are counted: at
-rest the density near code 0 is not level.
+Nearest and floor differ by half a step everywhere, so the offset absorbs the difference. Only samples that sweep through zero are
+counted, because the density near code 0 is not level at rest.
 
-A reading x + n, n normal of variance s^2, that is rounded to steps q has a mean off x by sum_k q/(pi k) sin(2 pi k x / q)
-exp(-2 pi^2 k^2 s^2 / q^2). Its variance over all places x between two codes is Q; the readings themselves scatter by S::
+A reading x + n with normal n of variance s^2 is rounded to steps q. Its mean differs from x by sum_k q/(pi k) sin(2 pi k x / q)
+exp(-2 pi^2 k^2 s^2 / q^2). Q is the variance of this difference over all positions x between two codes. The readings themselves
+scatter by S::
 
     Q = sum_k q^2 / (2 pi^2 k^2) exp(-4 pi^2 k^2 s^2 / q^2)       q^2 / 12 without noise
     S = s^2 + q^2 / 12 - Q
@@ -28,7 +29,7 @@ from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
 MIN_CODES, MAX_CODES = 4, 200_000  # distinct readings that show a grid, and that are searched for it
-MAX_GRID_MISS = 0.15  # of a step: how far readings may be off the grid; files round to a tenth of a step
+MAX_GRID_MISS = 0.15  # largest distance of readings from the grid, in steps (files round to a tenth of a step)
 MAX_PHASE = 0.05  # of a step: beyond it an offset was subtracted from the codes
 FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
 SIDE_CODES = 8  # codes on either side of zero that give its expected count
@@ -39,10 +40,10 @@ SIGMAS = 4.0  # by which the other ratio must be excluded
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CodeGrid:
-    """Step and rounding of the codes of one triad."""
+    """Step and rounding of the codes of a triad."""
 
-    lsb: FloatArray | None  # (3,), step of each axis, unit of the readings; None if the readings lie on no grid
-    rounding: Rounding | None  # toward_zero; nearest (which stands for floor too); None if not identifiable
+    lsb: FloatArray | None  # (3,), step of each axis, unit of the readings, or None if the readings lie on no grid
+    rounding: Rounding | None  # toward_zero, nearest (also used for floor), or None if not identifiable
     reason: str = ""  # why the step or the rounding is not known
 
 
@@ -73,7 +74,7 @@ def identify_adc(values: FloatArray) -> CodeGrid:
 
 
 def device_adc(records: Sequence[Record]) -> AdcModel | None:
-    """Find the ADC of a device from all its raw recordings together; None if the rounding of no triad is certain."""
+    """Identify the ADC from all raw recordings of a device. Return None if the rounding of no triad is certain."""
     fields: dict[str, Any] = {}
     for name in ("gyro", "accel"):
         readings = [values for record in records if (values := getattr(record, name)) is not None]
@@ -84,7 +85,7 @@ def device_adc(records: Sequence[Record]) -> AdcModel | None:
 
 
 def code_grid(column: FloatArray) -> tuple[float, float]:
-    """Return the step between neighbouring codes of one axis (N,), and the phase of the grid; NaN if there is no grid."""
+    """Return the step between neighbouring codes of an axis (N,) and the phase of the grid, or NaN without a grid."""
     no_grid = float("nan"), float("nan")
     distinct = np.unique(column[np.isfinite(column)])
     if not MIN_CODES <= len(distinct) <= MAX_CODES:
@@ -116,7 +117,9 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 def _swept_codes(column: FloatArray, step: float) -> FloatArray:
     """Return how often each code near zero occurs while the reading sweeps through zero."""
     codes = np.round(column / step)
-    travelled = np.abs(codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES])  # NaN beside a gap, which is no motion
+    travelled = np.abs(
+        codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES]
+    )  # NaN next to a gap, which does not count as motion
     middle = codes[SWEEP_SAMPLES:-SWEEP_SAMPLES]
     near = middle[(travelled >= SWEEP_CODES) & (np.abs(middle) <= SIDE_CODES)]
     return np.bincount(near.astype(np.int64) + SIDE_CODES, minlength=2 * SIDE_CODES + 1).astype(float)
@@ -139,7 +142,7 @@ def restored_gyro(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
 
 
 def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = None) -> Record:
-    """Return a record corrected for the half steps that the rounding took, gyroscopes by what a fit found of them, (3,)."""
+    """Return a record without the half steps of rounding. ``codes`` (3,) replaces the half steps of the gyroscopes."""
     if adc is None:
         return record
     accel, gyro = record.accel, record.gyro
@@ -172,7 +175,7 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
 
 
 def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
-    """Return Q for steps q and variances S of single readings (3,); 0 if the step is not known."""
+    """Return Q for steps q and variances S of single readings (3,), or 0 if the step is unknown."""
     bias_variance = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(
         axis=0
     )

@@ -1,8 +1,8 @@
 """Expanded uncertainty of the parameters of a calibration, combined from the shares of its budget (JCGM 100).
 
-    u^2 = sum_i u_i^2        the shares u_i that the fit kept; their sum is the variance of the calibration's covariance
-    nu  = n (u / u_r)^4      Welch-Satterthwaite; u_r repeatability, from the residuals of n spare equations, the others are known
-    U   = k u                k = 2, below 50 degrees of freedom Student's t for 95.45 %
+    u^2 = sum_i u_i^2        shares u_i of the fit, which sum to the variance in the calibration's covariance
+    nu  = n (u / u_r)^4      Welch-Satterthwaite, with repeatability u_r from the residuals of n spare equations
+    U   = k u                k = 2, or Student's t for 95.45 % below 50 degrees of freedom
 
 Values are in units of the triad.
 """
@@ -19,12 +19,16 @@ from undrift.calibration.norm import QUADRATIC_SD
 from undrift.model import Calibration, TriadModel
 from undrift.units import INHABITED_GRAVITY, STANDARD_GRAVITY
 
-COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725  # k; degrees of freedom from which it holds; quantile of 95.45 %
+COVERAGE, ENOUGH, STUDENT_TAIL = (
+    2.0,
+    50.0,
+    0.97725,
+)  # k, the degrees of freedom from which it applies, and the quantile for 95.45 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterTable:
-    """The parameters of one triad with their uncertainty, in units of the triad; arrays are (P,)."""
+    """Parameters of a triad with their uncertainty, in units of the triad. Arrays are (P,)."""
 
     names: tuple[str, ...]
     value: FloatArray
@@ -46,7 +50,7 @@ def block_of(name: str) -> str:
 
 
 def gravity_uncertainty(calibration: Calibration, triad: str = "accel") -> float:
-    """Return the standard uncertainty of local gravity, relative: 0 where it was stated, or follows from a place."""
+    """Return the relative standard uncertainty of local gravity, 0 if it was given or computed from a place."""
     local = triad == "gyro" or dict(calibration.provenance.settings).get("gravity") in ("stated", "latitude and height")
     return 0.0 if local else float(np.ptp(INHABITED_GRAVITY)) / math.sqrt(12.0) / calibration.gravity_m_s2
 

@@ -1,18 +1,18 @@
-"""Both triads from motion alone: gravity, carried along by the strapdown, must stay one vector of its own length.
+"""Calibrate both triads from motion only: gravity in the strapdown's level frame must be one constant vector of its length.
 
 ::
 
-    w = M (u - o)    f = A (s - p)        readings u and s; matrices M and A, offset p of a device; offset o of a recording
-    F(t) = R(t) f(t) = g u + a(t)         R by strapdown of w (fit/carried.py: what disturbs the means of F, and how much)
+    w = M (u - o)    f = A (s - p)        readings u and s, matrices M and A, offset p of a device, offset o of a recording
+    F(t) = R(t) f(t) = g u + a(t)         R by strapdown of w (errors of the means of F: fit/carried.py)
 
-No rest, rig or optics is needed. If a recording rests, its offset is the mean reading there, within the change from rest to motion.
-Elements of M and A are near those of the identity, each kind within a size that the device itself widens: elements that the motion
-does not determine keep that prior, and a finding names them. The motion determines how both triads are turned against each other,
-but not how they are turned in the case. A magnetic field, corrected beforehand (calibration/magnetometer.py), is a second direction
-that R must keep: it determines turns about the vertical.
+No rest, rig or optics is needed. If a recording has a rest, its offset is the mean reading there, within the change from rest to
+motion. The prior expects elements of M and A near those of the identity. The fit widens each kind of element to suit the device.
+Elements that the motion does not determine keep the prior, and a finding names them. The motion determines the rotation between the
+triads, but not their rotation in the case. A calibrated magnetic field (calibration/magnetometer.py) is a second direction that R
+must keep, and determines turns about the vertical.
 
-Gauss-Newton on x = (M, A, p, usual offset, o of each part), from short stretches, over which the first rates err little, to long
-ones. The prior is a set of rows, B x = b within a spread each.
+Gauss-Newton solves for x = (M, A, p, usual offset, o of each part). It starts with short stretches, which tolerate errors of the
+first rates, and ends with long ones. The prior is a set of rows, B x = b with a standard deviation each.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,9 +39,9 @@ BRIDGED_S = 0.05  # longest gap over which a line is near enough to the readings
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
 # rad/s: from rest to motion, from one recording to another, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
-# errors over what the equations state: gyroscopes 1.2 simulated and 1.5 in real trials, accelerometers 1.8
+# ratio of the actual errors to those of the equations: gyroscopes 1.2 simulated, 1.5 in real trials, accelerometers 1.8
 WIDENED = {"gyro": 1.5, "accel": 1.8}
-ONE_AXIS = 0.1  # share of the rates about the main axis, below which the others are no turns. Assumed.
+ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1. Assumed.
 IMPLAUSIBLE = 0.25  # of a scale factor: raw parts are within 0.2
 SHOWN = 0.7  # of the prior deviation, below which an element counts as determined
@@ -51,9 +51,9 @@ FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field m
 
 # ---- what is known about the matrices of a raw device
 #
-#     t = T (M - I, A - I, p)      t_d ~ N(0, size^2 of each kind)      M and A of a device d, p the offset of its accelerometers
+# t = T (M - I, A - I, p)      t_d ~ N(0, size^2 of each kind)      M, A and accelerometer offset p of a device d
 #
-# Kinds, three elements each. Sizes are twice what is published of 16 units of one part: scale factors of 0.12 to 0.20 and 0.07 to
+# Each kind has three elements. Sizes are twice those published for 16 units of one part: scale factors 0.12 to 0.20 and 0.07 to
 # 0.14 %, symmetric cross-axis terms of 0.05 to 2.4 mrad, and 0.3 to 1.2 mrad between the triads. They count as known from a number
 # of elements: cross-axis terms from thirty, scale factors and offsets from six, since data sheets allow more. Assumed.
 
@@ -62,7 +62,7 @@ KINDS = {  # size, number of elements that it is known from
     "gyro_cross": (0.0028, 30.0),  # (m_ij + m_ji) / 2
     "accel_scale": (0.004, 6.0),
     "accel_cross": (0.0028, 30.0),
-    "between": (0.004, 30.0),  # rotation of the gyroscopes minus that of the accelerometers, rad
+    "between": (0.004, 30.0),  # rotation of the gyroscopes relative to the accelerometers, rad
     "case": (0.002, 30.0),  # mean of both rotations, rad
     "accel_offset": (0.3, 6.0),  # m/s2
 }
@@ -118,12 +118,14 @@ class _Part:
     force: FloatArray  # (N, 3), readings, m/s2
     moving: FloatArray  # (N,), 1 in motion and 0 at rest
     rest: FloatArray | None  # (3,), mean rate at the first rest of the recording, rad/s
-    rest_spread: FloatArray  # (3,), by which the offset in motion may differ from it: a body that sways is no rest
+    rest_spread: (
+        FloatArray  # (3,), standard deviation of the change to the offset in motion, larger for a body that sways
+    )
     mag: FloatArray | None  # (N, 3), magnetic field, scaled to the size of gravity
     stretches: list[tuple[slice, CarriedMeans, CarriedMeans]] = field(default_factory=list)  # gravity, magnetic field
 
     def cut(self, length_s: float) -> None:
-        """Cut it into stretches of about a length; the sizes of their errors begin as usual."""
+        """Cut the part into stretches of about a length, with default sizes of their errors."""
         count = max(1, round((self.time[-1] - self.time[0]) / length_s))
         if count != len(self.stretches):
             spans = [slice(*ends) for ends in pairwise(np.linspace(0, len(self.time), count + 1).astype(int))]
@@ -164,12 +166,10 @@ def fit_in_motion(
     gravity_uncertainty: float = 0.0,
     field: bool = False,
 ) -> InMotion:
-    """Fit both triads of one device to raw recordings of 20 s and more in which it is turned; gravity in m/s2.
+    """Fit both triads of one device to raw recordings of 20 s or more in which it is turned, with gravity in m/s2.
 
-    With ``field``, their magnetometer, corrected beforehand, is a second direction that the gyroscopes must carry along.
-
-    Raises InputError for a triad that is missing, counts, gaps, short recordings or several units, NotObservable for a device that
-    is not turned.
+    With ``field``, a calibrated magnetometer gives a second direction that the strapdown must keep. Raise InputError for a missing
+    triad, counts, gaps, several units or short recordings, and NotObservable for a device that is not turned.
     """
     _check(records)
     parts = _parts([record.in_units("rad/s", "m/s2") for record in records], gravity_m_s2 if field else None)
@@ -203,12 +203,12 @@ def fit_in_motion(
     for first, size in ((0, sizes[0]), (9, sizes[2])):
         scale = first + np.array([0, 4, 8])
         hidden = scale[np.sqrt(np.diag(covariance)[scale]) > SHOWN * size]
-        covariance[hidden, hidden] += SCALE_FACTOR**2  # only a data sheet states it
+        covariance[hidden, hidden] += SCALE_FACTOR**2  # only the data sheet gives its scale
     return _result(records, parts, x, covariance, Verdict.of(*_findings(x, covariance, sizes)))
 
 
 def without_gaps(record: Record) -> list[Record]:
-    """Return the stretches of 20 s and more between gaps (NaN, steps of time), or the record; short gaps are bridged."""
+    """Return the stretches of 20 s or more between gaps (NaN, time steps), with short gaps bridged, or the record itself."""
     if record.gyro is None or record.accel is None:
         return [record]
     rows = np.flatnonzero(np.isfinite(np.hstack((record.gyro, record.accel))).all(axis=1))
@@ -249,7 +249,7 @@ def _check(records: Sequence[Record]) -> None:
 
 
 def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
-    """Return recordings in rad/s and m/s2 as parts of the fit; raise if the device is not turned about all axes."""
+    """Return recordings in rad/s and m/s2 as parts of the fit. Raise if the device is not turned about all axes."""
     parts = list[_Part]()
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
@@ -294,9 +294,9 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
 
 
 def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the rows (E, P), values (E,) and spreads (E,) of the prior; the first 21 are those of the kinds of elements.
+    """Return the rows (E, P), values (E,) and standard deviations (E,) of the prior, starting with 21 rows for the elements.
 
-    The offset of a device is near zero, that of each part near it, and near its reading at rest.
+    The prior of the device offset is zero. The prior of a part's offset is the device offset and its reading at rest.
     """
     count, eye = 24 + 3 * len(parts), np.eye(3)
     kinds = np.hstack((TO_KINDS, np.zeros((21, count - 21))))
@@ -320,7 +320,7 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _result(
     records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray, verdict: Verdict
 ) -> InMotion:
-    """Return the model in the units of the readings; raise if it is not that of a device in motion."""
+    """Return the model in the units of the readings. Raise if it cannot describe a device in motion."""
     matrices, offsets = x[:18].reshape(2, 3, 3), x[24:].reshape(-1, 3)
     gravity = np.median([np.median(np.linalg.norm(stretch.force, axis=1)) for stretch in parts]) / STANDARD_GRAVITY
     gyro_scale = np.linalg.norm(np.linalg.inv(matrices[0]), axis=1)

@@ -1,23 +1,23 @@
-"""Known rotation: rests, and one turn by a known angle about each axis; no rate table.
+"""Calibrate gyroscopes from rests and a turn by a known angle about each axis, without a rate table.
 
-A turn about axis j by the angle t_j in the time T is a piece at the known mean rate t_j / T about j, whatever the rate was on the
-way. Its mean reading u and mean specific force f, and those of the rests, are rows of the same equations as on a rate table:
+A turn about axis j by the angle t_j in the time T has the known mean rate t_j / T about j, whatever the rate was on the way. Its
+mean reading u and mean specific force f give rows of the same equations as a rate table. So do the means at rest.
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
-    affine     M u - c - G f = w + errors          M (3, 3), c = M o, and G, the g-sensitivity; w = 0 at rest
+    affine     M u - c - G f = w + errors          M (3, 3), c = M o, G the g-sensitivity, w = 0 at rest
 
-Without accelerometers G is left out, and what it may do to each piece is a source of error. Columns of M of axes about which the
-device was not turned keep the nominal scale, as on a rate table. The errors in the frame of the case:
+Without accelerometers G is not fitted, and its possible effect on each piece is a source of error. If the device was not turned
+about an axis, that column of M keeps the nominal scale, as on a rate table. Sources of error in the frame of the case:
 
     noise, adc     M n                    noise and rounding of the mean
-    angle          a / T along j          angle of a turn; and M u' d / T by jitter d of the time stamps
-    axis           (t / T) d_j across j   the axis of the turns about j against the case, in common to them
-    temperature    warmth (alpha + beta w)   offset and scale follow the temperature
-    instability    flicker of a stated size, and a random walk of each sensor, whose size is an excess variance (fit/gls.py)
+    angle          a / T along j          angle error of a turn, with M u' d / T for jitter d of the time stamps
+    axis           (t / T) d_j across j   common tilt of the axis of all turns about j against the case
+    temperature    warmth (alpha + beta w)   dependence of offset and scale on temperature
+    instability    flicker of known size, and a random walk of each sensor with an excess variance (fit/gls.py)
 
-Moves between the rests turn gravity, which shows the matrix as well (moves.py). Both join: with the parameters x and matrix x_M by
-the turns, m by the moves, and K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is x + K (m - x_M). Turns and moves have
-the slopes of the scale over temperature in common: cov(x, m) = D_x D_m'.
+Moves between the rests turn gravity, and determine the matrix as well (moves.py). Both estimates are combined. The turns give the
+parameters x with matrix x_M, the moves give the matrix m. With K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is
+x + K (m - x_M). Turns and moves share the slopes of the scale over temperature: cov(x, m) = D_x D_m'.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -69,9 +69,9 @@ class RotationRows:
 
     reading: FloatArray  # (E, 3), of the gyroscopes, ``unit``
     noise: FloatArray  # (E, 3), standard deviation of each mean
-    force: FloatArray | None  # (E, 3), calibrated specific force, m/s2; None without accelerometers
+    force: FloatArray | None  # (E, 3), calibrated specific force, m/s2, or None without accelerometers
     samples: FloatArray  # (P,), samples in each rest
-    faces: tuple[Face | None, ...]  # (P,), face that points up; None for a rest in any pose
+    faces: tuple[Face | None, ...]  # (P,), face that points up, or None for a rest in any pose
     duration: FloatArray  # (R,), of each turn, s
     axis: tuple[Axis, ...]  # (R,), of each turn
     angle: FloatArray  # (R,), of each turn about +axis, rad
@@ -87,7 +87,7 @@ class RotationRows:
         return self.of_turns(axis_vectors(self.axis) * (self.angle / self.duration)[:, None])
 
     def of_turns(self, values: FloatArray) -> FloatArray:
-        """Return rows (E, ..) that are zero at rest, from those of the turns (R, ..)."""
+        """Return rows (E, ..) for all pieces from rows (R, ..) for the turns, with zeros at rest."""
         return np.concatenate((np.zeros((len(self.faces), *values.shape[1:])), values))
 
 
@@ -99,7 +99,7 @@ def rotation_rows(
     matrix: FloatArray | None,
     offset: FloatArray | None,
 ) -> RotationRows:
-    """Average the readings of a session over its rests and turns; matrix and offset are the accelerometer's, if there is one."""
+    """Average the readings of a session over its rests and turns. Matrix and offset describe the accelerometer, if there is one."""
     used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
     rests, windows, force, duration, slip = list[Still](), list[FloatArray](), list[FloatArray](), list[float](), []
     for still in stills:
@@ -148,7 +148,7 @@ def rotation_rows(
 def _readings(
     record: Record, piece: Still | Turn, matrix: FloatArray | None, offset: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rate readings and specific force (N, 3), m/s2, of a piece; the force is zero without an accelerometer."""
+    """Return rate readings and specific force (N, 3), m/s2, of a piece. The force is zero without an accelerometer."""
     if record.gyro is None or (matrix is not None and record.accel is None):
         raise InputError(
             "known rotation: expected both sensors in every recording. Map the columns of gyroscope and accelerometer."
@@ -160,7 +160,7 @@ def _readings(
 
 
 def _sample_noise(windows: Sequence[FloatArray], sample_rates_hz: Sequence[float]) -> FloatArray:
-    """Return the standard deviation (3,) of one sample at rest, by the scatter of samples and of block means."""
+    """Return the standard deviation (3,) of a sample at rest, from the scatter of samples and of block means."""
     if not windows:
         return np.zeros(3)
     square = np.sum([((window - window.mean(axis=0)) ** 2).sum(axis=0) for window in windows], axis=0)
@@ -175,7 +175,7 @@ def _sample_noise(windows: Sequence[FloatArray], sample_rates_hz: Sequence[float
 def _sources(
     rows: RotationRows, matrix: FloatArray, angle_uncertainty: float, axis_uncertainty: float
 ) -> dict[str, FloatArray]:
-    """Return the stated covariances (3 E, 3 E) of the rows, (rad/s)^2; angle and axis have standard uncertainties, rad."""
+    """Return the covariances (3 E, 3 E) of the rows by source, (rad/s)^2, for standard uncertainties of angle and axis in rad."""
     rests, own, along = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
     noise = np.maximum(rows.noise, MIN_NOISE * np.abs(rows.reading).max())
     angle = angle_uncertainty**2 * along[:, :, None] * along[:, None]
@@ -190,7 +190,7 @@ def _sources(
         "axis": axis_uncertainty**2 * in_case(np.eye(3), leaning),
     }
     if rows.rounding is not None:
-        code_groups = own.copy()  # the rests read one code and err alike; a turn errs by itself
+        code_groups = own.copy()  # All rests read the same code with the same error. Each turn has its own error.
         code_groups[:rests, :rests] = 1.0
         sources["adc"] = in_case(matrix, code_groups[:, :, None] * rows.rounding**2)
     if rows.span is not None:
@@ -214,8 +214,8 @@ def fit_known_rotation(
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
-    Angle and axis have standard uncertainties, rad. ``moves`` takes the fit to the turns and returns the matrix by the moves. The
-    columns of axes that were not turned keep the nominal scale factor, and cross-axis terms of ``cross_axis_prior``.
+    Uncertainties of angle and axis are in rad. ``moves`` accepts the fit to the turns and returns the matrix from the moves. For an
+    axis without a turn, the column of M keeps the nominal scale factor, with cross-axis terms of ``cross_axis_prior``.
     """
     turn_axes = _check_complete(rows, mode)
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
@@ -248,12 +248,12 @@ def _closed_form(
 ) -> tuple[TriadParameters, FloatArray]:
     """Return the parameters of mode paper, and the residuals (E, 3), rad/s.
 
-    K, b and H of s = K w + b + H a are linear in the mean readings; M = K^-1, G = M H: dM = -M dK M, dG = -M dK G + M dH.
+    K, b and H of s = K w + b + H a are linear in the mean readings. M = K^-1 and G = M H give dM = -M dK M, dG = -M dK G + M dH.
     """
     rests, samples = len(rows.faces), rows.samples
     up = np.array([face_vectors([face])[0] if face else np.zeros(3) for face in rows.faces])
     force = np.zeros_like(rows.reading) if rows.force is None else rows.force
-    per_turn, closed = np.linalg.pinv(rows.rate[rests:]), np.zeros((7, len(rows.reading)))  # K, b and H of one sensor
+    per_turn, closed = np.linalg.pinv(rows.rate[rests:]), np.zeros((7, len(rows.reading)))  # K, b and H of a sensor
     # b is the mean of all samples at rest, H the half difference of opposite faces
     closed[3:, :rests] = np.vstack((samples / samples.sum(), (up / np.abs(up).sum(axis=0) / gravity).T))
     closed[:3, :rests] = -per_turn @ np.column_stack((np.ones(len(rows.axis)), force[rests:])) @ closed[3:, :rests]
@@ -276,9 +276,9 @@ def _closed_form(
 def _combine_with_moves(
     turns: TriadParameters, warmth: FloatArray, moves: MatrixOfMoves | PoorFit | None
 ) -> tuple[TriadParameters, list[Finding]]:
-    """Return the parameters by turns and moves together, and a finding if they disagree.
+    """Combine turns and moves, and return a finding if they disagree.
 
-    ``warmth`` (P, 3) is D_x: the change of the parameters by the slope of the scale of each sensor, one standard deviation each.
+    ``warmth`` (P, 3) is D_x: the change of the parameters per standard deviation of the slope of each sensor's scale.
     """
     if isinstance(moves, PoorFit):
         return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moves}")]
@@ -302,7 +302,7 @@ def _combine_with_moves(
 
 
 def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
-    """Return the axes of the turns; raise if rests or turns are too few."""
+    """Return the axes of the turns. Raise if rests or turns are missing."""
     turn_axes = [k for k, axis in enumerate(AXES) if axis in rows.axis]
     if not turn_axes or not rows.faces:
         raise NotObservable(
@@ -324,7 +324,7 @@ def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
 
 
 def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int], tolerance: float) -> None:
-    """Raise if the axes of gyroscopes and turns disagree, or if a scale is not that of the unit."""
+    """Raise if the axes of gyroscopes and turns disagree, or if a scale is far from the nominal scale of the unit."""
     if len(turn_axes) < 3:
         for k in turn_axes:
             check_reads_positive(forward[:, k], k)
@@ -369,7 +369,7 @@ def with_edges(
 
 
 def _moving_start(reading: FloatArray, chunk: int) -> int:
-    """Return the samples at the start of a rest (N, 3) that differ from its middle; 0 if the rest is too short to tell."""
+    """Count the samples at the start of a rest (N, 3) that differ from its middle, 0 for a rest that is too short."""
     count = len(reading) // chunk
     if count < 4 * MOST_CHUNKS:
         return 0
@@ -394,7 +394,7 @@ def _axes_without_rest(records: Sequence[Record], rests: Sequence[Still], turns:
 def _fit_matrix_to_moves(
     observed: Observed, rows: RotationRows, accel: TriadModel, turns: TriadParameters
 ) -> MatrixOfMoves | PoorFit | None:
-    """Return the matrix by the moves, None if there are none, or why no matrix fits turns and moves together."""
+    """Return the matrix from the moves, None without moves, or a PoorFit if no matrix fits turns and moves together."""
     records, slope = (
         observed.session.records,
         np.linalg.solve(turns.matrix, turns.theta[12:].reshape(3, 3)) @ accel.matrix,
@@ -414,9 +414,9 @@ def _fit_matrix_to_moves(
 
 
 def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tuple[Finding, ...]:
-    """Compare the corrected rotation with gravity: a finding if they may disagree, an error if they clearly do.
+    """Compare the corrected rotation with gravity, and return a finding or raise an error if they disagree.
 
-    The turns determine the scale, whatever the unit of the readings and the sample rate are: only a wrong angle makes it wrong.
+    The turns determine the scale for any unit and sample rate of the readings. Only a wrong angle makes the scale wrong.
     """
     rate = (np.asarray(record.gyro) - gyro.offset) @ gyro.matrix.T
     force = (np.asarray(record.accel) - accel.offset) @ accel.matrix.T
@@ -436,7 +436,7 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
 
 
 def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
-    """Fit the gyroscopes of a session to its turns by known angles; an entry of FITS."""
+    """Fit the gyroscopes of a session to its turns by known angles."""
     records, settings = observed.session.records, observed.settings
     turns, findings = tuple(t for t in observed.session.turns if t.angle is not None), list[Finding]()
     if not turns:
@@ -469,7 +469,7 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
         moves=lambda turns: None if model is None else _fit_matrix_to_moves(observed, rows, model, turns),
     )
     if model is not None:
-        # full turns bring gravity back whatever the axes are: the moves show axes that are not the accelerometer's
+        # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.
         for record in records:
             findings += _check_by_gravity(record, fit.model, model)
     return Outcome(fit=fit, method="known-rotation", findings=(*findings, *creep.findings()))

@@ -1,18 +1,18 @@
-"""Magnetometer from motion: hard iron, soft iron, alignment to the gyroscopes and lag, by the field that the motion carries along.
+"""Calibrate a magnetometer in motion: hard iron, soft iron, alignment to the gyroscopes and lag.
 
 ::
 
-    m = K ((B - l C) h(t) + R' G R p) + b + e      reading, mean over 0.25 s, uT; B the mean of R', C its derivative
+    m = K ((B - l C) h(t) + R' G R p) + b + e      reading in uT, mean over 0.25 s (B mean of R', C its derivative)
     m_b = x - l w x x,  x = A (m - b), A = K^-1    corrected field in the axes of the gyroscopes, w their rate
     h(t) = H (-cos d sin c(t), cos d cos c(t), sin d)
 
-R turns the case to level (filter without magnetometer). Its heading drifts, so north lies at c(t), which walks at random. G is the
-gradient of the place and p the position of the sensor on the hand: together they change with the attitude, and would be taken for
-iron. Size H and inclination d of the field (d < 0 points down) are those of a recording. det A = 1: motion does not determine the
-size of a uT.
+R turns the case to level (filter without magnetometer). Its heading drifts, so north is at c(t), a random walk. G is the field
+gradient of the room and p the position of the sensor on the hand. G p changes with the attitude, and looks like iron unless it is
+fitted. Each recording has its own size H and inclination d of the field (d < 0 points down). Motion does not determine the size
+of a uT, so det A = 1.
 
-Errors e, turned to level, are white noise and the disturbance of the place, correlated over the angle that the device turned
-through. The sizes of both, and of G p, come from restricted likelihood. Stretches whose size or inclination is off are left out.
+Errors e, turned to level, are white noise and the disturbance of the room, which is correlated over the angle that the device has
+turned. Restricted likelihood determines the sizes of both, and of G p. Stretches with another size or inclination are omitted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,12 +35,12 @@ from undrift.units import RADIAN_PER_DEGREE
 
 BLOCK_S, KNOT_S = 0.25, 2.0  # of a mean, between knots of c(t)
 STRETCH_S, LEAST_S = 150.0, 20.0  # of a stretch, of a recording
-# Soft iron of 5 % is usual: twice that; hard iron up to three times the field; lag of a filter and a slow bus, s. Assumed.
+# Soft iron: twice the usual 5 %. Hard iron: up to three times the field. Lag of a filter and a slow bus, s. Assumed.
 SOFT_IRON, HARD_IRON, LAG_S = 0.1, 3.0, 0.02
 HEADING_WALK = 0.3 * RADIAN_PER_DEGREE  # rad/sqrt(s), of calibrated gyroscopes. Assumed.
 PATH = 2.0  # rad, over which the disturbance of the place changes: of 0.5, 2 and 8, seven trials of BROAD choose this
 RESTING = 0.02  # rad/s, by which it changes at rest as well. Assumed.
-BETWEEN = 0.002  # K and b over the field, of one recording against another: those of BROAD's device B differ by more
+BETWEEN = 0.002  # difference of K and b over the field between recordings (larger in device B of BROAD)
 # uT: white noise, disturbance of the place, gradient times p. Usual sizes, within a factor of e^2. Assumed.
 SIZES, SIZE_RANGE = np.log((0.3, 0.5, 0.3)), 2.0
 # gradients of a field without sources, symmetric and of trace zero, of length one
@@ -48,7 +48,7 @@ GRADIENTS = np.zeros((5, 3, 3))
 GRADIENTS[[0, 0, 1, 1, 1], [0, 1, 0, 1, 2], [0, 1, 0, 1, 2]] = 1.0, -1.0, 1.0, 1.0, -2.0
 GRADIENTS[[2, 2, 3, 3, 4, 4], [0, 1, 0, 2, 1, 2], [1, 0, 2, 0, 2, 1]] = 1.0
 GRADIENTS /= np.linalg.norm(GRADIENTS, axis=(1, 2), keepdims=True)
-STEPS, SIZED = 9, (3, 6)  # steps of Gauss-Newton; those in which the sizes are sought
+STEPS, SIZED = 9, (3, 6)  # Gauss-Newton steps, and the steps at which the sizes are estimated
 FAR, LEAST_FAR = 4.0, 0.03  # of a disturbed stretch: robust standard deviations, and of the field
 ROUGH = 2.0 * RADIAN_PER_DEGREE  # of a heading, 1 sigma
 WIDEST = 0.2  # of the largest uncertainty of hard iron: axes that cause most of it
@@ -85,7 +85,7 @@ class _FieldStretch:
     sizes: FloatArray = field(default_factory=SIZES.copy)  # (3,), logarithms of standard deviations
 
     def field(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return h and its derivatives by d and c, (N, 3) each; that by the log of H is h."""
+        """Return h and its derivatives by d and c, (N, 3) each. The derivative by log H is h."""
         size, cd, sd = np.exp(self.local[0]), np.cos(self.local[1]), np.sin(self.local[1])
         course = self.knots @ self.local[17:]
         north, ahead = (np.stack((-np.sin(x), np.cos(x), 0.0 * x), axis=1) for x in (course, course + 0.5 * np.pi))
@@ -120,7 +120,7 @@ class _FieldStretch:
             self.calm &= ~maximum_filter1d(off > max(FAR * 1.4826 * float(np.median(off)), LEAST_FAR * size), 5)
 
     def normal(self, rows: FloatArray, prior: FloatArray, *, sized: bool) -> tuple[FloatArray, FloatArray]:
-        """Return information and right side of K, b, l and its own; ``prior`` (13, 13) holds while the sizes are sought."""
+        """Return information and right side of K, b, l and the stretch. ``prior`` (13, 13) is used to estimate the sizes."""
         steps = np.einsum("nij,nij->n", self.level[1:], self.level[:-1])
         angles = np.arccos(np.clip(0.5 * steps - 0.5, -1.0, 1.0)) + RESTING * np.diff(self.time)
         path = np.append(0.0, np.cumsum(angles))[self.calm]
@@ -151,9 +151,8 @@ class _FieldStretch:
 def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
     """Fit the magnetometer of a device to recordings in motion.
 
-    Of each: time (N,), s; readings (N, 3), uT, NaN for gaps; orientation (N, 4), case to level, z up, whose heading may drift; None
-    where a recording has no magnetometer.
-    Raises InputError for recordings that are short, NotObservable for a device that is not turned.
+    Each recording gives time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation (N, 4) from case to level, z up, with
+    any heading, or None without a magnetometer. Raise InputError for short recordings, NotObservable if the device is not turned.
     """
     numbered = [(number, reading) for number, reading in enumerate(readings) if reading is not None]
     stretches = [stretch for number, reading in numbered for stretch in _cut(number, *reading)]
@@ -230,10 +229,9 @@ def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> It
 
 
 def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return how the axes lie to those of the gyroscopes, up to small angles, as K, twice, and b; set the field of the stretches.
+    """Return K, the rotation from the gyroscope axes up to small angles (twice), and b, and set the field of the stretches.
 
-    R A m = h + R A b is linear in A if h and A b are eliminated. The best right-handed axes are taken: field and axes turned about
-    alike look the same.
+    R A m = h + R A b is linear in A if h and A b are eliminated. Of the right-handed axes, the best are used.
     """
     square, blocks = np.zeros((9, 9)), list[FloatArray]()
     for stretch in stretches:

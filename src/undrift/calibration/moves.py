@@ -1,20 +1,20 @@
-"""Calibration without equipment: hold the device still in many poses, turn it by hand between them (Tedaldi et al., ICRA 2014).
+"""Calibrate without equipment: rest the device in many poses and turn it by hand between them (Tedaldi et al., ICRA 2014).
 
-    |M_a (u_k - o_a)| = g                over k = 1 .. K still poses; u_k mean raw reading, M_a upper triangular (norm.py)
-    m_k = o + H f_k + d_k                gyroscopes at rest: mean reading, under the specific force f_k
+    |M_a (u_k - o_a)| = g                still poses k = 1 .. K, mean raw reading u_k, upper triangular M_a (norm.py)
+    m_k = o + H f_k + d_k                gyroscopes at rest: mean reading under the specific force f_k
     C_j(M, o + d_j, H) n_j = n_(j+1)     gyroscopes, over the moves j between the poses
 
-A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes: the sensor's z axis is the
-case's, its y axis lies in the case's y-z plane.
+A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes. The z axis of the sensor
+is the z axis of the case, and its y axis is in the y-z plane of the case.
 
-C_j turns the body frame at the end of still j into that at the start of still j + 1, integrated from w = M (u - o - d_j - H f).
-n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles; the one about the vertical is not
-observable. M, o and H are fitted to rests and moves together by generalised least squares (fit/gls.py).
+C_j turns the body frame at the end of still j into the frame at the start of still j + 1. It is integrated from
+w = M (u - o - d_j - H f). n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles. The
+angle about the vertical is not observable. Generalised least squares (fit/gls.py) fits M, o and H to rests and moves together.
 
-d, the offset about its mean over the rests, is a source of error that rests and moves share: flicker of a stated size, a change
-with temperature, and a random walk, whose size is an excess variance. The offset in a move thus follows the rests beside it. The
-other sources are noise, codes, jitter of the clock, the calibration of the accelerometer, and an excess each for the hand in rests
-and in moves.
+d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker of
+known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore close to the
+offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the accelerometer. The
+hand adds an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 # ---- free poses
 
 FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
-ALIKE = 0.01  # of their length: mean readings that differ by less are those of one pose
+ALIKE = 0.01  # largest relative difference between mean readings of the same pose
 
 
 def fit_poses(
@@ -52,10 +52,10 @@ def fit_poses(
     cross_axis_prior: float | None = 0.01,
     creep: Creep | None = None,
 ) -> TriadFit:
-    """Fit accelerometers to still poses of several recordings; a recording may be a single pose.
+    """Fit accelerometers to still poses of several recordings. A recording may contain a single pose.
 
-    ``cross_axis_prior`` is the standard deviation of a cross-axis term before the fit, relative to the scale; None states none, and
-    poses that do not determine such a term are refused. ``creep`` is the temperature of the stills.
+    ``cross_axis_prior`` is the prior standard deviation of a cross-axis term, relative to the scale. If it is None, poses that do
+    not determine such a term are refused. ``creep`` is the effect of temperature on the stills.
     """
     if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
         raise InputError(
@@ -89,7 +89,7 @@ def _pose_means(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Flo
 
 
 def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return the mean (K, C) of each still, the variance (C,) of one sample pooled over all, and the counts (K,)."""
+    """Return the mean (K, C) of each still, the variance (C,) of a sample pooled over all stills, and the counts (K,)."""
     mean, square = np.zeros((len(start), values.shape[1])), np.zeros(values.shape[1])
     count = np.zeros(len(start), np.int64)
     for k, (low, high) in enumerate(zip(start, stop, strict=True)):
@@ -112,7 +112,7 @@ class Moves:
     time: FloatArray  # (N,), s, each record on its own clock
     first: IntArray  # (J,), last sample of the still before the move
     last: IntArray  # (J,), first sample of the still after it
-    before: IntArray  # (J,), number of the still before; the next one is after it
+    before: IntArray  # (J,), number of the still before the move (the next still follows it)
     start: IntArray  # (K,), samples [start, stop) of the stills
     stop: IntArray
 
@@ -129,14 +129,14 @@ class Moves:
 
     @property
     def spans(self) -> FloatArray:
-        """Start and end of the stills and the moves (K + J, 2), s, on one clock; recordings follow each other."""
+        """Start and end of the stills and the moves (K + J, 2), s, on a common clock, with recordings in sequence."""
         clock = np.concatenate(([0.0], np.cumsum(np.diff(self.time).clip(0.0))))
         edges = np.append(self.start, self.first), np.append(self.stop - 1, self.last)
         return np.asarray(clock[np.column_stack(edges)])
 
 
 def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
-    """Return the moves between neighbouring stills of a record; moves with gaps or drop-outs are left out."""
+    """Return the moves between neighbouring stills of a record, without moves that contain gaps or drop-outs."""
     pairs = [(r.gyro, r.accel) for r in records if r.gyro is not None and r.accel is not None]
     if len(pairs) < len(records) or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1:
         raise InputError(
@@ -173,7 +173,7 @@ Directions = tuple[FloatArray, FloatArray, FloatArray]
 def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     """Return the direction of gravity in each still with its derivatives and covariance.
 
-    n = a / |a|, a = M (u - o) of the mean reading, so that dn = (1 - n n^T) / |a| da with da = dM (u - o) - M do + M du.
+    n = a / |a| with a = M (u - o) of the mean reading, so dn = (1 - n n^T) / |a| da with da = dM (u - o) - M do + M du.
     """
     mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
     d = mean - accel.offset
@@ -190,16 +190,15 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
 
 
 def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
-    """Return a first gyroscope matrix from the slow change of the gravity direction.
+    """Return an approximate gyroscope matrix, within a few per cent, from the slow change of the gravity direction.
 
-    dn/dt = n x w with w = M (u - o), over blocks of 0.2 s while the device is moved: linear in M. The hand's own
-    accelerations make it rough, some per cent.
+    dn/dt = n x w with w = M (u - o) is linear in M over blocks of 0.2 s in which the device is moved.
     """
     normal, right = np.zeros((9, 9)), np.zeros(9)
     for first, last in zip(moves.first, moves.last, strict=True):
         step_s = (moves.time[last] - moves.time[first]) / max(1, last - first)
         block = max(2, round(0.2 / step_s))
-        low = max(0, first - block)  # into the stills, where the direction is sure
+        low = max(0, first - block)  # starts within the still, where the direction is certain
         blocks = (min(last + block, len(moves.time)) - low) // block
         if blocks < 3:
             continue
@@ -238,32 +237,32 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
 #
 # Parameters theta, raw units: M row by row, o, and H row by row. Rows: three a rest, rad/s, then two a move, rad.
 
-WEAKEST_TURN = 0.05  # rad rms that one unit of relative gain must turn gravity by; random turns of 90 deg give 0.4
+WEAKEST_TURN = 0.05  # smallest rms turn of gravity, rad, per unit of relative gain (random turns of 90 deg give 0.4)
 FEWEST_MOVES = 5
-MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # of Gauss-Newton; relative change of the matrix
+MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # Gauss-Newton steps and relative change of the matrix
 TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
 LEAST_ANGLE = 1e-10  # rad, standard deviation that every angle has at least
 LEAST_RATE = 1e-3  # of the flicker, standard deviation that every rest has at least
 LOOSE = 1e-4  # of the precision of turns by known angles in the fit to the moves
 CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
-HOPELESS_DEG = 20.0  # rms: moves that end farther from gravity are not those of this gyroscope
+HOPELESS_DEG = 20.0  # rms angle beyond which the moves do not belong to this gyroscope
 MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger turns between the poses"}
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Problem:
-    """R rests and J moves, and what makes them err."""
+    """Data of R rests and J moves, with their sources of error."""
 
     moves: Moves
     accel: TriadModel
     directions: Directions
     reading: FloatArray  # (R, 3), means of the rests
     variance: FloatArray  # (R, 3), of the means
-    noise: FloatArray  # (3,), variance of one sample
+    noise: FloatArray  # (3,), variance of a sample
     codes: FloatArray  # (3,), what rounding leaves in a mean at rest
-    force: FloatArray  # (N, 3), specific force in each sample, m/s2; (N, 0) if H is not fitted
-    felt: FloatArray  # (R + J, 3), its mean in each rest and move; or (R + J, 0)
+    force: FloatArray  # (N, 3), specific force in each sample, m/s2, or (N, 0) if H is not fitted
+    felt: FloatArray  # (R + J, 3), mean force in each rest and move, or (R + J, 0)
     slip: FloatArray  # (J, 3, 3), covariance of the integral of each move by jitter of time stamps, (raw unit s)^2
     size: float  # rad/s per raw unit, roughly
     flicker: FloatArray  # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2
@@ -276,7 +275,7 @@ class _Problem:
 class _MoveRows:
     """Rows (E,) of the fit, linearised."""
 
-    rests: int  # rows of the rests; those of the moves follow
+    rests: int  # rows for the rests (rows for the moves follow)
     misfit: FloatArray  # (E,), of the parameters as they are
     design: FloatArray  # (E, P)
     by_offset: FloatArray  # (E, R + J, 3), by the offset in each rest and move, rad/s
@@ -296,7 +295,7 @@ def fit_moves(
     *,
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses; creep of accelerometers and gyroscopes in these, in order of time."""
+    """Fit gyroscopes to the moves between still poses, in order of time. ``creep`` contains accelerometers and gyroscopes."""
     moves, saturated = _drop_saturated(cut_moves(records, stills))
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
@@ -328,10 +327,10 @@ def matrix_of_moves(
     *,
     creep: tuple[Creep, Creep],
 ) -> MatrixOfMoves:
-    """Return the matrix that moves between rests determine beside turns by known angles; readings without g-sensitivity.
+    """Return the matrix that moves between rests determine in addition to turns by known angles, from readings without G.
 
-    Turns and moves together give the point of linearisation, as moves by themselves may leave a scale to its second order. There
-    the turns are a prior of little weight: if they contradict the moves, they must not enlarge the excess of the moves.
+    Turns and moves together give the point of linearisation, because moves by themselves may determine a scale only to second
+    order. At that point the turns are a weak prior, so that contradicting turns cannot enlarge the excess of the moves.
     """
     moves, _ = _drop_saturated(cut_moves(records, stills))
     if not len(moves.first):
@@ -405,7 +404,7 @@ def _build_problem(
 
 
 def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | None) -> tuple[GlsFit, _MoveRows]:
-    """Return the fit by Gauss-Newton, and the rows there; with turns, the fit of the moves at the point that both give."""
+    """Return the Gauss-Newton fit and its rows. With turns, return the fit of the moves at the solution of both together."""
     theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
     precision = np.zeros((len(theta), len(theta)))
     precision[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
@@ -449,14 +448,16 @@ def _step(problem: _Problem, theta: FloatArray, drift: FloatArray, prior: Prior)
 
 
 def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
-    """Return the rows of rests and moves; drift (R + J, 3) of the offset in each, rad/s."""
+    """Return the rows of rests and moves for an offset drift (R + J, 3) in each, rad/s."""
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
     moves = replace(moves, gyro=moves.gyro - problem.force @ slope.T)
     turn, integral = turned_in(moves, matrix, offset, drift[rests:] / size)
     arrived, tangent = (turn @ n[moves.before][:, :, None])[:, :, 0], _tangent(n[moves.before + 1]).transpose(0, 2, 1)
     matrix_slopes = integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
-    turn_slopes = tangent @ cross_matrix(arrived) @ turn  # of the angles by a small turn; d(C n) = C n x small turn
+    turn_slopes = (
+        tangent @ cross_matrix(arrived) @ turn
+    )  # derivative of the angles by a small turn: d(C n) = C n x small turn
     numbers = np.arange(len(moves.first))
     still_slopes = np.zeros((len(numbers), 2, len(n), 3))
     still_slopes[numbers, :, moves.before] += tangent @ turn
@@ -483,12 +484,12 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
 
 
 def _drift_covariance(rows: _MoveRows, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (E, E) of the rows, from that of the offset in rests and moves (R + J, R + J)."""
+    """Return the covariance (E, E) of the rows, from the covariance of the offset in rests and moves (R + J, R + J)."""
     return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
 
 
 def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str, FloatArray]:
-    """Return the stated covariance (E, E) of the rows by source."""
+    """Return the covariance (E, E) of the rows by known source."""
     from scipy.linalg import block_diag
 
     moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, rows.rests
@@ -498,7 +499,7 @@ def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str,
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
     rest_codes = np.zeros(
         (len(rows.misfit), 3)
-    )  # rests lie at one place between two codes; in motion, rounding is noise
+    )  # each rest reads one rounding error, and motion turns rounding into noise
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
     accel_rows = np.einsum("eka,kap->ep", rows.by_still, accel_slopes)
     sources = {
@@ -562,7 +563,7 @@ def _judge_triad(
     unit_in: str,
     saturated: tuple[Finding, ...],
 ) -> TriadFit:
-    """Return parameters as a fit with its verdict; raise if they cannot be those of this gyroscope."""
+    """Return parameters as a fit with its verdict. Raise if they cannot describe this gyroscope."""
     if rows.rms_deg > HOPELESS_DEG:
         raise PoorFit(
             f"multi-position gyro: gravity ends {rows.rms_deg:.0f} deg rms off after the moves, the limit is {HOPELESS_DEG:g} deg. "
@@ -609,7 +610,7 @@ def _judge_triad(
 
 
 def calibrate_poses(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
-    """Fit the accelerometer of a session to its free poses; an entry of FITS."""
+    """Fit the accelerometer of a session to its free poses."""
     stills = _sort_stills(observed)
     creep = creep_of(observed, stills, "accel")
     fit = _fit_session_poses(observed, stills, creep)
@@ -617,7 +618,7 @@ def calibrate_poses(observed: Observed, mode: str | None, accel: TriadFit | None
 
 
 def calibrate_moves(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
-    """Fit the gyroscopes of a session to the moves between its poses; an entry of FITS."""
+    """Fit the gyroscopes of a session to the moves between its poses."""
     stills = _sort_stills(observed)
     creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
     model = (accel or _fit_session_poses(observed, stills, creep[0])).model

@@ -1,12 +1,12 @@
-"""Noise of a device at rest: coefficients of the Allan variance, each with its interval, or the reason why it is not observable.
+"""Noise of a device at rest: Allan variance coefficients, each with its interval or the reason why it is not observable.
 
     sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3          IEEE Std 952-1997, annex C
 
-N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. Their squares are fitted to
-the overlapping variances at octaves of tau by non-negative least squares. A variance weighs by its degrees of freedom, and counts
-half: octaves share their readings, so that all together know no more than the shortest, 1/2 + 1/4 + 1/8 + ... = 1. Long averages of
-slow noise share more, and count less. A coefficient whose square is less than two standard errors above zero is not observable and
-has an upper limit only.
+N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. Non-negative least squares
+fits their squares to the overlapping variances at octaves of tau. Each variance is weighted with half of its degrees of freedom,
+because octaves share their readings: all octaves together know no more than the shortest, 1/2 + 1/4 + 1/8 + ... = 1. Long averages
+of slow noise share more, and get less weight. A coefficient is not observable if its square is less than two standard errors above
+zero. It then has an upper limit only.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,13 +27,13 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_
 
 # ---- overlapping Allan deviation with confidence limits
 #
-# With phase x_k = sum of the first k readings times the sample period, tau = m periods and D2 the second difference over m samples:
+# x_k is the phase, the sum of the first k readings times the sample period. With tau = m periods and second differences D2:
 #
 #     sigma^2 = mean D2(x)^2 / (2 tau^2)        over every k whose 2 m samples are all present
 #
 # The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom, by the kind of noise, which
-# shows in the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement methods", 1981; Riley,
-# NIST SP 1065, 2008, section 5.4.1). With gaps, they are those of a record without gaps that has as many second differences.
+# is estimated from the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement methods",
+# 1981; Riley, NIST SP 1065, 2008, section 5.4.1). With gaps, edf is taken from a gapless record with as many differences.
 
 LEAST_AVERAGES = 30  # averages from which the slope determines the kind of noise
 
@@ -52,9 +52,10 @@ class AllanDeviation:
 def allan_deviation(
     x: ArrayLike, sample_rate_hz: float, *, taus: Sequence[float] | None = None, confidence: float = 0.95
 ) -> AllanDeviation:
-    """Return the overlapping Allan deviation of one channel (N,), NaN where samples are missing; taus in s, octaves by default.
+    """Return the overlapping Allan deviation of one channel (N,), with NaN for missing samples.
 
-    Averaging times with fewer than 2 tau of complete second differences are left out if samples are missing.
+    ``taus`` are in s, octaves by default. With missing samples, averaging times with fewer than 2 tau of complete second
+    differences are omitted.
     """
     y = frozen(x, (None,), "x")
     gap = np.isnan(y)
@@ -85,7 +86,9 @@ def allan_deviation(
         )
     m, terms, square = np.array(rows).T
     variance = 0.5 * square / m**2
-    slope = np.full(len(m), -1.0)  # d log sigma^2 / d log tau; few averages take over the slope before them
+    slope = np.full(
+        len(m), -1.0
+    )  # d log sigma^2 / d log tau (the last averages are few and reuse the slope before them)
     if len(m) > 1:
         slope = np.gradient(np.log(np.maximum(variance, 1e-300)), np.log(m))
         last = max(1, int((terms >= LEAST_AVERAGES * m).sum()))
@@ -126,8 +129,15 @@ TERMS = {  # an accelerometer has other terms for the same slopes
 }
 _ROWS = ("quantization", *_NAMES)  # order of the coefficients in the fit
 _UNITS = (" s", "/sqrt(Hz)", "", "/sqrt(s)")
-OBSERVABLE, UPPER = 2.0, 5.0  # standard errors of a square: least that is observable; upper limit of one that is not
-SHARED, SHARED_LONG, FEW = 2.0, 3.5, 100.0  # variances count 1 / SHARED; 1 / SHARED_LONG below FEW degrees of freedom
+OBSERVABLE, UPPER = (
+    2.0,
+    5.0,
+)  # standard errors of a square: smallest observable value, and upper limit of an unobservable square
+SHARED, SHARED_LONG, FEW = (
+    2.0,
+    3.5,
+    100.0,
+)  # variances have weight 1 / SHARED, or 1 / SHARED_LONG below FEW degrees of freedom
 SHORTEST = 64  # samples
 LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
 MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
@@ -142,20 +152,20 @@ class NoiseCoefficient:
     """One coefficient and its confidence interval."""
 
     value: float  # NaN if not observable
-    interval: tuple[float, float]  # lower and upper limit; (0, upper limit) if not observable
+    interval: tuple[float, float]  # lower and upper limit, or (0, upper limit) if not observable
     unit: str  # unit of all three
-    reason: str = ""  # why it is not observable; "" if it is
+    reason: str = ""  # why it is not observable, or ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisNoise:
-    """Noise of one axis."""
+    """Noise of an axis."""
 
     axis: str  # x, y or z
     curve: AllanDeviation
-    angle_random_walk: NoiseCoefficient  # N; velocity random walk for an accelerometer
+    angle_random_walk: NoiseCoefficient  # N (for an accelerometer: velocity random walk)
     bias_instability: NoiseCoefficient  # B
-    rate_random_walk: NoiseCoefficient  # K; acceleration random walk for an accelerometer
+    rate_random_walk: NoiseCoefficient  # K (for an accelerometer: acceleration random walk)
     quantization: NoiseCoefficient  # Q, of the angle (velocity)
     model_error: float  # share of the Allan variance by which the curve departs from the model
 
@@ -169,7 +179,7 @@ class AxisNoise:
 class NoiseFit(Shown):
     """Noise of a device at rest."""
 
-    gyro: tuple[AxisNoise, ...]  # three axes; empty if the record has no such triad
+    gyro: tuple[AxisNoise, ...]  # three axes, or empty if the record has no such triad
     accel: tuple[AxisNoise, ...]
     gyro_unit: str  # rad/s and m/s2, or the unit of the readings if it is not a physical one
     accel_unit: str
@@ -188,9 +198,9 @@ class NoiseFit(Shown):
         return rows | {"verdict": self.verdict.status}
 
     def model(self) -> NoiseModel:
-        """Return the coefficients as a calibration stores them, SI; NaN if not observable or not recorded.
+        """Return the coefficients in SI units as a calibration stores them, with NaN for missing coefficients.
 
-        Raises ``InputError`` if the readings are counts or volts.
+        Raise ``InputError`` if the readings are counts or volts.
         """
         values = []
         for axes, unit in ((self.gyro, self.gyro_unit), (self.accel, self.accel_unit)):
@@ -204,14 +214,15 @@ class NoiseFit(Shown):
 
 
 def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
-    """Fit noise coefficients to a device at rest; model and weights are in the docstring of the module.
+    """Fit noise coefficients to a recording of a device at rest.
 
-    Raises ``InputError`` for fewer than 64 samples, uneven time, a channel that never changes, or motion.
+    The module docstring defines model and weights. Raises ``InputError`` for fewer than 64 samples, uneven time, a constant
+    channel, or motion.
 
     Parameters
     ----------
     record : Record
-        At rest throughout. Drop-outs and gaps (NaN) are allowed: an average that spans one does not count.
+        Recording at rest throughout. Averages that span a drop-out or a gap (NaN) are not used.
     confidence : float
         Probability of the intervals, between 0 and 1.
 
@@ -219,8 +230,8 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     --------
     >>> import numpy as np, undrift
     >>> gyro = 0.01 * np.random.default_rng(1).standard_normal((20_000, 3))
-    >>> found = undrift.fit_noise(undrift.Record(time=np.arange(20_000) / 100.0, gyro=gyro))
-    >>> print(f"{found.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
+    >>> noise = undrift.fit_noise(undrift.Record(time=np.arange(20_000) / 100.0, gyro=gyro))
+    >>> print(f"{noise.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
     0.0010
     """
     gyro, accel = (_fit_triad(record, quantity, confidence) for quantity in ("rate", "accel"))
@@ -283,7 +294,9 @@ def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: 
     windows = values[: len(values) // width * width].reshape(-1, width, 3)[:, : width // tenth * tenth]
     means = windows.reshape(len(windows), -1, tenth, 3).mean(axis=2)
     motion = np.sqrt(means.var(axis=1).sum(axis=1))
-    white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))  # what noise alone makes of it
+    white = float(
+        np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth)
+    )  # spread of the means that noise without motion causes
     usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
     moved = np.flatnonzero(motion > 10.0 * max(usual, white))
     if len(moved) or (physical and usual > max(limit, 3.0 * white)):

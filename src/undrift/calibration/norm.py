@@ -1,4 +1,4 @@
-"""Free poses: the corrected reading of each still pose has the length of gravity, for an upper triangular M.
+"""Fit free poses: the corrected reading of each still pose has the length of gravity, for an upper triangular M.
 
     |M (u - o)| = g + e
 
@@ -7,17 +7,17 @@ Scaled so that every parameter is near one or of the size of g:
     v = k (u - c)          c, k: sphere through the readings
     |M' (v - o')| = g      M = k M',  o = c + o' / k
 
-Gauss-Newton, each step by generalised least squares (fit/gls.py): with n the direction of M' (v - o'),
+Gauss-Newton solves this with generalised least squares in each step (fit/gls.py). With n the direction of M' (v - o'):
 
     dr/dm'_ij = n_i (v - o')_j        dr/do' = -M'^T n
 
-The sources of error are the noise of the mean readings, the temperature creep, and an excess variance for poses in which the device
-moved. Poses on the faces do not determine cross-axis terms: each has a prior, 0 +- sd.
+The sources of error are noise of the mean readings, drift with temperature, and an excess variance for poses in which the device
+moved. Poses on the faces do not determine cross-axis terms, so each term has a prior, 0 +- sd.
 
-A real sensor also reads q y^2 more, y along its axis, q ~ N(0, s_q^2). The term is a source of uncertainty. It is not estimated,
-since a prior for it costs accuracy on a linear sensor. With N the lengths that q changes, G the gains of the fit, V the covariance
-of the lengths, and L = N - X G N what the parameters cannot absorb of them, its share is the mean square of G N q for the
-residuals r:
+A real sensor adds q y^2 to its reading, where y is the force along its axis and q ~ N(0, s_q^2). The term is a source of
+uncertainty. It is not estimated, because a prior for it costs accuracy on a linear sensor. N are the changes of length by q, G the
+gains of the fit and V the covariance of the lengths. The parameters cannot absorb L = N - X G N. The share of q in the covariance
+is the mean square of G N q for the residuals r:
 
     G N (C + m m') N' G'   C = (L' V^-1 L + I / s_q^2)^-1,   m = C L' V^-1 r
 
@@ -44,14 +44,18 @@ ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of t
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
 CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # place of each p among m_xx .. m_zz, offset_x ..
-WEAKEST = 0.02  # rms change of length, in g, per unit of a determined parameter; random poses reach 0.25
+WEAKEST = 0.02  # smallest rms change of length, in g, per unit of a determined parameter (random poses reach 0.25)
 PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
 KEPT = 0.3  # of the prior deviation of a cross-axis term: above it the poses did not determine the term
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
-MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0  # of the descent; relative step; parameters beyond which it runs away
+MOST_STEPS, CONVERGED, FARTHEST = (
+    100,
+    1e-8,
+    30.0,
+)  # descent: steps, relative step at convergence, parameters that diverge
 SIZE_ROUNDS = 20  # of the size of quadratic terms
 ROUNDING = 1e-9  # of gravity: deviation that every length has at least
-TOLERANCE = 0.25  # of the sensitivity that the unit states; raw parts are within 0.2
+TOLERANCE = 0.25  # relative to the nominal sensitivity of the unit (raw parts are within 0.2)
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
 UNCERTAIN_MG = (2.0, 20.0)
@@ -64,7 +68,7 @@ class NormFit:
     center: FloatArray  # (3,), c, raw unit
     scale: float  # k, m/s2 per raw unit
     p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
-    budget: Mapping[str, FloatArray]  # covariance (9, 9) of p by source; zeros for terms that were not fitted
+    budget: Mapping[str, FloatArray]  # covariance (9, 9) of p by source, with zeros for terms that were not fitted
     residuals: FloatArray  # (K,), length minus gravity, m/s2
     condition: float  # condition number of the design, columns scaled to one
     gravity: float  # m/s2
@@ -110,10 +114,9 @@ def fit_norm(
 ) -> NormFit:
     """Fit matrix and offset to mean readings (K, 3) in still poses.
 
-    ``variances`` (K, 3) are those of the means; without them, the residuals determine the noise. ``cross_axis`` False holds the
-    cross-axis terms at zero. ``prior_sd`` is the standard deviation of a cross-axis term before the fit, 1; None states none.
-    ``quadratic_sd`` is s_q. Raises NotObservable if the poses do not determine a parameter, and PoorFit if no linear sensor could
-    have given the readings.
+    ``variances`` (K, 3) belong to the means. Without them, the residuals determine the noise. With ``cross_axis`` False the
+    cross-axis terms are zero. ``prior_sd`` is their prior standard deviation, if any. ``quadratic_sd`` is s_q, 1/(m/s2). Raise
+    NotObservable if the poses do not determine a parameter, and PoorFit if no linear sensor gives these readings.
     """
     center, radius = sphere_of(reading)
     scale = gravity / radius
@@ -163,7 +166,7 @@ def fit_norm(
 def _sources(
     v: FloatArray, p: FloatArray, design: FloatArray, noise: FloatArray, creep: Creep | None, gravity: float
 ) -> dict[str, FloatArray]:
-    """Return the covariance of the lengths by source; noise (K, 3) is the variance of the scaled readings."""
+    """Return the covariance of the lengths by source for a variance ``noise`` (K, 3) of the scaled readings."""
     reading_slopes = -design[:, 6:]  # d length / d reading = M'^T n
     sources = {"noise": (reading_slopes**2 * noise).sum(axis=1) + (ROUNDING * gravity) ** 2}
     if creep is not None and not creep.none:
@@ -182,7 +185,7 @@ def _quadratic_share(
     bows = lengths - design[:, free] @ absorbed
     weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), bows)
     size = 1.0
-    for _ in range(SIZE_ROUNDS):  # the residuals may show larger terms than stated
+    for _ in range(SIZE_ROUNDS):  # the residuals may require larger terms than s_q
         uncertain = np.linalg.inv(bows.T @ weighted + np.eye(3) / size**2)
         mean = uncertain @ (weighted.T @ fit.residuals)
         size = max(1.0, float(np.sqrt(np.mean(mean**2 + np.diag(uncertain)))))
@@ -190,7 +193,7 @@ def _quadratic_share(
 
 
 def _check_determined(v: FloatArray, p: FloatArray, free: IntArray, gravity: float, *, with_prior: bool) -> float:
-    """Return the condition number of the design; raise if a combination of parameters changes no length."""
+    """Return the condition number of the design. Raise if a combination of parameters changes no length."""
     size, count = np.array([gravity] * 6 + [1.0] * 3), len(v)
     prior_rows = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
     design = np.vstack((_linearised(v, p, gravity)[0], prior_rows))[:, free]
@@ -240,7 +243,7 @@ def check_count(reading: FloatArray, wanted: int) -> None:
 
 
 def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
-    """Return a solution as a fit with its verdict; raise if the readings cannot be in the stated unit."""
+    """Return a solution as a fit with its verdict. Raise if the readings cannot be in the declared unit."""
     unit = canonical_unit(unit_in, "accel")
     if is_physical(unit):
         check_gravity(reading * si_factor(unit, "accel"), fit.gravity)

@@ -16,19 +16,19 @@ from undrift.segments import LeftOut, left_out
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 NOT_USED, SATURATED = "not used", "gyroscope saturated"
-MIN_MOVE_DEG, MIN_MOVE_SHARE = 5.0, 0.02  # a smaller move is not drawn; in counts: this share of the largest
+MIN_MOVE_DEG, MIN_MOVE_SHARE = 5.0, 0.02  # smallest move that is drawn, or for counts its share of the largest move
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """A stretch of one recording."""
+    """A stretch of a recording."""
 
     kind: Literal["still", "turn"]
     start: int  # sample
     stop: int  # sample after the last
     recording: int
     label: str = ""  # face, axis and angle, axis and rate
-    why: str = ""  # reason why it was left out; "" for what was used or found
+    why: str = ""  # why it was left out, or "" if it was used or detected
 
 
 def pieces_of(
@@ -37,9 +37,9 @@ def pieces_of(
     calibration: Calibration | None = None,
     observed: Observed | None = None,
 ) -> tuple[tuple[Piece, ...], str]:
-    """Return the pieces of a session, stated or found, in order of time, and why there is no still.
+    """Return the pieces of a session in order of time, and the reason if there is no still.
 
-    With the calibration that was made of it, pieces that it did not use say why. ``observed`` saves a second search.
+    With ``calibration``, unused pieces contain a reason. ``observed`` saves a second search.
     """
     observed = look(session, settings) if observed is None else observed
     stills = session.stills or observed.stills
@@ -71,7 +71,7 @@ def _method(model: TriadModel | None) -> str:
 
 
 def _is_used(turn: Turn, method: str) -> bool:
-    """Return True if a method uses a turn with what is known of it; true without a method."""
+    """Return True if a method uses a turn with this rate or angle, or if no method is given."""
     return method == "" or {"rate-table": turn.turn_rate, "known-rotation": turn.angle}.get(method) is not None
 
 

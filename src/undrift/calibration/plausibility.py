@@ -21,7 +21,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_phys
 
 # ---- axis order: do columns have the order and sense of the stated axes?
 #
-# Of the 48 matrices with one +1 or -1 in every row and column, the one nearest to a forward matrix K, its rows scaled to one, gives
+# There are 48 matrices with one +1 or -1 in every row and column. The matrix nearest to a forward matrix K with unit rows gives
 # the axis that each column reads:
 #
 #     P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for axis +j
@@ -86,14 +86,14 @@ def _join_names(names: Sequence[str]) -> str:
 
 
 def columns_to_mend(order: FloatArray) -> int:
-    """Return how much of one triad's columns would have to be mended: 1 for a reversed column, 2 for a moved one."""
+    """Return how many columns of a triad must be corrected: 1 for a reversed column, 2 for a moved column."""
     return 6 - int(2 * np.trace(order > 0.5)) - int((np.diag(order) < -0.5).sum())
 
 
 def accel_order(order: FloatArray) -> FloatArray | None:
-    """Return the accelerometer columns A that gravity sees as gyroscope columns P, None if there are none.
+    """Return the accelerometer columns A that gravity sees as gyroscope columns P, or None if there are none.
 
-    A turn is a pseudovector: accelerometer columns that are exchanged or reversed, A, show as P = det(A) A^T.
+    A turn is a pseudovector, so exchanged or reversed accelerometer columns A appear as P = det(A) A^T.
     """
     return min(order.T, -order.T, key=columns_to_mend) if np.linalg.det(order) > 0.0 else None
 
@@ -110,12 +110,12 @@ def cause_by_gravity(order: FloatArray) -> str:
 
 # ---- readings at the end of the range
 
-MANY_VALUES = 20  # different readings; fewer are a constant or steps, with no top to speak of
+MANY_VALUES = 20  # different readings (fewer are a constant or steps, without a clear top)
 NEAR_ZERO = 0.1  # of the largest reading: a level nearer to zero is the rest of a motion to one side
 
 
 class Stuck(NamedTuple):
-    """Readings of one axis at the end of the range."""
+    """Readings of an axis at the end of the range."""
 
     axis: int
     reading: float
@@ -175,16 +175,16 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
 
 # ---- labels, gravity, scale
 
-SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from the stated unit
+SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from its nominal value
 MIN_RANGE_DPS = 100.0  # gyroscopes of 16 bit end at 125 deg/s or beyond
-FORCE_UNITS = {  # length of the specific force in g -> what is wrong
+FORCE_UNITS = {  # length of the specific force in g -> cause
     STANDARD_GRAVITY: "acceleration is in m/s2, not g",
     1.0 / STANDARD_GRAVITY: "acceleration is in g, not m/s2",
     1e3: "acceleration is in mg, not g",
     1e3 / STANDARD_GRAVITY: "acceleration is in mg, not m/s2",
     1e-3: "acceleration is in g, not mg",
 }
-RATE_UNITS = {  # readings over what they should be -> what is wrong
+RATE_UNITS = {  # ratio of readings to their true value -> cause
     RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
     1.0 / RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
     1e3: "time is in milliseconds, not seconds",
@@ -209,9 +209,9 @@ def missing_faces(faces: Sequence[Face]) -> tuple[Face, ...]:
 
 
 def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
-    """Raise if the labels of five faces or more contradict the face that each mean reading (P, 3) shows.
+    """Raise if the labels of five faces or more contradict the face that each mean reading (P, 3) points to.
 
-    A reading shows the face of its largest component, about the middle between the extremes of each axis.
+    A reading points to the face of its largest component, relative to the middle between the extremes of each axis.
     """
     away = means - 0.5 * (means.max(axis=0) + means.min(axis=0))
     axes = np.abs(away).argmax(axis=1)
@@ -266,9 +266,9 @@ def check_own_scale(
     *,
     sample_rate_hz: float | None = None,
 ) -> None:
-    """Raise if a scale factor, reading per SI unit, one or (K,), is outside the tolerance of the unit's own; counts have none.
+    """Raise if a scale factor, reading per SI unit, scalar or (K,), is outside the tolerance of its nominal value.
 
-    A wrong sample rate scales angles: it is given where a fit integrates turns.
+    Counts have no nominal value. A wrong sample rate scales angles, so fits that integrate turns pass the sample rate.
     """
     if not is_physical(unit):
         return
@@ -291,8 +291,8 @@ def check_own_scale(
 def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, stated: bool) -> Iterator[Finding]:
     """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit, or counts with the ranges of devices.
 
-    In counts it is a warning if no gyroscope has a range as small as 16 bit mean; otherwise a note if only stated turns determine
-    the scale.
+    Counts cause a warning if no gyroscope has such a small range at 16 bit. Otherwise they cause a note if ``stated`` turns
+    are the only source of the scale.
     """
     if is_physical(unit):
         ratio = scale_factor * si_factor(unit, "rate") - 1.0
@@ -314,9 +314,9 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, sta
 
 
 def force_words(median_g: float, spread_g: float) -> str:
-    """Return why a specific force has another length than gravity's at rest, "" if the cause is not known.
+    """Return why a specific force has another length than gravity at rest, or "" if the cause is unknown.
 
-    Lengths that scatter by more than 0.3 of their median have gravity removed; a unit only scales both.
+    A scatter of more than 0.3 of the median indicates that gravity was removed, because a unit only scales both.
     """
     if median_g < 0.5 and spread_g > 0.3 * median_g:
         return "gravity is missing: an app's linear acceleration, without gravity"
@@ -324,7 +324,7 @@ def force_words(median_g: float, spread_g: float) -> str:
 
 
 def rate_unit_words(ratio: float) -> str:
-    """Return the mistaken unit that makes rates read this multiple of the true ones, "" if there is none."""
+    """Return the mistaken unit that explains this ratio of rates to their true values, or "" without one."""
     return _name_unit(ratio, RATE_UNITS, 1.1) if np.isfinite(ratio) else ""
 
 

@@ -1,16 +1,16 @@
-"""Are the rests and turns of a session what it says they are, and do rests that a fit did not use agree with gravity?
+"""Check that the rests of a session are still, its turns steady, and that rests without a fit agree with gravity.
 
 A still is compared with a device at rest by three figures, which do not depend on the offset of its sensors:
 
-    sway    largest standard deviation of the readings, smoothed over 0.1 s, in a window of 1 s; three axes together
+    sway    largest standard deviation of the readings, smoothed over 0.1 s, in a window of 1 s (three axes combined)
     tilt    angle between the mean specific force of its first and of its last third
-    rate    mean rate reading minus its median over all stills: a slow turn that no window shows
+    rate    mean rate reading minus its median over all stills: a slow turn that no window reveals
 
-Above the limit of a bench the worst still is a finding; above three times the limit the session is refused. Readings in counts
-have no such limit, and a still is then compared with the other stills. A turn is judged by r, the reading of the turned axis minus
-its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
+If the worst still exceeds the limit of a bench, it becomes a finding. At three times the limit the session is refused. Readings in
+counts have no such limit, so a still is then compared with the other stills. A turn is checked by r, the reading of the turned axis
+minus its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 
-    spread   standard deviation of abs(r) over a settled dwell, relative to its mean: a stop in 5 % of it makes 0.23
+    spread   standard deviation of abs(r) over a settled dwell, relative to its mean (a stop in 5 % of it makes 0.23)
     edge     abs(r) at the start or end of a turn by an angle: part of the angle is missing
 """
 
@@ -50,19 +50,19 @@ def piece_name(session: Session, piece: Still | Turn, number: int, *, what: str 
 
 
 def whole_readings(values: FloatArray | None, start: int, stop: int) -> FloatArray:
-    """Return the readings (n, 3) of a stretch without gaps; empty if the triad is missing."""
+    """Return the readings (n, 3) of a stretch without gaps, or an empty array if the triad is missing."""
     readings = np.zeros((0, 3)) if values is None else values[start:stop]
     return readings[~np.isnan(readings).any(axis=1)]
 
 
 def mean_reading(values: FloatArray | None, start: int, stop: int) -> FloatArray:
-    """Return the mean reading (3,) of a stretch, NaN if there is none."""
+    """Return the mean reading (3,) of a stretch, or NaN without readings."""
     readings = whole_readings(values, start, stop)
     return np.asarray(readings.mean(axis=0)) if len(readings) else np.full(3, np.nan)
 
 
 def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the temperature of each still or turn, as stated or as recorded; NaN if there is none."""
+    """Return the given or recorded temperature of each still or turn, degC, or NaN without one."""
     temps = []
     for piece in pieces:
         column = session.records[piece.recording].temp_c
@@ -78,7 +78,7 @@ Fault = tuple[float, int, str]
 
 
 def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
-    """Compare every still with a device at rest; raise if one is far from it."""
+    """Compare every still with a device at rest. Raise if a still is far from rest."""
     figures = [*_rates(session, stills)]
     if stated:
         figures += [*_sway(session, stills, "gyro"), *_sway(session, stills, "accel"), *_tilts(session, stills)]
@@ -88,7 +88,7 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -
     ratio, number, what = max(faults)
     name = piece_name(session, stills[number], number, stated=stated)
     moving = finding("session.piece", "warn", piece=name, pieces=len({still for _, still, _ in faults}), what=what)
-    # Stills found in one recording may drift while it warms up; separate recordings may be in different units.
+    # Stills detected in a single recording may drift during warm-up. Separate recordings may have different units.
     if ratio > REFUSED_RATIO and (stated or len(session.records) > 1):
         raise Implausible(f"{name}: expected a device at rest, got {what}; {moving.action}", still=number)
     return (moving,)
@@ -153,7 +153,7 @@ SHARED_LIMIT = 0.1  # of the shorter of two pieces: readings that both hold woul
 
 
 def check_counted_once(session: Session) -> None:
-    """Raise if readings would count twice: a recording, still or turn is stated again."""
+    """Raise if readings would count twice because a recording, still or turn is repeated."""
     triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
     for first, second in combinations(range(len(triads)), 2):
         pairs = list(zip(triads[first], triads[second], strict=False))
@@ -182,7 +182,7 @@ SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail
 
 
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
-    """Compare every stated turn with one that is steady, or from rest to rest; raise if its gyroscope is dead."""
+    """Check that every turn is steady, or goes from rest to rest. Raise if its gyroscope is dead."""
     faults: list[tuple[bool, float, int, str]] = []  # fail, share, number of the turn, sentence
     saturated = saturated_turns(session, settle_s)
     for number, turn in enumerate(session.turns):
@@ -210,20 +210,20 @@ def settling(length: int, settle_s: float, rate_hz: float) -> int:
 
 
 def _discard_settling(session: Session, turn: Turn, settle_s: float) -> FloatArray:
-    """Return the gyroscope readings (n, 3) of a turn, without the settling of a dwell at a rate; empty without gyroscopes."""
+    """Return the gyroscope readings (n, 3) of a turn without the settling of a dwell, or an empty array without gyroscopes."""
     record = session.records[turn.recording]
     skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
     return np.zeros((0, 3)) if record.gyro is None else record.gyro[turn.start + skip : turn.stop]
 
 
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
-    """Return the numbers of the stated turns in which a gyroscope sticks at the end of its range."""
+    """Return the numbers of the turns in which a gyroscope sticks at the end of its range."""
     windows = [_discard_settling(session, turn, settle_s) for turn in session.turns]
     return tuple(number for number, window in enumerate(windows) if len(window) and stuck_axis([window]))
 
 
 def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
-    """Return r (N,) of a turn, raw unit; empty if it has no axis, rate, reading or rest for its offset, or is near the noise."""
+    """Return r (N,) of a turn in the raw unit, or an empty array if r cannot be computed or is near the noise."""
     record = session.records[turn.recording]
     rests = [record.gyro[s.start : s.stop] for s in stills if s.recording == turn.recording and record.gyro is not None]
     if record.gyro is None or turn.axis is None or not (turn.turn_rate or turn.angle):
@@ -249,11 +249,11 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
 
 # ---- rests that a fit did not use: the length of their specific force against gravity
 #
-#     m_p = |f_p| - g,  f_p = M (u_p - o)       u_p the mean reading of still p, in any pose
-#     s_p^2 = (M' n)' S_p (M' n) + J_p C J_p'   n = f / |f|, J = d|f| / d(M, o), C the covariance of the fit
+# m_p = |f_p| - g,  f_p = M (u_p - o)       mean reading u_p of still p, in any pose
+# s_p^2 = (M' n)' S_p (M' n) + J_p C J_p'   n = f / |f|, J = d|f| / d(M, o), covariance C of the fit
 #
-# Six stills that are no faces may fit twelve parameters well: poses of a sheared cube do. Other poses then miss gravity, though
-# their direction is not known. S_p contains the noise of the mean by blocks and the converter's step.
+# Six stills that are not faces may fit twelve parameters well, for example poses of a sheared cube. Other poses then miss
+# gravity, even without a known direction. S_p contains the noise of the mean by blocks and the converter's step.
 
 LARGEST_ANGLE_DEG = 5.0  # of a sensor to its axis of the case: parts and boards are within 1 to 3
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
