@@ -71,9 +71,8 @@ class RunningIntegral:
         area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
         area_before = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
         bend = 0.5 * (np.diff(self._values, axis=0) / step[:, None])
-        self._pieces = np.concatenate(
-            (area_before, self._values[:-1], bend), axis=1
-        )  # of the integral, from each sample on
+        # of the integral, from each sample on
+        self._pieces = np.concatenate((area_before, self._values[:-1], bend), axis=1)
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""

@@ -117,9 +117,8 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 def _swept_codes(column: FloatArray, step: float) -> FloatArray:
     """Return how often each code near zero occurs while the reading sweeps through zero."""
     codes = np.round(column / step)
-    travelled = np.abs(
-        codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES]
-    )  # NaN next to a gap, which does not count as motion
+    # NaN next to a gap, which does not count as motion
+    travelled = np.abs(codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES])
     middle = codes[SWEEP_SAMPLES:-SWEEP_SAMPLES]
     near = middle[(travelled >= SWEEP_CODES) & (np.abs(middle) <= SIDE_CODES)]
     return np.bincount(near.astype(np.int64) + SIDE_CODES, minlength=2 * SIDE_CODES + 1).astype(float)

@@ -19,11 +19,8 @@ from undrift.calibration.norm import QUADRATIC_SD
 from undrift.model import Calibration, TriadModel
 from undrift.units import INHABITED_GRAVITY, STANDARD_GRAVITY
 
-COVERAGE, ENOUGH, STUDENT_TAIL = (
-    2.0,
-    50.0,
-    0.97725,
-)  # k, the degrees of freedom from which it applies, and the quantile for 95.45 %
+# k, the degrees of freedom from which it applies, and the quantile for 95.45 %
+COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

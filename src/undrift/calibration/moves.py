@@ -181,9 +181,8 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     length = np.linalg.norm(a, axis=1)
     n = a / length[:, None]
     across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
-    matrix_slopes = (across[:, :, :, None] * d[:, None, None, :]).reshape(
-        len(n), 3, 9
-    )  # column 3 i + j: across e_i d_j
+    # column 3 i + j: across e_i d_j
+    matrix_slopes = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)
     reading_slopes = across @ accel.matrix
     covariance = (reading_slopes * variance / count[:, None, None]) @ reading_slopes.transpose(0, 2, 1)
     return n, np.concatenate((matrix_slopes, -reading_slopes), axis=2), covariance
@@ -455,9 +454,8 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     turn, integral = turned_in(moves, matrix, offset, drift[rests:] / size)
     arrived, tangent = (turn @ n[moves.before][:, :, None])[:, :, 0], _tangent(n[moves.before + 1]).transpose(0, 2, 1)
     matrix_slopes = integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
-    turn_slopes = (
-        tangent @ cross_matrix(arrived) @ turn
-    )  # derivative of the angles by a small turn: d(C n) = C n x small turn
+    # derivative of the angles by a small turn: d(C n) = C n x small turn
+    turn_slopes = tangent @ cross_matrix(arrived) @ turn
     numbers = np.arange(len(moves.first))
     still_slopes = np.zeros((len(numbers), 2, len(n), 3))
     still_slopes[numbers, :, moves.before] += tangent @ turn
@@ -468,9 +466,8 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     move_slopes[numbers, :, rests + numbers] = -turn_slopes @ integral[:, 0] @ matrix / size
     rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
     angle = (tangent @ (arrived - n[moves.before + 1])[:, :, None]).ravel()
-    reading_slopes = (
-        tangent @ cross_matrix(arrived) @ matrix
-    )  # of the angles by the integral of the readings, in the end frame
+    # of the angles by the integral of the readings, in the end frame
+    reading_slopes = tangent @ cross_matrix(arrived) @ matrix
     matrix_columns = np.zeros((3 * rests, 9)), (turn_slopes @ matrix_slopes).reshape(-1, 9)
     g_slopes = np.einsum("epa,pb->eab", offset_slopes, problem.felt).reshape(len(offset_slopes), -1)
     return _MoveRows(
@@ -493,13 +490,11 @@ def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str,
     from scipy.linalg import block_diag
 
     moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, rows.rests
-    sample = float(
-        (theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean()
-    )  # (rad/s)^2, mean of the axes
+    # (rad/s)^2, mean of the axes
+    sample = float((theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean())
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
-    rest_codes = np.zeros(
-        (len(rows.misfit), 3)
-    )  # each rest reads one rounding error, and motion turns rounding into noise
+    # each rest reads one rounding error, and motion turns rounding into noise
+    rest_codes = np.zeros((len(rows.misfit), 3))
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
     accel_rows = np.einsum("eka,kap->ep", rows.by_still, accel_slopes)
     sources = {

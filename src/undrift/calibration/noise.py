@@ -86,9 +86,8 @@ def allan_deviation(
         )
     m, terms, square = np.array(rows).T
     variance = 0.5 * square / m**2
-    slope = np.full(
-        len(m), -1.0
-    )  # d log sigma^2 / d log tau (the last averages are few and reuse the slope before them)
+    # d log sigma^2 / d log tau (the last averages are few and reuse the slope before them)
+    slope = np.full(len(m), -1.0)
     if len(m) > 1:
         slope = np.gradient(np.log(np.maximum(variance, 1e-300)), np.log(m))
         last = max(1, int((terms >= LEAST_AVERAGES * m).sum()))
@@ -129,15 +128,10 @@ TERMS = {  # an accelerometer has other terms for the same slopes
 }
 _ROWS = ("quantization", *_NAMES)  # order of the coefficients in the fit
 _UNITS = (" s", "/sqrt(Hz)", "", "/sqrt(s)")
-OBSERVABLE, UPPER = (
-    2.0,
-    5.0,
-)  # standard errors of a square: smallest observable value, and upper limit of an unobservable square
-SHARED, SHARED_LONG, FEW = (
-    2.0,
-    3.5,
-    100.0,
-)  # variances have weight 1 / SHARED, or 1 / SHARED_LONG below FEW degrees of freedom
+# standard errors of a square: smallest observable value, and upper limit of an unobservable square
+OBSERVABLE, UPPER = 2.0, 5.0
+# variances have weight 1 / SHARED, or 1 / SHARED_LONG below FEW degrees of freedom
+SHARED, SHARED_LONG, FEW = 2.0, 3.5, 100.0
 SHORTEST = 64  # samples
 LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
 MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
@@ -294,9 +288,8 @@ def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: 
     windows = values[: len(values) // width * width].reshape(-1, width, 3)[:, : width // tenth * tenth]
     means = windows.reshape(len(windows), -1, tenth, 3).mean(axis=2)
     motion = np.sqrt(means.var(axis=1).sum(axis=1))
-    white = float(
-        np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth)
-    )  # spread of the means that noise without motion causes
+    # spread of the means that noise without motion causes
+    white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
     usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
     moved = np.flatnonzero(motion > 10.0 * max(usual, white))
     if len(moved) or (physical and usual > max(limit, 3.0 * white)):
@@ -318,11 +311,8 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
     """Fit one axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
     from scipy.optimize import nnls
 
-    measured, shapes, log_variance = (
-        curve.deviation**2,
-        _shapes(curve.taus_s),
-        2.0 / curve.edf,
-    )  # own variance over the square
+    # own variance over the square
+    measured, shapes, log_variance = curve.deviation**2, _shapes(curve.taus_s), 2.0 / curve.edf
     shared = np.where(curve.edf < FEW, SHARED_LONG, SHARED) * log_variance
     model, departure = measured, 0.0
     for _ in range(ROUNDS):

@@ -48,11 +48,8 @@ WEAKEST = 0.02  # smallest rms change of length, in g, per unit of a determined 
 PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
 KEPT = 0.3  # of the prior deviation of a cross-axis term: above it the poses did not determine the term
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
-MOST_STEPS, CONVERGED, FARTHEST = (
-    100,
-    1e-8,
-    30.0,
-)  # descent: steps, relative step at convergence, parameters that diverge
+# descent: steps, relative step at convergence, parameters that diverge
+MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0
 SIZE_ROUNDS = 20  # of the size of quadratic terms
 ROUNDING = 1e-9  # of gravity: deviation that every length has at least
 TOLERANCE = 0.25  # relative to the nominal sensitivity of the unit (raw parts are within 0.2)

@@ -1,24 +1,24 @@
-"""Rate table: gyroscopes against imposed steady rates, each axis up in turn, both signs (eqs. 4-6 of the note).
+"""Calibrate gyroscopes on a rate table: steady known rates, each axis up in turn, in both directions (eqs. 4-6 of the note).
 
-    paper      C = L S' (S S')^-1              L (3, N) achieved rates, S (3, N) mean readings; offset already removed
-    affine     M u - c - G f = w + errors      M (3, 3), c = M o, and G, the g-sensitivity; w = 0 at rest
+    paper      C = L S' (S S')^-1              achieved rates L (3, N), mean readings S (3, N) without their offset
+    affine     M u - c - G f = w + errors      M (3, 3), c = M o, G the g-sensitivity, w = 0 at rest
 
-L holds the rates that the table achieved, never the nominal ones: at 40,000 counts a turn the note's 0.1 deg/s is 0.099. The
-Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up; the horizontal part averages out
-over whole turns. f is the specific force by the accelerometers, without them along the stated faces of the rests.
+L contains the rates that the table achieved, not the nominal rates. At 40,000 counts per turn, the note's 0.1 deg/s is 0.099. The
+Earth's rotation adds its vertical part, Omega sin(latitude), to the axis that points up. Its horizontal part averages out over
+whole turns. f is the specific force from the accelerometers. Without accelerometers it is along the labelled faces of the rests.
 
-The errors of dwell or rest i, in the frame of the case, by source:
+Sources of error of dwell or rest i, in the frame of the case:
 
     noise, adc     M n_i                       noise and rounding of the mean
-    rate           w_i r                       stated rates, wrong in common
-    mounting       w_i (d_i + e_i)             the table's axis as gravity shows it or as stated, and its wobble
-    ripple         w_i (p_m(psi_i) + u_i)      the rate about the dwell's axis: it ripples with the azimuth psi of the table, if a
-                                               dwell is shorter than a turn, and differs from dwell to dwell
-    temperature    warmth_i (alpha + beta w_i) offset and scale follow the temperature
-    instability    flicker, and q_k B          of the offset; B the covariance of a random walk about its mean over the session
+    rate           w_i r                       common error of all given rates
+    mounting       w_i (d_i + e_i)             axis of the table, from gravity or as given, and its wobble
+    ripple         w_i (p_m(psi_i) + u_i)      ripple of the rate with the azimuth psi of the table, if a dwell is shorter
+                                               than a turn, and differences from dwell to dwell
+    temperature    warmth_i (alpha + beta w_i) dependence of offset and scale on temperature
+    instability    flicker, and q_k B          offset, with the covariance B of a random walk about its mean over the session
 
-The sizes of e, p, u and q_k, of each sensor, are excess variances of the residuals (fit/gls.py). The offset is that of the session
-on average. What the session does not determine keeps its prior: the columns of axes that the table did not turn, and G.
+The sizes of e, p, u and q_k of each sensor are excess variances of the residuals (fit/gls.py). The offset is the mean over the
+session. Parameters that the session does not determine keep their prior: G, and the columns of axes that the table did not turn.
 """
 
 from collections.abc import Iterator, Sequence
@@ -59,7 +59,7 @@ RateTableMode = Literal["paper", "affine"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestMeans:
-    """Readings at rest, and the specific force of rests and dwells, by accelerometers or along the stated faces."""
+    """Readings at rest, and the specific force of rests and dwells, from accelerometers or along the labelled faces."""
 
     dwell_force: FloatArray  # (N, 3), mean corrected specific force of each dwell, m/s2, frame b
     reading: FloatArray  # (P, 3), mean gyroscope reading of each rest, unit of the dwells
@@ -80,10 +80,10 @@ def fit_rate_table(
     cross_axis_prior: float = 0.01,
     creep: Creep | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the dwells of a rate table and to rests; its latitude adds the Earth's rate to a vertical axis.
+    """Fit gyroscopes to the dwells of a rate table and to rests, with the Earth's rate on a vertical axis for a latitude in deg.
 
-    Residuals are corrected minus imposed rate, rad/s. The columns of axes that the table did not turn keep the nominal scale
-    factor; cross-axis terms of ``cross_axis_prior``.
+    Residuals are corrected minus true rates, rad/s. For an axis that the table did not turn, the column keeps the nominal scale
+    factor, with cross-axis terms of ``cross_axis_prior``.
     """
     turn_axes, rates = _check_turn_axes(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
     if mode == "paper" and len(turn_axes) < 3:
@@ -114,7 +114,7 @@ def fit_rate_table(
 
 
 def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
-    """Return the axes that the table turned at two rates or more; raise if a single one reads as another axis or scale."""
+    """Return the axes that the table turned at two rates or more. Raise if an axis has the wrong order, sign or scale."""
     turn_axes = list[int]()
     for k, axis in enumerate(AXES):
         rows = [n for n, name in enumerate(dwells.axis) if name == axis]
@@ -133,7 +133,7 @@ def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
 
 
 def check_reads_positive(slope: FloatArray, k: int) -> None:
-    """Raise if turns about +axis k do not make gyroscope k read + more than the others; slope (3,), reading per rate or angle."""
+    """Raise if turns about +axis k do not give gyroscope k the largest positive slope. Slope (3,) is reading per rate or angle."""
     most = int(np.abs(slope).argmax())
     if most != k or slope[k] < 0.0:
         reads = f"{'-' if slope[most] < 0.0 else '+'}{AXES[most]}"
@@ -199,13 +199,13 @@ def table_prior(
 
 
 def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, FloatArray]:
-    """Return the stated covariances (3 E, 3 E) of the rows, (rad/s)^2."""
+    """Return the covariances (3 E, 3 E) of the rows by known source, (rad/s)^2."""
     count, number, axes = len(rows.rate), len(dwells.turn_rate), dwells.axes
     floor = (MIN_NOISE * float(np.abs(rows.reading).max())) ** 2 + 1e-300
     noise = np.zeros_like(rows.reading) if rows.noise is None else rows.noise**2
     codes = np.minimum(dwells.codes, noise)
-    # Equal inputs have equal rounding errors. Inputs a step or more apart have independent ones, since nothing states where between
-    # two codes each of them lies; in between the correlation falls linearly.
+    # Equal inputs have equal rounding errors. Inputs a step or more apart have independent errors, because their positions between
+    # two codes are unknown. For smaller distances the correlation falls linearly.
     place = rows.rate @ np.linalg.inv(matrix).T / np.where(dwells.codes > 0.0, dwells.step, 1.0)
     rounding = np.sqrt(codes[:, None] * codes) * np.maximum(1.0 - np.abs(place[:, None] - place), 0.0)
     sources = {
@@ -241,7 +241,7 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
 
 
 def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each; 0 at rest."""
+    """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each, with 0 at rest."""
     along, across = np.zeros((count, 3)), np.zeros((count, 3))
     rotating = np.abs(axis_vectors(dwells.axis)) > 0.5
     along[: len(rotating)] = np.where(rotating, dwells.turn_rate[:, None], 0.0)
@@ -280,13 +280,13 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
-# weights, s = K w + b, with rests + H a and a b of each recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is
+# weights, s = K w + b, with rests + H a and a separate b per recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is
 # refused if |e_i| is beyond 8 times the typical |e|, the median over the dwells minus one for every parameter that the fit
 # makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
 
 SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
 SHARE = 0.02  # of the largest rate
-LEAST_SPARE = 4  # equations beyond the parameters of a sensor; with fewer, a false dwell does not stand out
+LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell stands out
 
 
 def check_dwells(
@@ -297,10 +297,9 @@ def check_dwells(
     numbers: tuple[int, ...] | None = None,
     recordings: Sequence[int] = (),
 ) -> None:
-    """Raise if the reading of a dwell contradicts all the others; rates (N, 3), rad/s.
+    """Raise if the reading of a dwell contradicts all the others at rates (N, 3), rad/s.
 
-    Dwells in a recording with rests have the offset of that recording, as each switch-on has an offset of its own, unless the
-    recordings hold a dwell or two each, as those of a rig run do.
+    Each recording with rests has its own offset, unless the recordings contain only a dwell or two each.
     """
     rows, count = _rows(dwells, rates, rests), len(rates)
     group = np.zeros(len(rows.rate))
@@ -319,7 +318,7 @@ def check_dwells(
         return
     theta = np.array([fit_huber(design, column)[0] for column in rows.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
-        return  # two columns that read the same; the fit itself reports it
+        return  # two columns have the same readings, which the fit itself reports
     away = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error, size = np.linalg.norm(away, axis=1), np.linalg.norm(rates, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
@@ -345,7 +344,7 @@ def check_dwells(
 
 
 def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
-    """Fit the gyroscopes of a session to its turns at known rates; an entry of FITS."""
+    """Fit the gyroscopes of a session to its turns at known rates."""
     session, settings, turns = observed.session, observed.settings, table_turns(observed.session.turns)
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
     model = None if accel is None else accel.model
@@ -392,9 +391,9 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
 def _rest_means(
     observed: Observed, turning: Sequence[Turn], dwells: DwellMeans, accel: TriadModel | None
 ) -> RestMeans | None:
-    """Return readings at rest and specific forces; None if a recording lacks a triad or there is no rest.
+    """Return readings at rest and specific forces, or None if a recording lacks a triad or there are no rests.
 
-    Without accelerometers rests on stated faces count, and gravity is along the face.
+    Without accelerometers only rests on labelled faces count, with gravity along the face.
     """
     records, rests = observed.session.records, sorted(observed.stills, key=lambda still: still.recording)
     if accel is None:

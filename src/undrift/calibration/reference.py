@@ -1,19 +1,19 @@
-"""Gyroscope against an orientation reference: optics, a robot arm, or anything else that gives poses of the same body.
+"""Calibrate gyroscopes against an orientation reference: optics, a robot arm, or other poses of the same body.
 
-    w = M (u + c sign(u) - o) - m(t) d            w rate of the mean body, u readings, m = 1 while the device turns
+    w = M (u + c sign(u) - o) - m(t) d            rate w of the mean body, readings u, m = 1 while the device turns
 
-Rates are never differentiated from poses. Readings are integrated over windows between two poses and compared with the rotation of
-the reference (``reference_windows``). Windows grow from 2 s, where the linear equations are safe for a raw device, by doubling to
-16 s: errors of poses do not grow with the window, and the rotation by an error of M or o does.
+Poses are never differentiated. Readings are integrated over windows between two poses and compared with the rotation of the
+reference (``reference_windows``). Windows start at 2 s, where the linear equations are safe for a raw device, and double up to 16
+s. Errors of the poses do not grow with the window, but the rotation from errors of M or o does.
 
-Recordings of one device are fitted together. The offset at rest is the mean reading at rest of each recording. Offsets in motion
-differ from it by 0.01 to 0.05 deg/s (rounding, vibration, g-sensitivity): one change d for all recordings acts while the device
-turns. A recording without a rest has the mean offset of the others and a change of its own. Each recording has a small rotation
-T of its own between the mean body and its body, since markers are put on again; ``mounting`` "one" leaves it out.
+All recordings of a device are fitted together. The offset at rest is the mean reading at rest of each recording. Offsets in motion
+differ from it by 0.01 to 0.05 deg/s (rounding, vibration, g-sensitivity), so a common change d applies to all recordings while the
+device turns. A recording without a rest has the mean offset of the others plus its own change. Each recording has its own small
+rotation T between the mean body and its body, because markers are attached again. ``mounting`` "one" omits T.
 
-Every element of M has a prior about the rotation that maps the readings to the body, if the readings have a physical unit. Elements
-that the motion does not determine keep it, and the verdict names their axes. If the codes show how they were rounded, c is fitted
-about half a step, or about zero.
+If the readings have a physical unit, every element of M has a prior about the rotation that maps the readings to the body. Elements
+that the motion does not determine keep the prior, and the verdict names their axes. If the rounding of the codes can be identified,
+c is fitted with a prior mean of half a step or zero.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,10 +42,10 @@ FIRST_WINDOW_S = 2.0  # error of raw readings over it stays below about 0.5 rad
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceSettings:
-    """How a device is fitted to a reference."""
+    """Settings of a fit to a reference."""
 
     longest_window_s: float = 16.0  # longer windows are less sensitive to poses, and more to an offset that wanders
-    turning: bool = True  # d acts while the device turns; False: from the first to the last rest
+    turning: bool = True  # True: d acts while the device turns. False: d acts from the first to the last rest
     mounting: Mounting = "each"  # "each": the device is put on the reference body again for each recording
 
     def __post_init__(self) -> None:
@@ -64,7 +64,7 @@ class ReferenceFit:
     # has a ``moving_offset``, otherwise the offset in motion
     triad: TriadFit
     motion_offset: FloatArray  # (3,), reading in motion minus reading at rest, at zero rate, raw unit
-    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit; NaN if it never rests
+    rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit, or NaN without a rest
     lags_s: FloatArray  # (R,), lag of each recording, s
     lag_uncertainties_s: FloatArray  # (R,), standard uncertainty of the lag, s
     window_s: float  # longest windows that the recordings were long enough for, s
@@ -82,7 +82,7 @@ class HeldOut(NamedTuple):
     """The fit to all other recordings, for a recording that was held out."""
 
     fit: ReferenceFit
-    model: TriadModel  # with the rest offset of the held-out recording
+    model: TriadModel  # with the rest offset of the recording that was left out
 
 
 # ---- recordings
@@ -104,7 +104,7 @@ class Aligned:
 
 
 def align(record: Record, reference: Reference, lag_settings: sync.LagSettings = sync.LagSettings()) -> Aligned:
-    """Find lag and motion of one recording, without padded rows and saturated readings."""
+    """Find lag and motion of a recording, without padded rows and saturated readings."""
     full_record, record, poses = record, unpadded(record), sync.native_poses(reference)
     padded = sync.padding(full_record, record)
     record, saturated = without_saturated(record)
@@ -129,7 +129,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     turns: FloatArray = np.ones(len(time))
     if turning and np.isfinite(rest).all():
         turns = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
-    # a strapdown holds each reading over the step before its stamp: half a sample
+    # a strapdown keeps each reading over the step before its stamp, a shift of half a sample
     pose_time = poses.time + (lag.seconds - 0.5 * step)
     inside = (pose_time >= max(span.start_s - MARGIN_S, time[0])) & (pose_time <= min(span.stop_s + MARGIN_S, time[-1]))
     ends = np.flatnonzero(inside)[:: max(1, round(STRIDE_S * poses.sample_rate_hz))]
@@ -150,7 +150,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
 
 
 def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign; NaN and zeros if it never rests."""
+    """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign, or NaN and zeros without a rest."""
     record, span = aligned.record, aligned.span
     rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
     if not span.rested:  # a rest that is too short for the inclination still shows the offset
@@ -178,14 +178,14 @@ SHARED_BODY = 0.01
 # sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
 MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
 TURN_ON = 0.1 * RADIAN_PER_DEGREE  # rad/s, repeatability of the offset between recordings without a rest. Assumed.
-# d, rad/s, and c as a share of a code step about half a step (codes cut off toward zero) or none: 24 trials of four devices show
-# 0.01 to 0.05 deg/s and -0.3 to 0.8 of a step
+# d, rad/s, and the deviation of c from half a step (codes cut off toward zero) or from zero, in steps. 24 trials of four devices
+# have 0.01 to 0.05 deg/s and -0.3 to 0.8 of a step
 MOVING_PRIOR, CODE_PRIOR = 0.05 * RADIAN_PER_DEGREE, 1.0 / 3.0
-MATRIX_DIFFERENCE = 0.05  # between the matrices of single recordings of one device, relative
+MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single recordings of the same device
 START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
 USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
 REFINEMENTS = 2  # more solutions for the longest window
-WANTED_MATRIX, WANTED_REST_DPS = 2e-3, 0.03  # relative uncertainty of M; spread of the rest offsets
+WANTED_MATRIX, WANTED_REST_DPS = 2e-3, 0.03  # relative uncertainty of M, and spread of the rest offsets
 
 
 def fit_reference(
@@ -196,12 +196,12 @@ def fit_reference(
     adc: AdcModel | None = None,
     lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
-    """Fit matrix, offset in motion, and loss of the codes of a gyroscope to references; ``adc`` is the rounding of its codes."""
+    """Fit matrix, offset in motion, and rounding loss of a gyroscope to references, for the rounding ``adc`` of its codes."""
     return fit_aligned(_align_all(records, references, lag_settings), settings, adc)
 
 
 def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
-    """Fit the gyroscope of one device to recordings whose lag and motion are known."""
+    """Fit the gyroscope of a device to recordings whose lag and motion are known."""
     recordings = [recording_of(recording, turning=settings.turning) for recording in aligned]
     return _fit(recordings, settings, aligned[0].record.gyro_unit, adc)
 
@@ -215,7 +215,7 @@ def leave_one_out(
     lag_settings: sync.LagSettings = sync.LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit the model of each recording to all others of the device; ``progress`` takes what is done, and a share of 0 to 1."""
+    """Fit a model for each recording to all other recordings of the device. ``progress`` gets a text and a share from 0 to 1."""
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
     aligned = _align_all(records, references, lag_settings)
@@ -233,7 +233,7 @@ def leave_one_out(
 def _align_all(
     records: Sequence[Record], references: Sequence[Reference], lag_settings: sync.LagSettings
 ) -> list[Aligned]:
-    """Find lag and motion of the recordings of one device."""
+    """Find lag and motion of all recordings of a device."""
     if not records or len(records) != len(references):
         raise InputError(
             f"reference: each record needs one reference, got {len(records)} records and {len(references)} references."
@@ -248,13 +248,13 @@ def _align_all(
 class _Parameters:
     """The P parameters of R recordings: M row by row, d, c, changes of the offset, and rotations of the mountings.
 
-    A change of the offset belongs to one recording without a rest; rotations are combinations that add up to zero.
+    Each recording without a rest has its own change of the offset. Rotations are combinations that add up to zero.
     """
 
     value: FloatArray  # (P,)
     expected: FloatArray  # (P,), mean of the prior
     spread: FloatArray  # (P,), standard deviation of the prior: infinite without a prior, 0 if the parameter is fixed
-    local: FloatArray  # (R, 18, P), from the parameters to those of each recording: M, d, c, rotation of its mounting
+    local: FloatArray  # (R, 18, P), maps the parameters to M, d, c and rotation of the mounting in each recording
     offsets: FloatArray  # (R, 3), o, raw unit
     mountings: FloatArray  # (R, 4), rotation from the mean body to the body of each recording
     nominal: FloatArray  # (3, 3), rad/s per raw unit: rotation from the readings to the mean body, times the factor of the unit
@@ -276,7 +276,7 @@ class _Parameters:
         return windows, np.concatenate(columns)
 
     def moved(self, step: FloatArray) -> "_Parameters":
-        """Return the parameters after a step (F,) of the free ones."""
+        """Return the parameters after a step (F,) of the free parameters."""
         full_step = np.zeros(len(self.value))
         full_step[self.free] = step
         mountings = quaternion_product(self.mountings, quaternion_of((self.local @ full_step)[:, 15:]))
@@ -284,7 +284,7 @@ class _Parameters:
 
 
 def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None) -> ReferenceFit:
-    """Fit a device to short windows, then to longer and longer ones, each fit starting from the one before."""
+    """Fit a device to short windows, then to longer windows, each time starting from the previous fit."""
     parameters = _start(recordings, settings, unit, adc)
     solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
     doublings = int(np.ceil(np.log2(settings.longest_window_s / FIRST_WINDOW_S)))
@@ -380,10 +380,10 @@ def _nearest_rotation(matrices: FloatArray) -> FloatArray:
 
 
 def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) -> FloatArray:
-    """Return the matrix of all recordings from those of each, (R, 3, 3), weighted by the covariance of their readings.
+    """Return the common matrix of all recordings from single matrices (R, 3, 3), weighted by the covariance of their readings.
 
-    M = (sum M_r W_r + e N) (sum W_r + e)^-1: the nominal matrix N stands for what no recording determines. The difference of a
-    recording is that of its rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|.
+    M = (sum M_r W_r + e N) (sum W_r + e)^-1 with the nominal matrix N for directions that no recording determines. A recording
+    differs from M by the difference of its rates, |(M_r - M) W_r^(1/2)| / |M W_r^(1/2)|.
     """
     total_power = power.sum(axis=0)
     ridge = START_RIDGE * float(np.linalg.eigvalsh(total_power)[2])
@@ -414,7 +414,7 @@ def _result(
         sign = np.mean([r.rest_sign for r in rested], axis=0)
         base = np.mean([r.rest for r in rested], axis=0) + sign * codes
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
-    # The fit has M, d and c. The offset o is the mean at rest, so its error moves o, and d by as much the other way.
+    # The fit has M, d and c. The offset o is the mean at rest. An error of this mean moves o, and moves d by the opposite amount.
     free, eye, none, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
     motion_offset = inverse @ moving
     rest_rows = [np.zeros((3, 9)), none, np.diag(sign), eye]
@@ -470,7 +470,7 @@ def _result(
 
 
 def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray]) -> Iterator[Finding]:
-    """Yield findings: axes that keep their prior, or else a matrix that is uncertain; and rest offsets that differ."""
+    """Yield findings for axes that keep their prior, or for an uncertain matrix, and for rest offsets that differ."""
     size = float(np.linalg.norm(nominal, 2))
     jacobian = np.kron(nominal.T, np.eye(3)) / size**2
     spread = np.sqrt(np.diag(jacobian @ model.covariance[:9, :9] @ jacobian.T)).reshape(3, 3)

@@ -1,10 +1,10 @@
-"""Accelerometer against an orientation reference: rests at known attitudes.
+"""Calibrate accelerometers against an orientation reference, from rests at known attitudes.
 
-    M u - c = R' g z + e          u mean reading of a rest, R its pose in the body of the gyroscopes' fit, c = M o
+    M u - c = R' g z + e          mean reading u of a rest, pose R in the body of the gyroscope fit, c = M o
 
-The errors e are noise, codes, flicker and temperature as in six faces, a tilt of the level of the reference of a stated size, and a
-tilt of each pose, whose size the residuals show. Motion is not used, so six rests or more must determine M and c. The offset is
-that at the mean temperature of the recordings, of which the rests may all be at one end.
+The errors e are noise, codes, flicker and temperature as for six faces, a tilt of the reference's level of known size, and a tilt
+of each pose with an excess variance. Motion is not used, so six rests or more must determine M and c. The offset applies at the
+mean temperature of the recordings, although the rests may all be at one end of the temperature range.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from undrift.sync import native_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_RESTS = 6  # with fewer, the residuals do not show how far the poses are off
-NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # of accelerometers that nothing determines: relative; m/s2. Assumed.
+NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # accelerometers without a fit: relative scale, offset in m/s2. Assumed.
 MAX_CONDITION = 20.0  # of the attitudes and a constant: of six faces it is 2
 MIN_NOISE = 1e-9  # of the largest reading: a mean is not known better than its arithmetic
 WANTED = 0.005  # relative uncertainty of the matrix
@@ -40,7 +40,7 @@ TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # of gyroscopes on the body of the refer
 
 
 def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:
-    """Return nominal accelerometers in the body that the gyroscopes were fitted to; None in counts, or if it is the device's."""
+    """Return nominal accelerometers in the body of the gyroscope fit, or None for counts or if the body is the device itself."""
     u, _, right = np.linalg.svd(gyro.matrix)
     turn = u @ right
     if not is_physical(unit) or np.trace(turn) > 1.0 + 2.0 * np.cos(TURNED_ABOVE):
@@ -69,10 +69,9 @@ def fit_reference_accel(
     gravity_m_s2: float,
     lags_s: FloatArray,
 ) -> TriadFit:
-    """Fit scale, cross-axis terms and offset of the accelerometers of one device to rests at known attitudes.
+    """Fit scale, cross-axis terms and offset of the accelerometers of a device to rests at known attitudes.
 
-    ``mountings`` (R, 3), rad, and ``lags_s`` (R,) are those of the gyroscopes' fit. Raises NotObservable if the rests have too few
-    attitudes.
+    ``mountings`` (R, 3), rad, and ``lags_s`` (R,) come from the gyroscope fit. Raise NotObservable if there are too few attitudes.
     """
     from scipy.linalg import block_diag
     from scipy.spatial.transform import Rotation

@@ -1,13 +1,13 @@
 """Rotations over windows between two poses: equations of a gyroscope, their solution, and its covariance.
 
-R_i and R_j are the poses at both ends of a window, and T turns the mean body of all recordings into the body of this one::
+R_i and R_j are the poses at both ends of a window. T turns the mean body of all recordings into the body of this recording::
 
-    w   = M (u + c (sign u - s) - o) - m d          u readings, o offset at rest, s mean sign of u at rest, m = 1 while it turns
+    w   = M (u + c (sign u - s) - o) - m d          readings u, offset o at rest, mean sign s of u at rest, m = 1 while it turns
     R_w = exp(w dt) ... exp(w dt)                   product over the samples of the window
-    P   = T' R_i' R_j T                             the same rotation by the reference
+    P   = T' R_i' R_j T                             the same rotation from the reference
     y   = log(R_w' P) = J (dM, dd, dc) + (P' - 1) dt + errors of the poses and readings
 
-J is one running sum of R u dt along the recording. Poses are used at their own times and never interpolated.
+J is a running sum of R u dt along the recording. Poses are used at their own times and never interpolated.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from undrift.fit.triad import scaled_condition
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rotation, rotation_vector
 from undrift.sync import Lag
 
-STRIDE_S = 0.5  # from the start of one window to the start of the next
+STRIDE_S = 0.5  # distance between the starts of neighbouring windows
 MIN_BLOCKS = 8  # of a jackknife: blocks are two windows long, or one window if there would be fewer
 
 
@@ -32,22 +32,22 @@ class Recording:
     """One recording, prepared for the fit."""
 
     time: FloatArray  # (N,), s, clock of the record
-    gyro: FloatArray  # (N, 3), readings, raw unit; zero in gaps
+    gyro: FloatArray  # (N, 3), readings, raw unit, with zeros in gaps
     gaps: IntArray  # (N,), number of gaps since the start
     lag: Lag  # of the record against the reference
     moving: BoolArray  # (N,), True between the first and the last rest
     turning: FloatArray  # (N,), m
-    rest: FloatArray  # (3,), mean reading at rest before the motion, raw unit; NaN if it never rests
+    rest: FloatArray  # (3,), mean reading at rest before the motion, raw unit, or NaN without a rest
     rest_sign: FloatArray  # (3,), mean sign of the readings there
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of the mean reading, raw unit
     pose_time: FloatArray  # (L,), times of the poses at which windows start and end, s, clock of the record
-    q_nb: FloatArray  # (L, 4), these poses; NaN in gaps
+    q_nb: FloatArray  # (L, 4), these poses, with NaN in gaps
     findings: tuple[Finding, ...]  # about the clocks, the ends of both files, and saturated readings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Windows:
-    """Equations of one recording."""
+    """Equations of a recording."""
 
     turn: FloatArray  # (n, 3), y, rad
     design: FloatArray  # (n, 3, 18), J and P' - 1: M row by row, d, c, rotation of the mounting
@@ -97,13 +97,13 @@ def window_equations(
 
 # ---- robust least squares of overlapping windows
 #
-# Huber's estimate by reweighting. Neighbouring windows share readings and poses, so the covariance is that of a jackknife: to first
-# order, leaving a block b of windows out moves the estimate by
+# Huber's estimate by reweighting. Neighbouring windows share readings and poses, so the covariance is a jackknife covariance: to
+# first order, leaving a block b of windows out moves the estimate by
 #
-#     x_b = (N - N_b)^-1 A_b' p_b            N = A' D A + K, bounded residuals p, D = 1 within Huber's bound and 0 beyond, prior K
+# x_b = (N - N_b)^-1 A_b' p_b            N = A' D A + K, bounded residuals p, D = 1 within Huber's bound else 0, prior K
 #
-# and cov x is the sum of x_b x_b' over the blocks, widened by Student's factor for one block less than there are. A block is two
-# windows long: its errors and those of the block after the next have nothing in common.
+# and cov x is the sum of x_b x_b' over B blocks, widened by Student's factor for B - 1 degrees of freedom. A block is two
+# windows long, so its errors are independent of those two blocks later.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,7 +158,7 @@ def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
 
 
 def full_rank(design: FloatArray, what: str = "reference") -> float:
-    """Return the condition number of a design (E, P) with columns scaled to one; raise if the motion does not determine all."""
+    """Return the condition number of a design (E, P) with unit columns. Raise if the motion does not determine all parameters."""
     rank, condition = scaled_condition(design)
     if rank < design.shape[1]:
         raise NotObservable(

@@ -1,8 +1,8 @@
-"""What a session contains before anything is fitted: rests, faces, turns, temperature; and what every fit returns.
+"""Contents of a session before a fit: rests, faces, turns and temperature. ``Outcome`` is the result of every fit.
 
-``observe`` takes the stills of a session as stated, or finds and labels them, and checks them (quality.py). ``at_one_temperature``
-keeps the pieces of one set-point: a constant matrix holds at one temperature. ``Outcome`` is what a fit of one triad returns to
-``calibrate``.
+``observe`` uses the given stills of a session, or detects and labels them, and checks them (quality.py). ``at_one_temperature``
+selects the pieces of one set-point, because a constant matrix applies at one temperature only. ``Outcome`` is the result of fitting
+a triad, for ``calibrate``.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 Piece = TypeVar("Piece", Still, Turn)
 
 FULL_TURN = 2.0 * np.pi  # rad
-FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full one is taken for it if no angle is stated
+FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full turn counts as full if no angle is given
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
 SAME_POSE = 0.26  # of gravity: 15 deg
 FEW_STILLS = 9  # with fewer, pauses that were too short are reported
@@ -50,7 +50,7 @@ ROOM_C = 25.0
 
 # ---- mean rate over several rests
 #
-#     m_p = m + c_p z + e_p + d_p       rest p: creep c_p with temperature, z ~ N(0, 1); noise e; scatter d between rests
+# m_p = m + c_p z + e_p + d_p       rest p: drift c_p with temperature, z ~ N(0, 1), noise e, scatter d between rests
 #
 # The variance of e_p comes from block means within the rests. Blocks of half a second show what single samples do not (flicker, a
 # filter), and blocks of an eighth of a rest show slow drift. The scatter between rests is an excess variance: each switch-on has
@@ -83,11 +83,11 @@ def mean_of_rests(
 
 
 def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
-    """Return a session with the stated pieces of one temperature.
+    """Return a session with the pieces of one temperature.
 
-    If stills and turns fall into groups more than 3 K apart, the group nearest to 25 degC is used, of those with at least half as
-    many pieces as the largest. If it lacks faces, the stills on faces of the nearest group with most faces are used as well;
-    sources.py states what their temperature adds.
+    If stills and turns form groups more than 3 K apart, the group nearest to 25 degC is used that has at least half as many pieces
+    as the largest. If it lacks faces, stills of the nearest group with most faces are added. sources.py adds the error of their
+    temperature.
     """
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
     temps = piece_temperatures(session, pieces)
@@ -136,11 +136,11 @@ def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatA
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
-    """A session with its stills, stated or found."""
+    """A session with its stills, given or detected."""
 
     session: Session
     settings: CalibrateSettings
-    stills: tuple[Still, ...]  # as stated, otherwise found; found ones carry a face if gravity determines it
+    stills: tuple[Still, ...]  # as given, otherwise detected (with a face if gravity determines it)
     found: bool  # True if they were found
     findings: tuple[Finding, ...] = ()
     searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if they were found
@@ -157,7 +157,7 @@ class Observed:
         return {still.face for still in self.faced} == set(FACES) and free <= FREE_POSES_SHARE * len(self.stills)
 
     def with_triad(self, triad: Literal["gyro", "accel"]) -> "Observed":
-        """Return the recordings that have a triad, with their stills and turns; the same if all or none have it."""
+        """Return the recordings with a triad, their stills and turns, or the same object if all or none have it."""
         numbers = [k for k, record in enumerate(self.session.records) if getattr(record, triad) is not None]
         if len(numbers) in (0, len(self.session.records)):
             return self
@@ -175,7 +175,7 @@ class Observed:
         return replace(self, session=session, stills=renumbered(self.stills), searches=searches)
 
     def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the mean rate reading over all rests and its variance, (3,) each; creep (P,) of each rest, unit of the reading."""
+        """Return the mean rate reading over all rests and its variance, (3,) each. ``creep`` (P,) is the drift of each rest."""
         records = self.session.records
         windows = [whole_readings(records[s.recording].gyro, s.start, s.stop) for s in self.stills]
         rests = [k for k, window in enumerate(windows) if len(window)]
@@ -194,7 +194,7 @@ class Observed:
         return float(np.nanmean(temps)) if np.isfinite(temps).any() else float("nan")
 
     def unused_stills(self, used: Sequence[Still | Turn]) -> tuple[Still, ...]:
-        """Return the stills, stated or found, that share nothing with what a fit used or with a turn, at the fit's temperature."""
+        """Return the stills at the fit's temperature that share no samples with a piece used by the fit, or with a turn."""
         candidates, taken = list(self.stills), [*used, *self.session.turns]
         for number, record in enumerate(() if self.found else self.session.records):
             with suppress(InputError):  # shorter than a window
@@ -235,9 +235,9 @@ class Observed:
         return turns if sorted(turn.axis or "" for turn in turns) == ["x", "y", "z"] else ()
 
     def turns_of(self, angle: float, tolerance: float = SCALE_TOLERANCE) -> tuple[Turn, ...]:
-        """Return the turns between rests by a known angle, rad; their sign and axis as the gyroscope reads them.
+        """Return the turns between rests by a known angle, rad, with sign and axis from the gyroscope.
 
-        In physical units their reading is near the known angle; in counts a full turn brings the device back to its pose.
+        In physical units their reading is near the known angle. In counts a full turn must return the device to its pose.
         """
         candidates: list[tuple[Turn, float]] = []
         full_turns = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
@@ -247,7 +247,7 @@ class Observed:
                 along, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
                 if factor is None:
                     near = full_turns and returns is True
-                else:  # a move between faces that reads twice as large is no full turn
+                else:  # a move between faces that reads twice as large does not count as a full turn
                     near = abs(abs(along) * factor - angle) < tolerance * angle and not (
                         full_turns and returns is False
                     )
@@ -257,7 +257,7 @@ class Observed:
         return tuple(turn for turn, size in candidates if size * (1.0 + tolerance) > most * (1.0 - tolerance))
 
     def _returns_to_pose(self, turn: Turn) -> bool | None:
-        """Return True if gravity reads the same before and after a turn, within about 15 deg; None if that is unknown."""
+        """Return True if gravity reads the same before and after a turn, within about 15 deg, or None if that is unknown."""
         accel = self.session.records[turn.recording].accel
         stills = [s for s in self.stills if s.recording == turn.recording]
         if accel is None or len(stills) < 5:
@@ -267,7 +267,7 @@ class Observed:
         return bool(np.linalg.norm(moved) < SAME_POSE * segments.sphere_of(segments.still_means(accel, stills))[1])
 
     def with_turns(self) -> "Observed":
-        """Return it with its turns by the known angle; raise, with the likely cause, unless there are some about x, y and z."""
+        """Return the session with its turns by the known angle. Raise, with the likely cause, if an axis has no turn."""
         angle_deg = self.settings.turn_angle_deg
         if angle_deg is None or self.session.turns:
             return self
@@ -281,7 +281,7 @@ class Observed:
         return replace(self, session=replace(self.session, turns=turns))
 
     def _cause_of_missing_turns(self, angle_deg: float) -> str:
-        """Return why turns by a known angle were not found, empty if it is unknown; raise if their unit is mistaken."""
+        """Return the cause if turns by a known angle were not found, "" if unknown. Raise if their unit is mistaken."""
         for number, record, search in self.turn_searches:
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
             back = [self._returns_to_pose(turn) is True for turn in search.rotations]
@@ -318,7 +318,7 @@ class Observed:
 
 
 def look(session: Session, settings: CalibrateSettings) -> Observed:
-    """Return a session with its stills as stated, or found and labelled; nothing is checked."""
+    """Return a session with its stills as given, or detected and labelled, without any check."""
     session = in_one_unit(session)
     if session.stills:
         return Observed(session=session, settings=settings, stills=session.stills, found=False)
@@ -328,13 +328,13 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
-    """Return a session with its stills as stated, or found and labelled, and with its turns; raise if they cannot be such."""
+    """Return a session with its stills and turns, as given or detected. Raise if they fail the checks."""
     check_counted_once(in_one_unit(session))
     observed = look(session, settings)
     session, stills, findings = observed.session, observed.stills, list[Finding]()
     few = len(stills) < FEW_STILLS and len({still.face for still in stills} - {None}) < len(FACES)
     for number, (record, search) in enumerate(zip(session.records, observed.searches, strict=False)):
-        # without a rest nothing shows what rest is for this device; the search has given the reason
+        # without a rest there is no measure of rest for this device, and the search has reported the reason
         pauses = segments.left_out(record, search) if few and search.stills else ()
         pauses = tuple(pause for pause in pauses if pause.why.startswith("too "))
         first = (
@@ -353,7 +353,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
 
 
 def in_one_unit(session: Session) -> Session:
-    """Return the session with each triad in one unit: that of the first recording that has the triad."""
+    """Return the session with each triad in the unit of the first recording that has the triad."""
     units, records = [], []
     for triad in ("gyro", "accel"):
         having = [record for record in session.records if getattr(record, triad) is not None] or session.records
@@ -388,7 +388,7 @@ def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """One triad's fit, the method that gave it, and findings beyond those of the fit; without a fit, why there is none."""
+    """Fit of a triad with its method and further findings. Without a fit, the findings contain the reason."""
 
     fit: TriadFit | None = None
     method: str = "none"

@@ -28,34 +28,34 @@ METHODS = {  # a method's name and its description on a certificate
 class CalibrateSettings:
     """Settings of a calibration.
 
-    How good a rate table is, and how far a device follows temperature, is part of a ``Session`` (``rate_table``, ``sensitivity``).
+    The quality of a rate table and the temperature sensitivity of a device belong to a ``Session`` (``rate_table``,
+    ``sensitivity``).
 
     Parameters
     ----------
     still : StillSettings
-        How still phases are found in a session that states none.
+        Detection of still phases in a session without given stills.
     latitude_deg : float or None
-        For the Earth's rate on a rate table, deg; None leaves it out.
+        Latitude for the Earth's rate on a rate table, deg. None ignores the Earth's rate.
     turn_angle_deg : float or None
-        Angle of the turns between rests in a session that states none, deg; None looks for three full turns.
+        Angle of the turns between rests in a session without given turns, deg. None searches for three full turns.
     window_s : float
         Longest stretch of each face that is averaged, s.
     settle_s : float
-        Start of each dwell at a known rate that is left out, s; at most half of the dwell.
+        Start of each dwell at a known rate that is omitted, s, at most half of the dwell.
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
     axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg. The error is the same for
-        all turns about one axis, like that of a fixture or a straight edge.
+        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg. The error is common to
+        all turns about the same axis, as for a fixture or a straight edge.
     polynomial_degree : int
-        Degree of the polynomial in time that filters each face before it is averaged; it sets the noise of the mean.
+        Degree of the polynomial in time that filters each face before it is averaged. It determines the noise of the mean.
     spline_cutoff_hz : float or None
-        Cut-off of the note's cubic spline, Hz, which low-passes each dwell at a known rate; None leaves the filter out.
+        Cut-off of the note's cubic spline, Hz, which low-pass filters each dwell at a known rate. None applies no filter.
     cross_axis_prior : float
-        Standard deviation of a cross-axis term that the session does not determine, relative to the scale; 0.01 is 1 %.
+        Standard deviation of a cross-axis term that the session does not determine, relative to the scale (0.01 is 1 %).
     identify_adc : bool
-        Look for the step and rounding of the codes.
-
+        If True, identify step and rounding of the codes.
     Examples
     --------
     >>> import undrift

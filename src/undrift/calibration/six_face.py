@@ -1,19 +1,19 @@
-"""Six faces: accelerometers against gravity, each face of the device up and down on a level plane.
+"""Calibrate accelerometers on six faces: gravity, with each face of the device up and down on a level plane.
 
-The axis that points up reads +g: face "+x" is the column (g, 0, 0) of L, face "-x" is (-g, 0, 0). S holds the mean readings.
+The axis that points up reads +g. Face "+x" is the column (g, 0, 0) of L, face "-x" is (-g, 0, 0). S contains the mean readings.
 
-    paper      C = L S' (S S')^-1                                                       eqs. 1-3 of the note; no offset
-    affine     M s_p - c = g up_p + errors          12 parameters by least squares; o = M^-1 c
+    paper      C = L S' (S S')^-1                                                       eqs. 1-3 of the note, without an offset
+    affine     M s_p - c = g up_p + errors          12 parameters by least squares, o = M^-1 c
 
-The errors of pose p, in the frame of the case:
+Sources of error of pose p, in the frame of the case:
 
     M n_p                          noise and rounding of the mean
-    warmth_p (alpha + beta g up_p) offset and scale follow the temperature
-    flicker                        of the offset, in common to poses that follow each other
+    warmth_p (alpha + beta g up_p) dependence of offset and scale on temperature
+    flicker                        flicker of the offset, common to consecutive poses
     g d_p x up_p                   a face tilted by d reads g d across gravity, and g (1 - d^2 / 2) along it
 
-The variance of the tilt is the excess of the residuals across gravity (fit/gls.py). Rests in one placement have one tilt. What the
-cosine takes along gravity is added to the covariance for a tilt of the estimated size.
+The excess variance of the residuals across gravity is the variance of the tilt (fit/gls.py). Rests in the same placement have the
+same tilt. The covariance along gravity includes the cosine error for a tilt of the estimated size.
 """
 
 from collections.abc import Sequence
@@ -61,22 +61,21 @@ class FaceMeans:
 
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
     faces: tuple[Face, ...]  # axis that points up in each
-    noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``; None if it is not known
+    noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``, or None if unknown
     # (3,), standard deviation that the codes leave in each mean, in ``noise`` too, ``unit``
     rounding: FloatArray | None = None
     unit: str = "m/s2"  # unit of the readings
     creep: Creep | None = None  # temperature of each pose
     flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, (m/s2)^2
-    placement: IntArray | None = None  # (P,), number of the placement of each pose; None: each is one
+    placement: IntArray | None = None  # (P,), number of the placement of each pose, or None if every pose has its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SixFaceFit(TriadFit):
     """A triad fitted to six faces."""
 
-    tilt: float = float(
-        "nan"
-    )  # standard deviation of the faces' tilt about each horizontal axis, rad; NaN if not estimated
+    # standard deviation of the faces' tilt about each horizontal axis, rad, or NaN if unknown
+    tilt: float = float("nan")
 
 
 def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affine") -> SixFaceFit:
@@ -207,7 +206,7 @@ def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
 
 
 def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
-    """Fit the accelerometer of a session to its faces; an entry of FITS."""
+    """Fit the accelerometer of a session to its faces."""
     settings, gravity = observed.settings, observed.session.gravity_m_s2
     paper, offset = mode == "paper", None
     stills, placement = (observed.faced, None) if paper else _placements(observed)
@@ -219,7 +218,7 @@ def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None
     if poses.noise is None:
         findings = (*findings, finding("six_face.short_faces", "warn"))
     if paper:
-        # Opposite faces cancel: the mean over the six, each counted once, is an estimate of the offset.
+        # The mean over the six faces, each counted once, is an estimate of the offset, because opposite faces cancel.
         faces, rows = np.array(poses.faces), _solve(poses, gravity)
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         mean = np.kron(share, np.linalg.inv(rows.theta[:9].reshape(3, 3)))
@@ -235,9 +234,8 @@ def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None
 def _placements(observed: Observed) -> tuple[tuple[Still, ...], IntArray]:
     """Return the rests on faces that are used, and the number of the placement of each.
 
-    Rests on one face with no other rest between, or in one mounting on a rate table, are one placement. Rests on a rate table are
-    left out if the other rests show all six faces: a device is mounted on a table less squarely than it stands on a plate, and what
-    the accelerometers feel there measures the mounting.
+    Rests on the same face without another rest between them, or in the same mounting on a rate table, are one placement. Rests on a
+    rate table are omitted if the other rests cover all six faces, because a mounting on a table is less square than a plate.
     """
     turns = [turn for turn in observed.session.turns if turn.turn_rate is not None]
     table = mountings([*observed.stills, *turns])[: len(observed.stills)]

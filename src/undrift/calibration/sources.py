@@ -1,16 +1,16 @@
-"""What moves between the pieces of a session: flicker and walk of an offset, drift of the rests, and the temperature.
+"""Sources of error between the pieces of a session: flicker and walk of an offset, drift of the rests, and temperature.
 
-Offset and scale of each sensor follow the temperature with slopes of which only the size is known. The reading of one sensor in
-piece p, a still or turn at w_p kelvin above the calibration's reference temperature, is
+Offset and scale of each sensor depend on temperature with slopes of known size only. Piece p, a still or turn, is at w_p kelvin
+above the calibration's reference temperature. A sensor reads in it
 
     s_p = K a_p + b + (a_p . K) beta w_p + alpha w_p        alpha ~ N(0, S^2 c_o^2), beta ~ N(0, c_s^2)
 
-S is the reading per SI unit; c_o and c_s are the sensitivities of offset and scale to temperature, from data sheets
-(``record.TemperatureSensitivity``). So the readings of one sensor have the covariance C C' beyond their noise, with two columns C.
-A fit that weighs by it estimates both slopes with their prior.
+S is the reading per SI unit. c_o and c_s are the sensitivities of offset and scale to temperature, from data sheets
+(``record.TemperatureSensitivity``). Beyond their noise, the readings of a sensor have the covariance C C', with two columns C. A
+fit with this covariance estimates both slopes with their prior.
 
-w is the recorded temperature, plus lag times its rate of change if the thermometer lags behind the sensors. If a thermometer shows
-no more than one of its steps, w rises evenly in time by that step; without a thermometer, by the stated span.
+w is the recorded temperature, plus lag times its rate of change if the thermometer lags behind the sensors. If a thermometer varies
+by one step at most, w increases evenly in time by that step. Without a thermometer it increases by the given span.
 """
 
 from collections.abc import Sequence
@@ -79,7 +79,8 @@ def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
 
 # ---- jitter of the clock
 #
-# A sum of readings u_k (t_k - t_(k-1)) changes by d_k (u_k - u_(k+1)) if stamp k is off by d_k. Steps have twice the variance of d.
+# A sum of readings u_k (t_k - t_(k-1)) changes by d_k (u_k - u_(k+1)) if stamp k is off by d_k. Time steps have twice the variance
+# of d.
 
 
 def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
@@ -90,10 +91,10 @@ def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
 
 # ---- drift of the gyroscopes' rest offsets between start and end of a session
 #
-#     m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r; T from the first to the last
+# m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r, with T from the first to the last
 #
 # for each axis by least squares. h a_r, the g-sensitivity along the axes on which gravity changes, is fitted to six rests or more.
-# A drift is a finding if chance makes one as large on any axis in less than one session in a hundred.
+# A drift is a finding if chance explains a drift of this size on any axis in less than one session in a hundred.
 
 LEAST_RESTS, LEAST_WITH_POSES = 4, 6
 POSES_CHANGE = 0.1  # of gravity
@@ -101,7 +102,7 @@ CHANCE = 0.01
 
 
 def offset_drift(observed: Observed, gain: float) -> tuple[Finding, ...]:
-    """Return the finding of rest offsets that changed significantly over a session; gain in rad/s per unit of the readings."""
+    """Return a finding if rest offsets changed significantly over a session, for a gain in rad/s per unit of the readings."""
     from scipy.special import stdtr, stdtrit
 
     records = observed.session.records
@@ -143,7 +144,7 @@ Kind = Literal["accel", "gyro"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Creep:
-    """Temperature of each piece of a session, and how far offset and scale of one sensor may follow it."""
+    """Temperature of each piece of a session, and the temperature sensitivity of offset and scale of a sensor."""
 
     warmth: FloatArray  # (P,), temperature of each piece minus the reference, K
     offset_per_k: float  # c_o, rad/s/K or m/s2/K
@@ -153,15 +154,15 @@ class Creep:
     kind: Kind = "accel"
 
     def columns(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
-        """Return C (P, 2) of one sensor, unit of the reading: of offset and of scale, one standard deviation each.
+        """Return C (P, 2) of a sensor, unit of the reading: offset and scale columns, one standard deviation each.
 
-        ``value`` (P,) is what the sensor measures in each piece, SI; ``gain`` is S, unit of the reading per SI unit.
+        ``value`` (P,) is the true input in each piece, SI units. ``gain`` is S, unit of the reading per SI unit.
         """
         slopes = np.stack((np.full(len(self.warmth), self.offset_per_k), self.scale_per_k * value))
         return np.asarray((gain * self.warmth * slopes).T)
 
     def columns_in_case(self, value: FloatArray) -> FloatArray:
-        """Return the columns (3 P, 6) of warmth (alpha + beta value), of offset and scale of each axis; value (P, 3), SI."""
+        """Return the columns (3 P, 6) warmth (alpha + beta value) for offset and scale of each axis, value (P, 3), SI."""
         columns = np.zeros((len(value), 3, 3, 2))
         for axis in range(3):
             columns[:, axis, axis] = self.columns(value[:, axis])
@@ -192,7 +193,7 @@ class Creep:
 
 
 def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
-    """Return the temperature of some stills and turns of a session, and what it does to one sensor."""
+    """Return the temperature of stills and turns of a session, and its effect on a sensor."""
     prior = observed.session.sensitivity
     session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns) or tuple(pieces)
     if not session_pieces:

@@ -1,10 +1,10 @@
-"""Dwells on a rate table: mean readings, and about which axis of the case the table really turned.
+"""Average dwells on a rate table, and measure about which axis of the case the table actually turned.
 
-``dwell_means`` averages the steady turns of a session, ``table_axes`` measures by gravity about which axis of the case the table
-turned them, and ``imposed_rates`` returns the rates that a fit takes as its input.
+``dwell_means`` averages the steady turns of a session. ``table_axes`` measures the axis of each turn in the case with gravity.
+``imposed_rates`` returns the rates that a fit uses as its input.
 
-The start of a dwell is left out, in which the table settles. Of the rest, whole turns are averaged if there is one, so that a
-ripple of the rate and the Earth's level rate average out.
+The start of a dwell, in which the table settles, is omitted. If the rest contains a whole turn, whole turns are averaged, so that a
+ripple of the rate and the Earth's horizontal rate average out.
 """
 
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound ari
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableAxes:
-    """About which axes of the case the dwells turned, and what is not known about them and their rates."""
+    """Axes of the case about which the dwells turned, with the errors of these axes and of their rates."""
 
     direction: FloatArray  # (N, 3), axis of each dwell
-    columns: FloatArray  # (N, 3, C), errors of ``direction`` by C independent causes of one standard deviation each
-    ripple: FloatArray  # (N, R), change of the rate by R independent ripples, relative, of an amplitude of one each
-    rate: float  # standard uncertainty of all stated rates in common, relative
-    wobble: FloatArray  # (N,), stated standard uncertainty of the axis from dwell to dwell, rad; 0 if gravity showed the axis
+    columns: FloatArray  # (N, 3, C), errors of ``direction`` from C independent causes, one standard deviation each
+    ripple: FloatArray  # (N, R), relative change of the rate by R independent ripples of unit amplitude
+    rate: float  # relative standard uncertainty common to all given rates
+    wobble: FloatArray  # (N,), given standard uncertainty of the axis from dwell to dwell, rad, or 0 if gravity measured the axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,15 +51,15 @@ class DwellMeans:
     reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
     turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
     axis: tuple[Axis, ...]  # axis of each dwell
-    noise: FloatArray | None = None  # (N, 3), standard deviation of each mean; None if it is not known
-    # (N,), 1 where +axis points up, -1 where it points down, 0 where it is not vertical; all 1 by default
+    noise: FloatArray | None = None  # (N, 3), standard deviation of each mean, or None if unknown
+    # (N,), 1 if +axis points up, -1 if it points down, 0 if it is not vertical (default 1)
     up: FloatArray = field(default_factory=lambda: np.ones(1))
     unit: str = "rad/s"  # unit of the readings
-    span: FloatArray | None = None  # (N, 2), start and stop of each dwell on one clock, s; None if it is not known
+    span: FloatArray | None = None  # (N, 2), start and stop of each dwell on a common clock, s, or None if unknown
     # (3,), step of the codes, 0 or NaN for none, and the variance that they leave in a mean, which is in ``noise`` too
     step: FloatArray = field(default_factory=lambda: np.zeros(3))
     codes: FloatArray = field(default_factory=lambda: np.zeros(3))
-    axes: TableAxes | None = None  # about which axes the table turned the case; None takes ``axis`` as exact
+    axes: TableAxes | None = None  # axes of the case about which the table turned, or None if ``axis`` is exact
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -71,7 +71,7 @@ class DwellMeans:
 
 
 def table_turns(turns: Sequence[Turn]) -> list[Turn]:
-    """Return the turns at stated rates."""
+    """Return the turns at known rates."""
     return [turn for turn in turns if turn.axis is not None and turn.turn_rate is not None]
 
 
@@ -80,8 +80,8 @@ def dwell_means(
 ) -> DwellMeans:
     """Average the steady turns of a session.
 
-    The first ``settle_s`` of each dwell are left out, but no more than half of it. The note's smoothing spline halves the signal at
-    ``cutoff_hz``; None leaves it out, which changes no mean.
+    The first ``settle_s`` of each dwell are omitted, but at most half of it. The note's smoothing spline halves the signal at
+    ``cutoff_hz``. It is not applied if ``cutoff_hz`` is None, which leaves the means unchanged.
     """
     used = table_turns(turns)
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
@@ -122,8 +122,8 @@ def steady(record: Record, turn: Turn, settle_s: float) -> slice:
 def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:
     """Smooth each column of values (N, 3) with the note's cubic smoothing spline.
 
-    It minimises sum (y - f)^2 + lambda integral f''^2: a low-pass of fourth order that halves the signal at the frequency w with
-    lambda dt w^4 = 1. It keeps straight lines, so the mean over its samples is the mean of the readings, to rounding.
+    It minimises sum (y - f)^2 + lambda integral f''^2, a low-pass filter of fourth order that halves the signal at the frequency w
+    with lambda dt w^4 = 1. It keeps straight lines, so the mean of its samples equals the mean of the readings to rounding.
     """
     from scipy.interpolate import make_smoothing_spline
 
@@ -170,21 +170,21 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 
 # ---- axis of the table in the case, from gravity as the accelerometers measure it
 #
-# In one mounting, axis k of the case lies along the axis of the table. During dwell i the device turns about k + d + e_i: d is
+# In a mounting, axis k of the case is along the axis of the table. During dwell i the device turns about k + d + e_i: d is
 # small, across k and common to the mounting, e_i is the wobble of the dwell. The axis of the table leaves the vertical by l + e'_i,
 # and the accelerometers are at a distance r from it. Block means of the specific force across k, at the rate w_i and azimuth psi:
 #
 #     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g
 #
-# All are fitted with their priors, with an l for each recording; the sizes of noise and wobble are excess variances. psi is the
+# The fit uses their priors, and a separate l for each recording. Noise and wobble have excess variances. psi is the
 # integral of the gyroscope of axis k. The errors of the accelerometers are common to all mountings: df = dM s - M do. Without
 # accelerometers d and e_i are zero, with the stated uncertainties of mounting and wobble.
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
-    """Return the number of the mounting on a rate table of each piece (P,), -1 off the table.
+    """Return the number of the mounting on a rate table of each piece (P,), or -1 off the table.
 
-    Turns about one axis at stated rates and rests with that axis up belong together as long as nothing else comes between.
+    Turns about the same axis at known rates, and rests with that axis up, belong together until another piece follows.
     """
     runs: list[list[int]] = [[]]
     axis: Axis | None = None
@@ -220,9 +220,9 @@ def table_axes(
     gravity_m_s2: float,
     settle_s: float,
 ) -> TableAxes:
-    """Return the axes about which dwells turned the case; accelerometers measure them if there are any.
+    """Return the axes about which dwells turned the case, measured by accelerometers if there are any.
 
-    ``turns`` (N,) are those of the dwells, and ``mounting`` (N,) is the number of the mounting of each.
+    ``turns`` (N,) and ``mounting`` (N,) describe the turn and the mounting of each dwell.
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
     up = np.broadcast_to(dwells.up, count)
@@ -276,9 +276,9 @@ def table_axes(
 def _azimuths(
     records: Sequence[Record], turns: Sequence[Turn], stretches: list[tuple[int, int]], dwells: DwellMeans
 ) -> list[FloatArray]:
-    """Return the angle of the table at the samples of each dwell's recording, NaN if the gyroscope does not show it.
+    """Return the angle of the table at the samples of each dwell's recording, or NaN if the gyroscope cannot measure it.
 
-    It is the integral of the gyroscope of the dwell's axis, over all dwells of one mounting in one recording.
+    It is the integral of the gyroscope of the dwell's axis, over all dwells of a mounting in one recording.
     """
     from scipy.integrate import cumulative_trapezoid
 
@@ -304,10 +304,10 @@ def _ripples(
     azimuths: list[FloatArray],
     settle_s: float,
 ) -> FloatArray:
-    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch in which it is known.
+    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch with a known azimuth.
 
-    The rate ripples once a turn, by a cos psi + b sin psi. Over whole turns this averages out. Shorter dwells of one mounting start
-    where the ones before ended, and err alike.
+    The rate ripples once per turn, by a cos psi + b sin psi, which averages out over whole turns. Shorter dwells of a mounting
+    start where the previous dwell ended, and share the error.
     """
     columns = np.zeros((len(turns), 0))
     for stretch in sorted(set(stretches)):
@@ -321,7 +321,7 @@ def _ripples(
 
 
 def _force_in_dwell(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
-    """Return block means (B, 5) of cosine and sine of the azimuth and of the specific force, m/s2; without blocks with gaps."""
+    """Return block means (B, 5) of cosine and sine of the azimuth and of the specific force, m/s2, without blocks with gaps."""
     if record.accel is None:
         return np.empty((0, 5))
     window = steady(record, turn, min(settle_s, FILTER_S))
@@ -337,10 +337,10 @@ def _tilt_by_gravity(
 ) -> tuple[FloatArray, FloatArray]:
     """Return d + e_i (R, 2) of the dwells of a mounting, and a root of their covariance (R, 2, 2 R).
 
-    ``parts`` (B, 4) are the blocks of each dwell: cosine and sine of the azimuth, and f / g.
+    ``parts`` (B, 4) contain the blocks of each dwell: cosine and sine of the azimuth, and f / g.
     """
     count, levels, designs = len(parts), sorted(set(recordings)), list[FloatArray]()
-    common = 4 + 2 * len(levels)  # d, r, and l of each recording; then e_i and e'_i of each dwell
+    common = 4 + 2 * len(levels)  # parameters d, r, and l of each recording, followed by e_i and e'_i of each dwell
     for n, (dwell_rows, rate, recording) in enumerate(zip(parts, turn_rate, recordings, strict=True)):
         level_rows = np.stack((dwell_rows[:, [0, 1]], dwell_rows[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
         level_column, wobble_column = 4 + 2 * levels.index(recording), common + 4 * n

@@ -1,15 +1,15 @@
-"""Do gyroscopes and accelerometers tell of one motion? Gravity stands still once the rotation that the gyroscopes read is undone.
+"""Check that gyroscopes and accelerometers agree on one motion: gravity is constant once the measured rotation is undone.
 
-Over a window of some seconds, started at its first sample, with f the specific force over its median length::
+A window of some seconds starts at its first sample. With f the specific force over its median length::
 
-    kept(P, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s P w_k dt)         P = 1, s = 1 for columns and unit as stated
+    kept(P, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s P w_k dt)         P = 1, s = 1 for columns and unit as declared
 
-``kept`` is 1 if the rotation is right: motion that ends where it began has no mean acceleration. A wrong rotation smears gravity,
-and ``kept`` is smaller.
-All 48 signed orders P of the axes, and scales s of rate times time, are tried in the windows in which gravity moves most in b. The
-order or unit that keeps more than the stated one names the mistake. A rotation about the vertical shows nothing. Acceleration
-with the opposite sign keeps as much as the right one (a point reflection): only a reference, the axis that should point up, or the
-offsets of a calibration determine it.
+``kept`` is 1 for the right rotation, because motion that ends where it began has no mean acceleration. A wrong rotation smears
+gravity and makes ``kept`` smaller.
+All 48 signed orders P of the axes, and scales s of rate times time, are tested in the windows in which gravity moves most in b. An
+order or unit with a larger ``kept`` than the declared one names the mistake. A rotation about the vertical determines nothing.
+Acceleration with the opposite sign has the same ``kept`` (a point reflection). Only a reference, the axis that should point up, or
+the offsets of a calibration reveal it.
 """
 
 import itertools
@@ -29,27 +29,26 @@ from undrift.kernels.rotation import strapdown
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-WINDOWS_S = (4.0, 1.0)  # long ones average motion out; a short recording has only short ones
-STEP_S = 0.02  # rotations are summed over it; a hand turns by 20 deg in it at most
+WINDOWS_S = (4.0, 1.0)  # long windows average motion out, but a short recording has only short windows
+STEP_S = 0.02  # step over which rotations are summed (a hand turns by 20 deg in it at most)
 MOST_WINDOWS, FEWEST_WINDOWS = 60, {4.0: 4, 1.0: 2}
 MIN_MOVE = 0.1  # of g: gravity moves by 6 deg from one half of a window to the other
 SAMPLES = 200_000  # from the first on: 12 min at 286 Hz
-# What the better order or unit keeps more than the stated one, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
+# Increase of ``kept`` by the better order or unit, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
 # scale of 0.35: its tangential acceleration hides gravity. It gains 0.013 over no rotation at all.
 CLEAR_GAIN, MIN_GAIN = 0.1, 0.015
-MIN_EXPLAINED = (
-    0.02  # what the better one keeps more than no rotation at all; a scale, also this share of what it gains
-)
+MIN_EXPLAINED = 0.02  # smallest increase of ``kept`` over no rotation (for a scale also SCALE_EXPLAINED of its gain)
 SCALE_EXPLAINED = 0.6
-SIGMAS = 5.0  # times the scatter of what the better one keeps, over the root of the number of windows
+SIGMAS = 5.0  # times the scatter of the better ``kept``, over the root of the number of windows
 MIN_SCATTER = 0.01
 MIN_KEPT = 0.9  # the better one keeps at least this share
-SAME = 0.01  # orders that keep alike: the motion does not tell them apart
+SAME = 0.01  # difference of ``kept`` below which the motion does not distinguish orders
 ORDINARY = 1.25  # a ratio of scales below it is a device's own
-LARGEST_SCALE, COUNTS = 200.0, 0.12  # that is tried; below the second the unit is another, not the sample rate
+# largest scale that is tested, and the scale below which the unit is wrong, not the sample rate
+LARGEST_SCALE, COUNTS = 200.0, 0.12
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of rates is
 QUIET = 0.2  # of the largest window's
-PLAUSIBLE_HZ = (4.0, 5000.0)  # of a recording that people move in; outside, the unit of time is tried too
+PLAUSIBLE_HZ = (4.0, 5000.0)  # range of sample rates for human motion (outside it the unit of time is tested too)
 TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by decades
 UNITS = {
     RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
@@ -77,7 +76,7 @@ class _Windows:
 
 
 def _windows(record: Record, unit_s: float) -> _Windows | None:
-    """Return the windows of an SI record, with its time in units of ``unit_s``; None if too few move."""
+    """Return the windows of an SI record, with its time in units of ``unit_s``, or None if too few move."""
     if record.gyro is None or record.accel is None:
         return None
     time, gyro, accel = (values[:SAMPLES] for values in (record.time * unit_s, record.gyro, record.accel))
@@ -111,16 +110,16 @@ def _windows(record: Record, unit_s: float) -> _Windows | None:
 
 
 def check_triads(record: Record) -> tuple[Finding, ...]:
-    """Return what speaks against the order, signs, units or time of a record's columns; raise if it is clear.
+    """Return a finding about order, signs, units or time of a record's columns. Raise if the error is clear.
 
-    There is nothing if a triad is missing or in counts, if both agree, or if the motion does not show it.
+    Return no finding if a triad is missing or in counts, if both agree, or if the motion does not determine it.
     """
     check_force(record)
     return (*find_saturated(record), *check_agreement(record))
 
 
 def check_agreement(record: Record) -> tuple[Finding, ...]:
-    """Return the finding of ``find_disagreement``; raise if it is clear."""
+    """Return the finding of ``find_disagreement``. Raise if the disagreement is clear."""
     conflict = find_disagreement(record)
     if conflict is not None and conflict.level == "fail":
         raise Implausible(
@@ -154,7 +153,7 @@ def check_force(record: Record) -> None:
 
 
 def find_disagreement(record: Record) -> Finding | None:
-    """Return what explains a record's readings better than its columns, units and time as stated: fail if it is clear."""
+    """Return a finding if other columns, units or time explain the readings better, at level fail if it is clear."""
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return None
     record = record.in_si()
@@ -171,9 +170,9 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     windows = _windows(record, unit_s)
     if windows is None:
         return None
-    # A wrong unit of time is judged against time as stated, in which no window lasts as long: rotation is too fast or slow.
+    # A wrong unit of time is compared with the declared time, in which no window lasts as long: rotation is too fast or slow.
     unchanged = windows.kept(np.eye(3), 1.0 / unit_s)
-    # A mean is no longer than its parts, whatever the rotation.
+    # The length of a mean is at most the mean length, for any rotation.
     longest = np.linalg.norm(windows.force, axis=2).mean(axis=1) ** 2
     if float((longest - unchanged).mean()) < max(MIN_GAIN, SIGMAS * MIN_SCATTER / np.sqrt(len(unchanged))):
         return None
@@ -184,7 +183,8 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     gain = float((mistake.kept - unchanged).mean())
     unturned = windows.kept(np.eye(3), 0.0)
     explained = float((mistake.kept - unturned).mean())
-    contradicted = float((unturned - unchanged).mean()) > CLEAR_GAIN  # rotation as stated is worse than none at all
+    # the declared rotation is worse than no rotation at all
+    contradicted = float((unturned - unchanged).mean()) > CLEAR_GAIN
     scatter = max(float(np.sqrt(((mistake.kept - 1.0) ** 2).mean())), MIN_SCATTER)
     least = max(MIN_EXPLAINED, SCALE_EXPLAINED * gain if mistake.sample_rate_hz else 0.0)
     significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(unchanged)))
@@ -209,13 +209,13 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mistake:
-    """A mistake that would make gyroscopes and accelerometers tell of one motion."""
+    """A mistake that makes gyroscopes and accelerometers disagree on a motion."""
 
     text: str  # "gyroscope is in deg/s, not rad/s"
     action: str
     kept: FloatArray  # (W,), with the mistake undone
-    sample_rate_hz: float = 0.0  # that the recording would have; 0 if the rate is not the mistake
-    turned_ratio: float = 0.0  # rotation as stated over rotation by gravity; 0 if axes or time are wrong
+    sample_rate_hz: float = 0.0  # sample rate that the recording would have, or 0 if the rate is right
+    turned_ratio: float = 0.0  # declared rotation over rotation from gravity, or 0 if axes or time are wrong
 
 
 def _time_mistake(windows: _Windows, unit_s: float) -> Iterator[Mistake]:
@@ -246,7 +246,7 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
 
 
 def _changes(order: FloatArray) -> int:
-    """Return how much of one triad's columns, the gyroscope's or the accelerometer's, would have to be mended."""
+    """Return how many columns of a triad, gyroscope or accelerometer, must be corrected."""
     accel = accel_order(order)
     return min(columns_to_mend(order), 6 if accel is None else columns_to_mend(accel))
 
