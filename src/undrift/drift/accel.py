@@ -4,9 +4,9 @@ The constant calibration turns a reading u into v = M0 (u - o0). At temperature 
 
     |P (v_k - d)| = g        M(T) = P(T) M0        offset(T) = o0 + M0^-1 d(T)
 
-P is symmetric: no length shows a common turn of all three sensors, so the case's axes stay those of the calibration. Each
-temperature is fitted by itself (calibration/norm.py), with nine parameters, or with six if the poses lie on the faces. A smooth
-curve (fit/curve.py) goes through the parameters.
+P is symmetric, because the length of gravity does not determine a common rotation of all three sensors. The case axes therefore
+stay the axes of the calibration. Each temperature has a separate fit (calibration/norm.py) with nine parameters, or with six if the
+poses are on the faces. A smooth curve (fit/curve.py) goes through the parameters.
 """
 
 from dataclasses import dataclass, replace
@@ -79,7 +79,7 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
 def _fit_temperatures(
     rests: RestBlocks, model: TriadModel, gravity: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Fit each temperature; return the free parameters, all temperatures, and those fitted with P's elements, d and variances."""
+    """Fit each temperature. Return the free parameters, all temperatures, the fitted temperatures, P and d, and their variances."""
     unit, groups = si_factor(model.unit_out, "accel"), bins_of(rests.temp_c, _SAME_TEMPERATURE_C)
     v = (rests.accel - model.offset) @ model.matrix.T * unit
     variance = rests.accel_variance @ (model.matrix.T * unit) ** 2

@@ -1,18 +1,19 @@
-"""From thermal sessions and a calibration to tuning tables, the note's Figure 2.
+"""Fit tuning tables to thermal sessions and a calibration (Figure 2 of the note).
 
-    temperature     checked, smoothed; its lag estimated from ramps and subtracted
-    static drift    offset(T) from rests, absolute, raw unit                       blocks 2 to 5
+    temperature     checked and smoothed, without the lag estimated from ramps
+    static drift    absolute offset(T) from rests, raw unit                        blocks 2 to 5
     matrix          M(T) from rate steps at two soaks or more
-    dynamic drift   e(w, T) of what is left                                        blocks 6 to 9
+    dynamic drift   e(w, T) that remains                                           blocks 6 to 9
     accelerometers  offset(T) and M(T) from poses at several temperatures, otherwise offset(T) from rests
 
-If the calibration knows that codes are truncated, they get their half step back first, as in ``correct``. A finding of the verdict
-names each part that is not observable, and the recording that would determine it.
+If the calibration knows that codes are truncated, half a step is added first, as in ``correct``. A finding of the verdict names
+each part that is not observable, and the recording that would determine it.
 
-A device may need none of the tables beside the offsets, scale over temperature, dynamic drift, or both. Each of the four is fitted
-without a soak (those between the first and the last), and predicts the steps of that soak: ``M(T) (u - offset(T)) - e`` minus the
-imposed rate, all three axes, about the mean of their mounting or its rest. The choice is the simplest whose mean square lies within
-one standard error of the least [1]_, or whose rms is within 5 % of it. If no soak can be left out, the matrix is kept as fitted.
+In addition to the offsets, a device may need no table, scale over temperature, dynamic drift, or both. Each alternative is fitted
+without one soak (except the first and the last), and predicts the steps of that soak. The prediction error is
+``M(T) (u - offset(T)) - e`` minus the imposed rate on all three axes, about the mean or the rest of their mounting. The simplest
+alternative is selected whose mean square is within one standard error of the least [1]_, or whose rms is within 5 % of it. If no
+soak can be left out, the matrix is kept.
 
 Offsets are fitted to all rests, the other tables to the steps within the range of the table.
 
@@ -77,8 +78,10 @@ class Choice:
     """The fits of all alternatives, their cross-validated errors, and which was taken."""
 
     fits: Fits
-    fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s; NaN if not observable
-    left_out_rms_dps: FloatArray  # (4,), of the soaks that were left out; NaN with fewer than three set-points
+    fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s, or NaN if not observable
+    left_out_rms_dps: (
+        FloatArray  # (4,), prediction error of the soaks left out, deg/s, or NaN with fewer than three set-points
+    )
     standard_error_dps: FloatArray  # (4,), standard error of ``left_out_rms_dps``
     chosen: Alternative
     why: Finding
@@ -104,21 +107,21 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriftSettings:
-    """Choices that a session does not make.
+    """Settings of a fit over temperature.
 
     Parameters
     ----------
     range_c : tuple of float, optional
-        First and last node, degC; may be wider than what was seen. Default: the span seen, to 18 or 75 at an end that is 3 degC
-        from these or less.
+        First and last node, degC. It may be wider than the data. The default is the range of the data, extended to 18 or 75 degC if
+        the end is within 3 degC of these.
     step_c : float
-        From node to node, K.
+        Distance between nodes, K.
     lag_s : float, optional
-        Lag of the thermometer, s; None estimates it from ramps, 0 leaves it in.
+        Lag of the thermometer, s. None estimates it from ramps, 0 does not subtract any lag.
     tables : str
-        Which of scale and dynamic tables: auto selects, or none, scale, dynamic, scale + dynamic.
+        Selection of scale and dynamic tables: "auto" selects them, or "none", "scale", "dynamic", "scale + dynamic".
     static : StaticSettings
-        How offset over temperature is fitted.
+        Settings of the offset over temperature.
     """
 
     range_c: tuple[float, float] | None = None
@@ -133,30 +136,30 @@ class DriftSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftFit(Shown):
-    """Tuning tables and how they came about.
+    """Tuning tables with the data and intermediate results of their fit.
 
     Parameters
     ----------
     calibration : Calibration
-        The given one with the tables in it.
+        The input calibration with the tables added.
     static : StaticFit
         Offsets over temperature.
     choice : Choice or None
-        Matrix and dynamic drift; None without rate steps at two soaks.
+        Matrix and dynamic drift, or None without rate steps at two soaks.
     accel : AccelDriftFit or None
-        Accelerometers from poses; None without poses at two temperatures.
+        Accelerometers from poses, or None without poses at two temperatures.
     lag : LagFit or None
-        Of the thermometer; None if it was stated.
+        Lag of the thermometer, or None if it was given.
     rests : RestBlocks
-        What the static tables were fitted to.
+        Data of the static tables.
     steps : RateSteps
-        What the others were fitted to; may have no rows.
+        Data of the other tables, possibly without rows.
     gyro_summary, accel_summary : TriadSummary or None
-        Offsets over temperature in SI units, as they are shown.
+        Offsets over temperature in SI units, for display.
     scale_summary : ScaleSummary or None
-        Scale factors over temperature, whether a table of them was taken or not.
+        Scale factors over temperature, even if no table of them was selected.
     verdict : Verdict
-        Of the thermal fit only; that of ``calibration`` has what was known before, too.
+        Verdict of the thermal fit only. The verdict of ``calibration`` also contains its earlier findings.
     """
 
     calibration: Calibration
@@ -185,29 +188,29 @@ def fit_drift(
     Parameters
     ----------
     sessions : sequence of Session
-        Of one device, one or several; their scatter then counts as uncertainty.
+        One or more sessions of the device. The scatter of several sessions counts as uncertainty.
     calibration : Calibration, optional
-        Of the same device. Without one, readings in a physical unit keep their nominal scale; counts are refused.
+        Calibration of the same device. Without it, readings in a physical unit keep their nominal scale, and counts are refused.
     settings : DriftSettings
-        Nodes, lag, tables.
+        Nodes, lag and selection of tables.
     progress : callable, optional
-        Called with what is done next and the share of the work that is done, 0 to 1.
+        Called with a description of the next step and the completed share of the work, 0 to 1.
 
     Returns
     -------
     DriftFit
-        The calibration with its tables, and what they were fitted to.
+        The calibration with its tables, and their data.
 
     Raises
     ------
     InputError
-        No session, another device than the calibration's, data given twice, temperature missing or on another scale, units that
+        No session, another device than the calibration's, repeated data, a missing or implausible temperature, or units that
         do not agree.
     NotObservable
-        A temperature that is constant or spans too little; no rests; counts without a calibration; a table that was asked for
-        and that the sessions do not show.
+        A temperature that is constant or spans too little, no rests, counts without a calibration, or a requested table that
+        the sessions do not determine.
     Implausible
-        Turns about other axes than the calibration's or the other way round; sessions further apart than one device's.
+        Turns about other axes than the calibration's or in the opposite sense, or sessions that differ too much for one device.
 
     Examples
     --------
@@ -284,7 +287,7 @@ def fit_drift(
 def _check_sessions(
     sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
 ) -> list[Session]:
-    """Return sessions of one device, each in one unit."""
+    """Return sessions with consistent units. Raise if they belong to different devices."""
     if not sessions:
         raise InputError("drift: no session was given. Name its folder.")
     names = {session.serial or session.records[0].device for session in sessions}
@@ -300,7 +303,7 @@ def _check_sessions(
 
 
 def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:
-    """Return the standard uncertainty of the lag that is left, s; 0 if a lag was stated."""
+    """Return the standard uncertainty of the remaining lag, s, or 0 if a lag was given."""
     if lag is None and subtracted_s > 0.0:
         return 0.0
     left_s = np.inf if lag is None else np.hypot(lag.uncertainty_s, lag.lag_s - subtracted_s)
@@ -354,7 +357,7 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
 def _choose_rate_tables(
     steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, settings: DriftSettings
 ) -> tuple[Choice | None, Verdict]:
-    """Return the choice of tables and what they are worth, or why there is none."""
+    """Return the selected tables with their verdict, or None and the reason why none can be fitted."""
     try:
         if device.gyro is None or static.gyro is None:
             raise NotObservable("calibration or sessions have no gyroscopes.")
@@ -371,7 +374,7 @@ def _choose_rate_tables(
 
 
 def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> tuple[AccelDriftFit | None, Verdict]:
-    """Return the accelerometers' fit to poses; None if the poses do not determine it, with the reason."""
+    """Return the accelerometers' fit to poses, or None with the reason if the poses do not determine it."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
         return None, Verdict()
     try:
@@ -410,7 +413,7 @@ def _build_calibration(
     settings: DriftSettings,
     choice: Choice | None,
 ) -> Calibration:
-    """Return a calibration with tuning tables; files and settings of an earlier thermal fit go with its tables."""
+    """Return a calibration with tuning tables. They replace tables, files and settings of an earlier thermal fit."""
     previous, static, reference_c = device.provenance, tables.static, device.reference_temp_c
     if not np.isfinite(reference_c) and static is not None:
         reference_c = float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
@@ -446,7 +449,7 @@ def choose_tables(
     rests: RestBlocks | None = None,
     tables: TableChoice = "auto",
 ) -> Choice:
-    """Fit all alternatives, and select one by cross-validation, or the one requested; nodes temp_c (n,), degC."""
+    """Fit all alternatives at nodes temp_c (n,), degC, and select the requested one, or the best by cross-validation."""
     clean = prepared(steps, calibration, static=static, rests=rests)
     fits, problems = _fit_all(clean, calibration, temp_c)
     if len(fits) == 1:
@@ -499,7 +502,7 @@ def choose_tables(
 def _fit_all(
     steps: Steps, calibration: Calibration, temp_c: FloatArray, like: Fits | None = None
 ) -> tuple[Fits, list[str]]:
-    """Fit matrix and dynamic drift to some steps, as soft as in earlier fits; return them and why any is missing."""
+    """Fit matrix and dynamic drift to steps, with the softness of earlier fits. Return the fits and the reasons of missing fits."""
     fits: dict[Alternative, tuple[ScaleFit | None, DynamicFit | None]] = {"none": (None, None)}
     problems, scale, span_c = list[str](), None, (float(temp_c[0]), float(temp_c[-1]))
     try:
@@ -519,9 +522,9 @@ def _fit_all(
 
 
 def _mean_squares(steps: Steps, fits: Fits, calibration: Calibration) -> FloatArray:
-    """Return the mean square that each alternative leaves of steps, (4,), (deg/s)^2; NaN without a fit.
+    """Return the mean square residual of steps for each alternative, (4,), (deg/s)^2, or NaN without a fit.
 
-    What is left counts about the mean of a mounting that turned at two rates or more, or about the rests of another.
+    Residuals are relative to the mean of a mounting that turned at two rates or more, otherwise to the rests of the mounting.
     """
     squares = np.full(len(ALTERNATIVES), np.nan)
     for k, name in enumerate(ALTERNATIVES):

@@ -1,18 +1,20 @@
-"""Observations of thermal sessions: blocks of rest, and dwells at a steady rate, one row each, with their temperatures.
+"""Observations of thermal sessions: blocks of rest and dwells at a steady rate, one row each, with their temperatures.
 
-Blocks of rest are means over ten seconds or so. A mean leaves out samples that lie more than six robust standard deviations from
-the median of their block. Its variance comes from the differences of neighbouring half-second means, pooled over the rest::
+Blocks of rest are means over about ten seconds. A mean does not use samples that differ from the median of their block by more than
+six robust standard deviations. Its variance comes from the differences of neighbouring half-second means, pooled over the rest::
 
     var of a block's mean = mean((m_(k+1) - m_k)^2) / 2 / number of half seconds
 
-so that a ramp does not count as noise; bias instability from block to block is left to the fit.
+so that a ramp does not count as noise. The fit accounts for bias instability from block to block.
 
-Sessions are made ready first: each reading once, in the calibration's units, codes restored, one switch-on a session.
+Sessions are prepared first. Afterwards each reading occurs once, in the calibration's units, with restored codes, and each session
+has one switch-on.
 
-A session in several recordings whose clock runs on from one to the next was switched on once, when the first began; a clock that
-begins anew is another switch-on.
+If the clock of a session with several recordings continues from one recording to the next, the device was switched on once, when
+the first recording began. A clock that starts again is another switch-on.
 
-The fit takes sessions as independent. A copy of one would halve the variance and add a second switch-on, so it is refused.
+The fit assumes that sessions are independent. A copy of a session would halve the variance and add a second switch-on, so it is
+refused.
 """
 
 import hashlib
@@ -41,7 +43,8 @@ BLOCK_S = 10.0  # length of a block of rest: shorter follows a fast ramp, longer
 RAMP_S = 60.0  # stretch over which the slope of the temperature is taken
 SETTLE_S = 0.3  # start of each dwell that is discarded
 SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
-SAME_POSE = 3.0 * RADIAN_PER_DEGREE  # between mean specific forces of one mounting; drift tilts them by 1-2 deg
+# largest angle between mean specific forces in a mounting (drift tilts them by 1-2 deg)
+SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
 LEAST_SHARE = 0.5  # of a block's samples that have to be there
 GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
@@ -52,11 +55,11 @@ class StretchMeans:
     """Means over stretches of thermal sessions, n rows."""
 
     session: IntArray  # (n,), which session, from 0
-    time: FloatArray  # (n,), middle of the stretch, s; the recordings of a session follow each other on this clock
+    time: FloatArray  # (n,), middle of the stretch, s, on a clock with the recordings of a session in sequence
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
-    gyro: FloatArray  # (n, 3), mean reading, raw unit; NaN where the session has no such sensors
+    gyro: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
     accel: FloatArray  # (n, 3), likewise
-    gyro_variance: FloatArray  # (n, 3), of the mean by the scatter inside the stretch, raw unit squared; NaN if unknown
+    gyro_variance: FloatArray  # (n, 3), variance of the mean from the scatter inside, raw unit squared, or NaN if unknown
 
     def __len__(self) -> int:
         return len(self.temp_c)
@@ -78,14 +81,14 @@ class StretchMeans:
 class RestBlocks(StretchMeans):
     """Means over blocks of rest, n rows in the order of session and time."""
 
-    pose: IntArray  # (n,), which orientation; numbers are not shared by sessions
+    pose: IntArray  # (n,), number of the orientation (sessions have different numbers)
     power_on_s: FloatArray  # (n,), time since the first recording of the same power-on began, s
     ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     accel_variance: FloatArray  # (n, 3), likewise
-    # (n, 3), standard deviation of what the converter's steps leave in the mean, raw unit: constant at one level
+    # (n, 3), standard deviation of the mean from the converter's steps, raw unit (constant while the input is constant)
     gyro_step_error: FloatArray | None = None
     accel_step_error: FloatArray | None = None  # (n, 3), likewise
-    # (n,), as ``pose``, but a face that was mounted anew, after another one, has another number: it is not level as before
+    # (n,), as ``pose``, but a face gets a new number if it is mounted again after another face, because its tilt differs
     mounting: IntArray | None = None
 
 
@@ -93,7 +96,7 @@ class RestBlocks(StretchMeans):
 class RateSteps(StretchMeans):
     """Means over dwells at a steady rate, n rows in the order of session and time."""
 
-    soak: IntArray  # (n,), dwells of one number were made at one temperature
+    soak: IntArray  # (n,), dwells with the same number were at the same temperature
     rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
 
 
@@ -147,7 +150,7 @@ def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 
 def find_rests(session: Session) -> tuple[Still, ...]:
-    """Return the rests that a session states, otherwise those found in it, in order of time; may be none."""
+    """Return the given rests of a session, otherwise the detected rests, in order of time."""
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
     rests = list[Still]()
@@ -159,7 +162,7 @@ def find_rests(session: Session) -> tuple[Still, ...]:
 
 
 def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlocks]:
-    """Return the blocks of each rest of one session."""
+    """Return the blocks of each rest of a session."""
     stills, begins_s, ages_s = find_rests(session), session.begins_s, _ages(session.records)
     steps = [code_steps(session.records, rate=rate) for rate in (True, False)]
     poses, parts = _poses(session, stills), list[RestBlocks]()
@@ -215,7 +218,7 @@ def _is_same_pose(force: FloatArray | None, other: FloatArray | None) -> bool:
 
 
 def _edges(time: FloatArray) -> IntArray:
-    """Return the first samples of as many blocks as fit, and the end; a still shorter than two blocks is one."""
+    """Return the first samples of as many blocks as fit, and the end. A still shorter than two blocks becomes one block."""
     count = max(1, int((time[-1] - time[0]) / BLOCK_S + 0.05))
     inner = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1])
     return np.unique([0, *inner, len(time)])
@@ -224,7 +227,7 @@ def _edges(time: FloatArray) -> IntArray:
 def _block_means(
     readings: FloatArray | None, rows: slice, edges: IntArray, size: int, step: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean, its variance and its step error of each block, shape (B, 3); NaN if too many samples are missing."""
+    """Return the mean, its variance and its step error of each block, shape (B, 3), or NaN if too many samples are missing."""
     mean, variance, step_error = np.full((3, len(edges) - 1, 3), np.nan)
     if readings is None:
         return mean, variance, step_error
@@ -238,7 +241,9 @@ def _block_means(
             squares.append(np.diff(halves, axis=0) ** 2 * width)
             scatter.append(block.var(axis=0))
     read = counts[:, 0] > 0.0
-    if read.any() and len(differences := np.concatenate(squares)):  # noise of a sample, by that of a half second
+    if read.any() and len(
+        differences := np.concatenate(squares)
+    ):  # noise of a sample, from the noise of half-second means
         variance[read] = differences.mean(axis=0) / 2.0 / counts[read]
     if read.any():
         step_error[read] = np.sqrt(code_variance(step, np.mean(scatter, axis=0)))
@@ -246,7 +251,7 @@ def _block_means(
 
 
 def _drop_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the samples of a block, (n, 3), that are readings and no outliers; noise below one code has no median deviation."""
+    """Return the valid samples of a block, (n, 3), without outliers. Noise below a code has no median deviation."""
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return block
@@ -284,7 +289,7 @@ def _ages(records: Sequence[Record]) -> FloatArray:
 
 
 def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSteps]:
-    """Return the dwells of one session; none if it has no turns at known rates."""
+    """Return the dwells of a session, or an empty list without turns at known rates."""
     turns = [
         t for t in session.turns if t.axis and t.turn_rate is not None and session.records[t.recording].gyro is not None
     ]
@@ -319,7 +324,7 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
 
 
 def _soaks(temp_c: FloatArray) -> IntArray:
-    """Return which soak each dwell belongs to: a soak ends when the temperature has left that of its first dwell."""
+    """Return the soak of each dwell. A soak ends when the temperature differs from the temperature of its first dwell."""
     numbers, first = np.zeros(len(temp_c), np.int64), 0
     for k in range(1, len(temp_c)):
         another = bool(abs(temp_c[k] - temp_c[first]) > SOAK_C)
@@ -370,7 +375,7 @@ def set_point_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateS
 
 
 def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray) -> dict[str, Any]:
-    """Return what rows of set-points have in common, at rest and turning; NaN for a triad that they do not have."""
+    """Return the common columns of set-point rows, at rest and turning, with NaN for a missing triad."""
     record, nothing = session.records[k], np.full((len(session.records[k]), 3), np.nan)
     return {
         "session": np.zeros(len(rows), np.int64),
@@ -448,7 +453,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
 
 
 def nominal_triad(unit: str, quantity: Quantity) -> TriadModel:
-    """Return the model of sensors that are what their unit says."""
+    """Return a model with the nominal scale of a unit."""
     return TriadModel(
         method="nominal",
         unit_in=unit,

@@ -1,23 +1,24 @@
 """Offsets over temperature, from blocks of rest (static drift).
 
-    gyroscopes       y = u - K G a                             u mean reading, K = M^-1; a g-sensitivity is not an offset
-    accelerometers   y = u in one pose;  offset(T) = offset(T_ref) + y(T) - y(T_ref)
+    gyroscopes       y = u - K G a                             mean reading u, K = M^-1, without the g-sensitivity term
+    accelerometers   y = u in a single pose,   offset(T) = offset(T_ref) + y(T) - y(T_ref)
     both             y = f(T) + f'(T) dT/dt l + h c + A exp(-t / tau) + d_s + w + v + e
 
-f      a smooth curve (fit/curve.py) through the means of the cells. A cell holds the blocks of one rest within a narrow range of
-       temperature, so that the hot end of a warm-up counts no more than its degrees
-l      lag of the thermometer that is left, one unknown of a stated size: soaks often end before it has settled, all with one sign
-w      flicker noise of a stated size (fit/priors.py): rests of one session share most of it, so residuals do not show it
-v      deviation of one rest, of one variance about the curve: half of it is its own (pose, mounting, a device that moved), and half
-       goes over to the rests that follow, as flicker noise does
-h      half-width of the hysteresis: c = +1 while cooling, -1 while warming, and in between over ``CROSSED_C`` after a turn
+f      smooth curve (fit/curve.py) through the means of the cells. A cell contains the blocks of one rest within a narrow range of
+       temperature, so the hot end of a warm-up has the weight of its temperature range only
+l      remaining lag of the thermometer, a common unknown of known size: soaks often end before it has settled, with the same sign
+w      flicker noise of known size (fit/priors.py): the rests of a session share most of it, so residuals do not reveal it
+v      deviation of a rest, with a common variance about the curve: half of it is independent (pose, mounting, a device that
+       moved), and half is shared with the following rests, as for flicker noise
+h      half-width of the hysteresis: c = +1 while cooling, -1 while warming, and between these over ``CROSSED_C`` after a turn
 A, tau warm-up, t since power-on. It differs from f only if time and temperature differ: in a soak, or in several warm-ups
-d_s    shift of session s; its variance counts for a future session
-e      noise of the means, and what the steps of a converter leave
+d_s    shift of session s, whose variance counts for a future session
+e      noise of the means, and rounding errors of the converter
 
-T_ref and offset(T_ref) are those of the calibration. One pose cannot separate a change of scale along gravity from a change of
-offset: 0.02 %/K * |T - T_ref| of what gravity reads counts as uncertainty. The uncertainty of a node is that of a future visit:
-the curve between and beyond the temperatures seen, visit (w and v), half-width of the hysteresis and session.
+T_ref and offset(T_ref) belong to the calibration. A single pose cannot separate a change of scale along gravity from a change of
+offset, so 0.02 %/K * |T - T_ref| of the gravity reading counts as uncertainty. The uncertainty of a node applies to a future visit.
+It contains the curve between and beyond the observed temperatures, the visit (w and v), the half-width of the hysteresis and the
+session.
 """
 
 from dataclasses import dataclass, replace
@@ -39,13 +40,13 @@ UNKNOWN_SCALE_PER_K = 2e-4  # of accelerometers seen in one pose: a capacitive s
 EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
 GAP_C = 5.0  # and so is a node between temperatures seen, this far from both
 SLOPE_POINTS = 60
-MOST_OF_SPAN = 0.8  # share of a pose's range that one mounting must have seen for the others to be left out [assumed]
+MOST_OF_SPAN = 0.8  # share of a pose's range that a mounting must cover to replace all mountings [assumed]
 # ---- cells
-CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell; cells are widened until there are about as many
+CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell, and number of cells above which they are widened
 APART_C, APART_S = 2.0, 60.0  # between blocks: a larger step or a longer pause begins another rest
 SLOW, STILL = 0.25, 0.05  # shares of a log's fast ramps [assumed]
 LEAST_SOAKS = 5  # temperatures from which a log is one of soaks [assumed]
-OWN = 0.5  # share of the variance of v that one rest does not share with the next [assumed]
+OWN = 0.5  # share of the variance of v that a rest does not share with the next rest [assumed]
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
 FLICKER_OF_FLOOR = 2.41  # standard deviation of all of them over the bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
 PAIRED = 30  # blocks of a cell that its correlation is taken from
@@ -57,30 +58,30 @@ OVERLAP_C = 3.0  # range that both directions must have seen
 CHUNK_S = 120.0  # cells are cut there and at its doubles
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
 CURVE_INTERVALS = 5  # of the curve over temperature that a warm-up must differ from
-WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # of its table; time constants
+WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # nodes of its table, and its length in time constants
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StaticSettings:
-    """How offset over temperature is fitted."""
+    """Settings of the offset over temperature."""
 
     not_a_knot: bool = False  # True for the note's spline through the set-point means, False for the smooth curve
-    warm_up: bool = False  # fit a power-on transient; recordings begin at power-on
-    accel: bool = True  # False if poses determine the accelerometers, so that one pose by itself is not wanted
-    accel_unit: str = "count"  # unit of the accelerometer's readings if no calibration states it
+    warm_up: bool = False  # fit a power-on transient, if recordings begin at power-on
+    accel: bool = True  # False if poses determine the accelerometers, so that the fit to a single pose is not needed
+    accel_unit: str = "count"  # unit of the accelerometer's readings without a calibration
     lag_uncertainty_s: float = THERMOMETER_LAG  # standard uncertainty of the lag that was left, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Offsets:
-    """Offset readings of one triad, n blocks."""
+    """Offset readings of a triad, n blocks."""
 
     blocks: RestBlocks
     value: FloatArray  # (n, 3), raw unit
     variance: FloatArray  # (n, 3), variance by noise, raw unit squared
-    step_error: FloatArray | None  # (n, 3), what the converter's steps leave in each, raw unit
+    step_error: FloatArray | None  # (n, 3), rounding error of the converter in each block, raw unit
     common_variance: FloatArray  # (3,), variance of what all of them have in common, raw unit squared
-    flicker: FloatArray  # (3,), stated variance of w, raw unit squared
+    flicker: FloatArray  # (3,), known variance of w, raw unit squared
 
     def variance_of_mean(self, rows: IntArray) -> FloatArray:
         """Return the variance of the mean of some blocks by noise and steps, (3,)."""
@@ -90,7 +91,7 @@ class Offsets:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cells:
-    """Means of the blocks of one rest and temperature, n cells."""
+    """Means of the blocks of a rest at a temperature, n cells."""
 
     session: IntArray  # (n,)
     temp_c: FloatArray  # (n,), degC
@@ -98,7 +99,7 @@ class Cells:
     variance: FloatArray  # (n, 3), by noise and steps, raw unit squared
     regressors: FloatArray  # (n, p)
     correlation: FloatArray  # (n, n), of the deviations v, mean diagonal 1
-    ramp_c_per_s: FloatArray  # (n,), slope of the temperature that soaks have left; 0 on a sweep
+    ramp_c_per_s: FloatArray  # (n,), slope of the temperature at the end of soaks, or 0 on a sweep
     flicker: FloatArray  # (3, n, n), covariance of w, raw unit squared
 
 
@@ -112,11 +113,11 @@ class TurnOn:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadDrift:
-    """Offset over temperature of one triad, n nodes, raw unit."""
+    """Offset over temperature of a triad, n nodes, raw unit."""
 
-    offset: FloatArray | None  # (n, 3), absolute; None if only the change is known
+    offset: FloatArray | None  # (n, 3), absolute, or None if only the change is known
     uncertainty: FloatArray  # (n, 3), standard uncertainty of each node, for a future visit
-    visit: FloatArray  # (3,), standard deviation of what one visit adds; part of ``uncertainty``
+    visit: FloatArray  # (3,), standard deviation of a visit's contribution, included in ``uncertainty``
     extrapolated: BoolArray  # (n,), True if no data were near
     slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
@@ -125,8 +126,8 @@ class TriadDrift:
     cells: Cells
     offsets: Offsets
     turn_on: TurnOn | None  # None if sessions share no temperature
-    gravity: FloatArray  # (3,), what the blocks read beside the offset: of accelerometers in one pose
-    hysteresis: FloatArray | None = None  # (3,), half-width; None if the temperature went one way only
+    gravity: FloatArray  # (3,), reading in addition to the offset, for accelerometers in a single pose
+    hysteresis: FloatArray | None = None  # (3,), half-width, or None if the temperature only rose or only fell
     hysteresis_uncertainty: FloatArray | None = None  # (3,)
     warm_up: WarmUp | None = None
     findings: tuple[Finding, ...] = ()
@@ -139,7 +140,7 @@ class TriadDrift:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticFit:
-    """A static tuning table and what it is worth."""
+    """A static tuning table with its verdict."""
 
     table: StaticDrift  # at the nodes asked for
     gyro: TriadDrift | None  # None if a triad was not observed
@@ -166,7 +167,7 @@ def fit_static(
         level: Level = "warn" if isinstance(error, Implausible) else "info"
         findings.append(finding("drift.not_observable", level, what=_OF_ACCEL, problem=str(error)))
     if accel is not None:
-        findings += () if gyro is not None else accel.findings  # otherwise those of the gyroscopes at the same rests
+        findings += () if gyro is not None else accel.findings  # otherwise the gyroscopes report the same rests
         values = {"poses": len(np.unique(blocks.pose)), "span_c": accel.span_c[1] - accel.span_c[0]}
         findings.append(finding("drift.accel_one_pose", "info", **values, percent_per_c=100.0 * UNKNOWN_SCALE_PER_K))
         if accel.offset is None:
@@ -202,7 +203,7 @@ _NO_TABLE = (
 
 
 def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets | None:
-    """Return the gyroscopes' readings at rest without g-sensitivity; None if there are none."""
+    """Return the gyroscopes' readings at rest without g-sensitivity, or None without readings."""
     blocks = blocks.taken(np.isfinite(blocks.gyro).all(axis=1))
     if not len(blocks):
         return None
@@ -223,9 +224,9 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
 
 
 def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets:
-    """Return the accelerometers' readings in the pose that saw the widest range of temperature, if possible of one mounting.
+    """Return the accelerometers' readings in the pose with the widest range of temperature, if possible in one mounting.
 
-    Raises ``NotObservable`` without readings and ``Implausible`` if they cannot be gravity.
+    Raise ``NotObservable`` without readings, and ``Implausible`` if they cannot be gravity.
     """
     blocks = blocks.taken(np.isfinite(blocks.accel).all(axis=1))
     if not len(blocks):
@@ -249,7 +250,7 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
 
 
 def _widest(blocks: RestBlocks, number: IntArray, least_c: float) -> RestBlocks:
-    """Return the blocks of the number that saw the widest range of temperature; all blocks if that is below ``least_c``."""
+    """Return the blocks of the number with the widest range of temperature, or all blocks if the range is below ``least_c``."""
     widest = max(np.unique(number).tolist(), key=lambda k: float(np.ptp(blocks.temp_c[number == k])))
     chosen = blocks.taken(number == widest)
     return chosen if np.ptp(chosen.temp_c) >= least_c else blocks
@@ -262,7 +263,7 @@ def known_variance(variance: FloatArray) -> FloatArray:
 
 
 def _flicker_variance(model: TriadModel | None, instability: float) -> FloatArray:
-    """Return the variance of flicker noise of a bias instability in SI units, (3,), raw unit squared; 0 for an unknown scale."""
+    """Return the variance of flicker noise, (3,), raw unit squared, for a bias instability in SI units, or 0 without a scale."""
     scale = np.zeros(3) if model is None else np.linalg.norm(model.forward_matrix, axis=1)
     return np.asarray((FLICKER_OF_FLOOR * instability * scale) ** 2)
 
@@ -276,7 +277,7 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
 
 
 def felt_by_gyro(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray:
-    """Return what specific force adds to the gyroscopes' readings of blocks, (n, 3), raw unit; 0 if that is not known."""
+    """Return the effect of the specific force on the gyroscopes' readings of blocks, (n, 3), raw unit, or 0 if it is unknown."""
     model, force = None if calibration is None else calibration.gyro, specific_force(blocks, calibration)
     if model is None or model.g_sensitivity is None or force is None:
         return np.zeros((len(blocks), 3))
@@ -293,7 +294,7 @@ def _fit_triad(
     settings: StaticSettings,
     reference: tuple[float, TriadModel] | None = None,
 ) -> TriadDrift:
-    """Fit one triad; with a reference the table is its offset plus the change since its temperature."""
+    """Fit a triad. With a reference the table is the reference offset plus the change since the reference temperature."""
     blocks, findings = offsets.blocks, list[Finding]()
     direction, tau = cooling(blocks), None
     has_loop = both_ways(blocks, direction)
@@ -385,7 +386,7 @@ def _fit_curve(cells: Cells, turn_on: TurnOn | None, lag_s: float, shifts: Float
 
 
 def _offset_per_lag(cells: Cells) -> FloatArray:
-    """Return what a second of lag shifts each cell by, (n, 3), raw unit per s: ramp times the slope of a cubic over temperature."""
+    """Return the shift of each cell per second of lag, (n, 3), raw unit per s: ramp times the slope of a cubic over temperature."""
     from numpy.polynomial.polynomial import polyder, polyfit, polyval
 
     span_c = max(float(np.ptp(cells.temp_c)), 1e-9)
@@ -412,9 +413,9 @@ def _fit_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues
 
 
 def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *, chunk_s: float) -> Cells:
-    """Average blocks of one rest, direction (n,) and temperature; regressors (n, p) are averaged with them.
+    """Average blocks of the same rest, direction (n,) and temperature, with their regressors (n, p).
 
-    Cells are cut where the time since power-on passes ``chunk_s``, twice and four times this, and so on.
+    Cells end when the time since power-on passes ``chunk_s``, twice this, four times this, and so on.
     """
     blocks = offsets.blocks
     rest, chunk = rests_of(blocks), np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
@@ -445,7 +446,7 @@ def split_by(rows: IntArray, *keys: FloatArray | IntArray) -> list[IntArray]:
 
 
 def bins_of(temp_c: FloatArray, width: float) -> IntArray:
-    """Return numbers of bins of increasing temperatures, (n,): a bin begins at a value and holds those within a width above it."""
+    """Return bin numbers of increasing temperatures, (n,). A bin begins at a value and contains values up to a width above it."""
     bins, begin = np.zeros(len(temp_c), np.int64), temp_c[0]
     for k in range(1, len(temp_c)):
         new = temp_c[k] - begin > width
@@ -455,10 +456,9 @@ def bins_of(temp_c: FloatArray, width: float) -> IntArray:
 
 
 def rests_of(blocks: RestBlocks) -> IntArray:
-    """Return which rest each block belongs to, (n,): another session or pose, a pause, or a step of temperature begins another.
+    """Return the rest of each block, (n,). A new rest begins with a session, a pose, a pause, or a step of temperature.
 
-    A log through soaks has one rest at each soak, and -1 on the ramps between: a ramp would carry the deviation of one soak over
-    to the next.
+    A log with soaks has one rest per soak, and -1 on the ramps, because a ramp would carry a deviation to the next soak.
     """
     ramp = np.abs(blocks.ramp_c_per_min)
     fast = float(np.quantile(ramp, 0.9))
@@ -476,9 +476,9 @@ def rests_of(blocks: RestBlocks) -> IntArray:
 
 
 def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
-    """Return True for the blocks of sessions that used temperatures apart from each other, none wider than a rest, (n,).
+    """Return True for the blocks of sessions with separate temperatures, each no wider than a rest, (n,).
 
-    On a sweep the thermometer lags in use as it did in the log, and a table that holds the lag is right.
+    On a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right.
     """
     soaked = np.zeros(len(blocks), bool)
     for rows in split_by(used, blocks.session[used]):
@@ -489,13 +489,13 @@ def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
 
 
 def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
-    """Return the variance of a mean over blocks (n, 3) by their noise and what a converter's steps leave in all, (3,)."""
+    """Return the variance of a mean over blocks (n, 3), from their noise and common rounding errors of the converter, (3,)."""
     noise: FloatArray = variance.mean(axis=0) / len(value)
     return noise if step_error is None else np.asarray(noise + (step_error**2).mean(axis=0))
 
 
 def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
-    """Return the mean correlation over time of the blocks of two cells, (n, n); 0 between sessions.
+    """Return the mean correlation over time between the blocks of two cells, (n, n), or 0 between sessions.
 
     Flicker noise is a sum of first-order processes of equal variance, with time constants spaced evenly in their logarithm.
     """
@@ -516,10 +516,10 @@ def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArr
 
 
 def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
-    """Return how much the offset moves between sessions that share temperatures; None if no two do.
+    """Return the change of the offset between sessions with common temperatures, or None if no two sessions share any.
 
-    Their shifts sum to zero; the variance is that which these show (Paule and Mandel), and at least their own: sessions that agree
-    by chance do not prove that nothing moves.
+    The shifts of the sessions sum to zero. Their excess variance (Paule and Mandel) counts, with the variance of the shifts as its
+    lower limit, because sessions that agree by chance do not prove that the offset is constant.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -547,9 +547,9 @@ def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
 
 
 def cooling(blocks: RestBlocks) -> FloatArray:
-    """Return c of each block, (n,): +1 while cooling, -1 while warming, 0 before it moved.
+    """Return c of each block, (n,): +1 while cooling, -1 while warming, 0 before the temperature changed.
 
-    The play operator of Prandtl: p follows the temperature at a distance of at most ``CROSSED_C`` / 2, and c is that distance.
+    In the play operator of Prandtl, p follows the temperature at a distance of at most ``CROSSED_C`` / 2, and c is that distance.
     """
     state, reach = np.zeros(len(blocks)), 0.5 * CROSSED_C
     for rows in split_by(np.arange(len(blocks)), blocks.session):

@@ -1,25 +1,25 @@
 """Matrix and dynamic drift over temperature, from rate steps at several soaks.
 
-Offsets of the static table are subtracted first. A mounting is a stretch of one soak in which the device turned about one direction
-of its case. At one soak each sensor i reads ::
+Offsets of the static table are subtracted first. A mounting is a part of a soak in which the device turned about one direction of
+its case. In a soak each sensor i reads ::
 
-    u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        j the axes that were turned, m the mounting
+    u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        axes j of the turns, mounting m
 
-d is the offset that the table leaves (hysteresis, warm-up, g-sensitivity). It is fitted if a mounting has two rates or more. With
-one rate, the mean reading of the rests of the same soak is its zero, or the table if there are none. An axis that no soak turned
-keeps its column of K from the calibration, and has no uncertainty. Each K_ij(T) goes through a smooth curve (fit/curve.py), and
-``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates; the dynamic table holds what bends.
+d is the offset error of the table (hysteresis, warm-up, g-sensitivity). It is fitted if a mounting has two rates or more. With a
+single rate, the mean reading of the rests of the same soak is its zero, or the table without rests. An axis that no soak turned
+keeps its column of K from the calibration, without an uncertainty. Each K_ij(T) gets a smooth curve (fit/curve.py), and
+``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates. The dynamic table contains the curvature.
 
 Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
-for w the measured rate about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
-product of cubic splines, goes through the steps of all soaks, and through the rests in the same pose at rate zero::
+with the measured rate w about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
+product of cubic splines, is fitted to the steps of all soaks, and to the rests in the same pose at rate zero::
 
     r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
     minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
 
-The softness (s_w, s_T) predicts soaks that are left out best, or rates if there are only two soaks. A group g that is left out of a
-linear smoother with hat matrix H misses by (1 - H_gg)^-1 r_g, so nothing is fitted again [1]_. The covariance is that of the
-smoothness prior [2]_, and the variances v include the excess of the residuals over those stated.
+The softness (s_w, s_T) is the pair that best predicts soaks that are left out, or rates if there are only two soaks. The prediction
+error of a group g is (1 - H_gg)^-1 r_g for a linear smoother with hat matrix H, so the fit is not repeated [1]_. The covariance
+comes from the smoothness prior [2]_, and the variances v include the excess of the residuals over the known variances.
 
 References
 ----------
@@ -52,10 +52,10 @@ SAME_RATE = 0.01  # of the greatest: closer rates are one
 MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
 NEAR_RATE = 0.02  # of the greatest: a node this far beyond the measured rates still counts as seen
 LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
-SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, in spans and in residuals; stiff first
+SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, relative to the spans and the residuals, from stiff to soft
 MAX_INTERVALS = 6  # of 30 deg/s over the note's rates
 LEAST_DIGIT = 1e-9  # of the readings: no mean is known better
-LEAST_NOISE = 1e-6  # of the values: less noise is below the resolution of the equations; rad/s if all values are 0
+LEAST_NOISE = 1e-6  # relative to the values (rad/s if all values are 0), below which noise cannot be resolved
 
 ROWS = ("soak", "mounting", "axis", "temp_c", "rate_b", "reading", "variance")
 
@@ -68,7 +68,7 @@ class Steps:
     mounting: IntArray  # (n,), numbered over all soaks
     axis: IntArray  # (n,), main axis about which the mounting turned
     temp_c: FloatArray  # (n,), degC
-    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s; 0 for a rest
+    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s, or 0 for a rest
     reading: FloatArray  # (n, 3), offset subtracted, raw unit
     variance: FloatArray  # (n, 3), raw unit squared
     findings: tuple[Finding, ...] = ()
@@ -82,11 +82,11 @@ class Steps:
         return np.asarray(self.rate_b.any(axis=1))
 
     def taken(self, rows: Any) -> "Steps":
-        """Return some of the rows; numbers of mountings do not change."""
+        """Return some of the rows, with unchanged numbers of mountings."""
         return replace(self, **{name: getattr(self, name)[rows] for name in ROWS})
 
     def has_rates(self, rows: Any) -> bool:
-        """Return True if some rows of one mounting have two rates or more: they determine its offset."""
+        """Return True if some rows of the same mounting have two rates or more, which determine its offset."""
         rate = self.rate_b[rows]
         return bool(np.ptp(rate, axis=0).max() > SAME_RATE * np.abs(rate).max())
 
@@ -96,7 +96,7 @@ class SoakMatrices:
     """The forward matrix at each of S soaks."""
 
     temp_c: FloatArray  # (S,), mean temperature of the soak's steps, degC, increasing
-    forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis; NaN for an axis that the soak did not turn
+    forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis, or NaN for an axis that the soak did not turn
     variance: FloatArray  # (S, 3, 3), of each element, that unit squared
 
 
@@ -106,7 +106,7 @@ class ScaleFit:
 
     drift: ScaleDrift  # gyroscope matrices at the nodes
     soaks: SoakMatrices
-    # (3,), thermal sensitivity of each scale factor, %/K of its value at the reference temperature; NaN if not observable
+    # (3,), thermal sensitivity of each scale factor, %/K of its value at the reference temperature, or NaN if not observable
     percent_per_k: FloatArray
     percent_per_k_uncertainty: FloatArray  # (3,), standard uncertainty of that
     verdict: Verdict
@@ -117,7 +117,7 @@ class DynamicFit:
     """The table of rate-dependent drift."""
 
     drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
-    surfaces: tuple["Surface | None", ...]  # of each axis; None if it was not turned
+    surfaces: tuple["Surface | None", ...]  # per axis, or None if the axis was not turned
     verdict: Verdict
 
 
@@ -172,7 +172,7 @@ def prepared(
 
 
 def _select_rests(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
-    """Return the rests at the session and temperature of a mounting in its pose; if there are none, in any pose if allowed."""
+    """Return the rests at the session and temperature of a mounting in its pose, or in any pose if none match and it is allowed."""
     near = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
     near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
     force = turns.accel.mean(axis=0)
@@ -249,7 +249,7 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
             temp_c=temp_c,
             gyro_matrix=matrix * unit_per_si,
             gyro_uncertainty=np.where(unknown, np.nan, spread.reshape(-1, 3, 3))
-            * unit_per_si,  # column j of M by that of K
+            * unit_per_si,  # column j of M has the uncertainty of column j of K
             gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
         ),
         soaks=soaks,
@@ -314,14 +314,14 @@ def _weigh(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SurfacePoints:
-    """Residual rates of one axis, n rows."""
+    """Residual rates of an axis, n rows."""
 
-    turn_rate: FloatArray  # (n,), measured rate, rad/s; 0 for a rest
+    turn_rate: FloatArray  # (n,), measured rate, rad/s, or 0 for a rest
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n,), measured minus imposed rate, rad/s
     variance: FloatArray  # (n,), of the value, (rad/s)^2
     soak: IntArray  # (n,), from 0
-    mounting: IntArray  # (n,), from 0: rows of one number share d
+    mounting: IntArray  # (n,), from 0, rows with the same number share d
 
     def __len__(self) -> int:
         return len(self.value)
@@ -336,7 +336,7 @@ class Surface:
     coefficients: FloatArray  # (P,), c in the splines that vanish at rate zero
     covariance: FloatArray  # (P, P), of c, (rad/s)^2
     softness: tuple[float, float]  # s_w and s_T, in spans and residuals
-    excess: float  # standard deviation of the residuals beyond the variances stated, rad/s
+    excess: float  # standard deviation of the residuals beyond their known variances, rad/s
     residuals: FloatArray  # (n,), rad/s
 
     def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
@@ -360,7 +360,7 @@ def fit_dynamic(
     """Fit the dynamic drift of the gyroscopes.
 
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
-    ``span_c``. The softness of each surface is chosen by cross-validation, or taken from an earlier fit, ``like``.
+    ``span_c``. Cross-validation selects the softness of each surface, unless an earlier fit ``like`` provides it.
     """
     points = [_surface_points(axis, steps, calibration, scale) for axis in range(3)]
     axis_points = [data for data in points if data is not None]
@@ -407,7 +407,7 @@ def fit_dynamic(
 def _surface_points(
     axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None
 ) -> SurfacePoints | None:
-    """Return the rows of mountings that turned about an axis; None without two soaks and two rates."""
+    """Return the rows of mountings that turned about an axis, or None without two soaks and two rates."""
     axis_steps = steps.taken(steps.axis == axis)
     turning, imposed = axis_steps.turning, axis_steps.rate_b[:, axis]
     if len(np.unique(axis_steps.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
@@ -456,7 +456,7 @@ def fit_surface(
     temp_span: tuple[float, float],
     softness: tuple[float, float] | None = None,
 ) -> Surface:
-    """Fit a surface to the residual rates of one axis at two soaks or more, as soft as predicts best, or as stated."""
+    """Fit a surface to the residual rates of an axis at two soaks or more, with the best predicting or the given softness."""
     soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
     low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
     cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))

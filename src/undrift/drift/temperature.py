@@ -1,25 +1,27 @@
-"""Temperature of the sensors in a recording: checked, smoothed over time, and the lag of the thermometer subtracted.
+"""Temperature of the sensors in a recording: checks, smoothing over time, and subtraction of the thermometer's lag.
 
-A board thermometer comes noisy, in steps of up to 1 degC, with gaps, stale or on the wrong scale. A temperature that a fit cannot
-use raises an error; one that needs care is a finding; the rest is smoothed.
+A board thermometer may be noisy, in steps of up to 1 degC, with gaps, frozen or on the wrong scale. A temperature that a fit cannot
+use raises an error, a doubtful temperature is a finding, and all others are smoothed.
 
-Noise that blurs the steps is smoothed by a moving mean, over 30 s or as much less as leaves 0.02 K of it. Steps that no noise blurs
-carry information only when they change: there the temperature is midway between two steps, and it is interpolated between.
+Steps that are blurred by noise are smoothed with a moving mean, long enough to reduce the noise to 0.02 K, and 30 s at most. Steps
+without noise are informative only when they change. At a change the temperature is midway between two steps, and it is interpolated
+from change to change.
 
-A thermometer lags the sensors, T_m' = (T - T_m) / tau. The lag is subtracted from the smooth course::
+A thermometer lags behind the sensors, T_m' = (T - T_m) / tau. The lag is subtracted from the smooth temperature::
 
-    in use      y = (tau s + 1) / (tau_f s + 1) T_m     causal, over uneven steps; leaves the lag tau_f
-    for a fit   T = T_m + tau T_m'                      of a temperature smoothed over time: nothing is left
+    in use      y = (tau s + 1) / (tau_f s + 1) T_m     causal, for uneven time steps, with the remaining lag tau_f
+    for a fit   T = T_m + tau T_m'                      from a smoothed temperature, without a remaining lag
 
-The lead makes the noise of one reading tau / tau_f times as large; its slow part, which alone turns into angle, stays as it was.
+The lead makes the noise of a single reading tau / tau_f times as large. It does not change the slow part of the noise, and only
+this part adds up to an angle.
 
-The time constant comes from the sensors themselves. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
+The sensors themselves determine the time constant. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
 Per axis::
 
-    y = f(T_m + tau T_m') + m_pose + h c + w exp(-t / t_w)      f a cubic spline; c = +1 cooling, -1 warming; t since power-on
+    y = f(T_m + tau T_m') + m_pose + h c + w exp(-t / t_w)      cubic spline f, c = +1 cooling, -1 warming, t since power-on
 
-tau has the least residual: the profile of n_eff sum over axes of log(residual), with f, m, h, w fitted at each tau. A hysteresis h
-does not depend on the speed of the ramp and a lag does, so ramps of two speeds separate them and one does not.
+tau minimises n_eff times the sum over axes of log(residual), with f, m, h, w fitted at each tau. A hysteresis h does not depend on
+the speed of the ramp, but a lag does, so ramps of two speeds separate them.
 """
 
 import math
@@ -38,10 +40,10 @@ from undrift.fit.curve import Cubics
 from undrift.record import Session, Still, Turn
 
 LEAST_SPAN_C = 2.0  # of all recordings together
-LONGEST_GAP_S = 10.0  # gaps up to this are interpolated; longer ones stay NaN
+LONGEST_GAP_S = 10.0  # longest gap that is interpolated (longer gaps stay NaN)
 MOST_MISSING = 0.5  # share of the readings that may be missing
 BOARD_C = (-40.0, 125.0)  # where parts of a board work
-OFF_SET_POINT_C = 5.0  # between the column and a stated set-point: another scale
+OFF_SET_POINT_C = 5.0  # largest difference between the column and a given set-point on the same scale
 STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
 HOT_C = 45.0  # above it all along: no room, and no body
 SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
@@ -68,16 +70,16 @@ Source = Literal["column", "set-points", "means"]  # means: rows that are means 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Temperature:
-    """The temperature of one recording, N samples."""
+    """Temperature of a recording, N samples."""
 
-    temp_c: FloatArray  # (N,), smooth course, degC; NaN if it is not known
+    temp_c: FloatArray  # (N,), smooth temperature, degC, or NaN if unknown
     noise_c: float = 0.0  # standard deviation of the mean of a second by noise and steps, K
     source: Source
     findings: tuple[Finding, ...] = ()  # doubts about the column
 
 
 def trusted_temperature(session: Session, index: int) -> Temperature:
-    """Return the temperature of one recording, smoothed, with findings on what looks wrong."""
+    """Return the smoothed temperature of a recording, with findings about doubtful readings."""
     record, temp_c = session.records[index], session.records[index].temp_c
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     set_points = [
@@ -108,7 +110,7 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
 
 
 def check_span(temperatures: Sequence[Temperature]) -> float:
-    """Return the span of temperatures together, K; raise if it is too small for a thermal fit."""
+    """Return the common span of all temperatures, K. Raise if it is too small for a thermal fit."""
     temp_c = np.concatenate([temperature.temp_c[np.isfinite(temperature.temp_c)] for temperature in temperatures])
     if not len(temp_c):
         raise NotObservable("thermal drift: no recording has a known temperature. Map its column.")
@@ -188,7 +190,7 @@ def _stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> BoolArray:
 
 
 def step_of(temp_c: FloatArray) -> float:
-    """Return the step in which readings come; 0 if they are on no grid."""
+    """Return the step of the readings, or 0 if they are on no grid."""
     values = np.unique(temp_c)
     if len(values) < 2 or len(values) > max(2, len(temp_c) // 4):
         return 0.0
@@ -200,12 +202,12 @@ def step_of(temp_c: FloatArray) -> float:
 
 
 def _smooth(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
-    """Return the noise of the mean of a second, and the smooth course behind readings; nothing is carried across a long gap."""
+    """Return the noise of the mean of a second, and the smooth temperature, which is not continued across a long gap."""
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return 0.0, temp_c
     interval_s = float(np.median(np.diff(time)))
     bend = np.sort(np.abs(np.diff(temp_c, 2)))
-    noise = float(np.sqrt(np.mean(bend[: max(2, int(0.99 * len(bend)))] ** 2) / 6.0))  # without what stands alone
+    noise = float(np.sqrt(np.mean(bend[: max(2, int(0.99 * len(bend)))] ** 2) / 6.0))  # without outliers
     parts = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > max(LONGEST_GAP_S, 3.0 * interval_s)) + 1)
     if noise >= BLURRED * step:
         window_s = float(np.clip(interval_s * (noise / KNOWN_TO_C) ** 2, 2.0 * LEAST_REACH_S, WINDOW_S))
@@ -242,18 +244,18 @@ def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagState:
-    """What the lead carries from chunk to chunk."""
+    """State of the lead between chunks."""
 
-    time: float = math.nan  # time of the last reading, s; NaN before the first
+    time: float = math.nan  # time of the last reading, s, or NaN before the first
     temp_c: float = math.nan  # last reading, degC
     smooth_c: float = math.nan  # reading behind the low-pass tau_f, degC
-    output_c: float = math.nan  # last temperature returned, degC; held while readings are NaN
+    output_c: float = math.nan  # last temperature returned, degC, and repeated while readings are NaN
 
 
 def without_lag(
     temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: LagState | None = None
 ) -> tuple[FloatArray, LagState]:
-    """Subtract the thermometer's lag, looking back only: a filter with state; (N,) degC over (N,) s."""
+    """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
     from undrift.kernels.calibrate import lead
 
     if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf) or (lag_s > 0.0 and smooth_s == 0.0):
@@ -282,10 +284,10 @@ def without_lag_smooth(temp_c: FloatArray, time: FloatArray, *, lag_s: float) ->
 
 
 def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float) -> float:
-    """Return how much of the lag to leave, so that noise made larger and lag left weigh the same at 1 degC/min.
+    """Return the remaining lag, s, for which amplified noise and lag have the same effect at 1 degC/min.
 
-    The lead makes tau / tau_f of the noise n of the mean of a second, and leaves tau_f dT/dt: equal at
-    tau_f = sqrt(n tau / (dT/dt)), kept between a twentieth and a half of tau and over one interval.
+    The lead amplifies the noise n of the mean of a second by tau / tau_f, and leaves the error tau_f dT/dt. They are equal at
+    tau_f = sqrt(n tau / (dT/dt)), limited to the range from a twentieth to a half of tau and to more than one interval.
     """
     balanced_s = math.sqrt(noise_c * lag_s / (RAMP_C_PER_MIN / 60.0))
     return min(0.5 * lag_s, max(0.05 * lag_s, balanced_s, interval_s))
@@ -298,13 +300,13 @@ def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float) -> floa
 class LagFit:
     """A thermometer's lag."""
 
-    lag_s: float = 0.0  # time constant, s; 0 if it is not known
-    uncertainty_s: float = math.inf  # standard uncertainty, s; infinite if not observable
+    lag_s: float = 0.0  # time constant, s, or 0 if unknown
+    uncertainty_s: float = math.inf  # standard uncertainty, s, or infinity if not observable
     problem: str = ""  # why it is not observable
 
 
 def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> LagFit:
-    """Return the time constant, up to a longest one, at which readings at one temperature agree whatever the ramp was."""
+    """Return the time constant, up to a maximum, for which readings at equal temperature agree for all ramps."""
     direction, usable = cooling(blocks), np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min)
     settled = usable & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
     rows = settled if settled.sum() >= FEWEST and len(np.unique(np.sign(direction[settled]))) > 1 else usable

@@ -1,16 +1,16 @@
-"""The verdict of a thermal fit: what it is worth, and whether sessions and calibration belong to one device.
+"""Verdict of a thermal fit: quality of the tables, and whether sessions and calibration belong to the same device.
 
-Checked against the calibration's constants, before tables take their place::
+Comparison with the calibration's constants, before tables replace them::
 
-    turns      inv(K_c) K    K of each soak, K_c of the calibration: near one; another order or sign of axes is refused
+    turns      inv(K_c) K    near one for K of each soak and K_c of the calibration (another order or sign of axes is refused)
     scale      its diagonal at the reference temperature, minus 1
-    offset     table at the reference temperature, or at the nearest node seen, minus the calibration's constant
+    offset     table at the reference temperature, or at the nearest observed node, minus the calibration's constant
     gravity    length of the corrected specific force at the rests nearest the reference temperature, minus g
     sessions   standard deviation from session to session
 
-Offsets move from one switch-on to the next, and the calibration's temperature may have been read on another thermometer: 2 deg/s
-and the slope over 2 K (and over the distance between reference and node, doubled) are allowed. A larger difference counts from
-three standard uncertainties, of table and calibration together, and can be bad from ten.
+Offsets differ from one switch-on to the next, and the calibration may have used another thermometer. The allowed difference is
+2 deg/s, plus the slope over 2 K and over twice the distance between reference and node. A larger difference counts from three
+standard uncertainties, of table and calibration together, and can be bad from ten.
 """
 
 from collections.abc import Sequence
@@ -30,30 +30,30 @@ from undrift.model import Calibration, Triad, TriadModel, Verdict, level_of
 from undrift.record import Session, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
 
-TURN_ON_DPS = 2.0  # a shift from one switch-on to the next; consumer gyroscopes state less
+TURN_ON_DPS = 2.0  # shift from one switch-on to the next (data sheets of consumer gyroscopes have smaller limits)
 FAR_DPS = 10.0  # no switch-on moves an offset so far
-MOST_BETWEEN_DPS = 5.0  # standard deviation between sessions of one device
-MOST_BEND = 0.01  # (deg/s)/K2, five times that of consumer gyroscopes [assumed]
+MOST_BETWEEN_DPS = 5.0  # largest standard deviation between sessions of the same device
+MOST_BEND = 0.01  # (deg/s)/K2, five times the value of consumer gyroscopes [assumed]
 LEAST_MISS_DPS = 0.25  # smallest one reported
 SIGNIFICANT, CERTAIN = 3.0, 10.0  # standard uncertainties from which two values differ, and may be bad
 LEFT_ACCEL_MG = 10.0  # what turn-on and ageing leave of accelerometers, and local gravity elsewhere [assumed]
 NEAR_C = 5.0  # rests within this of the nearest to the reference temperature are compared with gravity
 UNKNOWN_DEPARTURE_C = 10.0  # from the reference temperature, if the calibration does not state one
-TEMPERATURE_OFF_C = 2.0  # between the thermometer of the calibration and that of the session
+TEMPERATURE_OFF_C = 2.0  # between the thermometers of calibration and session
 SCALE_OFF = (0.02, 0.05)  # marginal, and bad
 SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
-NARROW_C = 5.0  # a table over less is one of one temperature
+NARROW_C = 5.0  # a table over a smaller range is a table of a single temperature
 MOST_EXTRAPOLATED = 0.25  # of the nodes
-APART_C, WIDE_C = 1.0, 2.0  # from the last temperature: another set-point; a wider set-point is a sweep
+APART_C, WIDE_C = 1.0, 2.0  # distance to the next set-point, and width from which a set-point is a sweep
 
 # ---- summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadSummary:
-    """Offset over temperature of three sensors: n nodes, k blocks of rest; values in ``unit``."""
+    """Offset over temperature of three sensors, with n nodes and k blocks of rest, values in ``unit``."""
 
-    unit: str  # rad/s or m/s2; the raw unit if the scale factor is not known
+    unit: str  # rad/s or m/s2, or the raw unit if the scale factor is unknown
     seen_c: tuple[float, float]  # least and greatest temperature seen, degC
     temp_c: FloatArray  # (n,), nodes, degC
     against: str  # reference of the departure: the constant offset, or zero
@@ -62,10 +62,10 @@ class TriadSummary:
     extrapolated: BoolArray  # (n,), True if no data were near
     slope: FloatArray  # (3,), mean over the temperatures seen, per K
     slope_uncertainty: FloatArray  # (3,)
-    half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming; None if not observable
+    half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming, or None if not observable
     half_loop_uncertainty: FloatArray | None = None  # (3,)
-    turn_on: FloatArray | None = None  # (3,), standard deviation from session to session; None for one session
-    block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC; may be empty
+    turn_on: FloatArray | None = None  # (3,), standard deviation from session to session, or None for a single session
+    block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC, possibly empty
     block_departure: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3)
     block_cooling: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), 1 while cooling, -1 while warming
 
@@ -90,12 +90,12 @@ class ScaleSummary:
     uncertainty: FloatArray  # (n, 3), standard uncertainty
     extrapolated: BoolArray  # (n,), True if no data were near
     soak_temp_c: FloatArray  # (S,), degC
-    soak_percent: FloatArray  # (S, 3), of each soak; NaN for an axis that did not turn
+    soak_percent: FloatArray  # (S, 3), of each soak, or NaN for an axis that did not turn
     soak_uncertainty: FloatArray  # (S, 3)
 
 
 def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
-    """Return the offsets of one sensor over temperature, with blocks and loop if they come from one fit; None without a table."""
+    """Return the offsets of a triad over temperature, with blocks and loop if the table has a fit, or None without a table."""
     table, model = calibrated.offsets, calibrated.model
     if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
         return None
@@ -131,7 +131,7 @@ def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
 
 
 def summarise_scale(fit: ScaleFit | None, device: Calibration) -> ScaleSummary | None:
-    """Return scale factors over temperature against those of the calibration."""
+    """Return scale factors over temperature relative to the calibration."""
     if device.gyro is None or fit is None or fit.drift.gyro_matrix is None or fit.drift.gyro_uncertainty is None:
         return None
     soaks, matrix, uncertainty = fit.soaks, fit.drift.gyro_matrix, fit.drift.gyro_uncertainty
@@ -165,7 +165,7 @@ def without_tables(calibration: Calibration) -> Calibration:
 
 
 def check_sessions(static: StaticFit, device: Calibration) -> None:
-    """Raise if sessions lie further apart than those of one device."""
+    """Raise if sessions differ more than sessions of the same device do."""
     if static.gyro is None or device.gyro is None or static.gyro.turn_on is None:
         return
     between = np.sqrt(static.gyro.turn_on.variance) * _dps(device.gyro)
@@ -205,7 +205,7 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
 
 
 def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Verdict:
-    """Compare the offset table with the calibration's constants; ``gravity_rate`` (3,) is what gravity adds to readings at rest."""
+    """Compare the offset table with the calibration's constants. Gravity adds ``gravity_rate`` (3,) to readings at rest."""
     model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or triad is None or offset is None:
         return Verdict()
@@ -291,7 +291,7 @@ def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSte
 
 
 def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]) -> Verdict:
-    """Return what the offsets are worth."""
+    """Return the verdict of the offsets, with findings about temperatures, a narrow span and bends."""
     findings = [*static.verdict.findings, *(item for temperature in temperatures for item in temperature.findings)]
     if all(temperature.source == "set-points" for temperature in temperatures):
         findings.append(finding("drift.set_points_only", "warn"))
@@ -305,9 +305,9 @@ def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequenc
 
 
 def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
-    """Return which set-point is off the line between its neighbours by more than the offset of one device at rest bends.
+    """Return a finding if a set-point is off the line between its neighbours by more than a sound device.
 
-    Set-points t of a session with mean offset y, by the second divided difference::
+    Set-points t of a session with mean offset y, with the second divided difference::
 
         bend = 2 (dy_2 / dt_2 - dy_1 / dt_1) / (dt_1 + dt_2)        miss = bend dt_1 dt_2 / 2
     """
