@@ -36,8 +36,8 @@ def main(folder: Path) -> None:
         )
         (piece,) = (made / "rest" / "pieces").iterdir()
         shutil.copy(piece, folder / "rest.parquet")
-    for journal in folder.rglob("journal.jsonl"):
-        journal.unlink()
+    for lock in folder.rglob("lock"):
+        lock.unlink()
     record, reference = worn_trial(device, seed=1)
     write_record(record, folder / "sit_to_stand.parquet")
     write_reference(reference, folder / "sit_to_stand_optics.parquet")

@@ -17,7 +17,7 @@ from undrift.io import store as store_module
 from undrift.io.session import read_session
 from undrift.model import Verdict
 from undrift.report import page as page_module
-from undrift.rig.folder import room
+from undrift.rig.folder import disk_errors
 from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
@@ -65,7 +65,7 @@ def short_plan():
 
 def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monkeypatch):
     def full(*args, **words):
-        with room(tmp_path / "demo" / "bench"):
+        with disk_errors(tmp_path / "demo" / "bench"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("undrift.study.virtual_bench.record_on_bench", full)

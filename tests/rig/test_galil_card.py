@@ -6,8 +6,8 @@ from testkit.cards import Card
 from testkit.scripted_server import Scripted, transcript
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigFault, RigTimeout
-from undrift.rig.galil import GalilCard, wrong_switches
-from undrift.rig.link import LinkPort, LinkSettings, reply_end
+from undrift.rig.galil import GalilCard, reply_end, wrong_switches
+from undrift.rig.link import LinkSettings
 from undrift.rig.rig import codes, in_words
 
 ERRORS, STOPS = (
@@ -22,15 +22,14 @@ class Talk:
 
     def __init__(self, answer, axis: str = "X", links: LinkSettings = PATIENT) -> None:
         self.server = Scripted(answer)
-        self.port = LinkPort(self.server.url, links)
-        self.card = GalilCard(self.port, axis)
+        self.card = GalilCard(self.server.url, links, axis)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *failure):
-        self.port.close()
-        self.port.close()
+        self.card.close()
+        self.card.close()
         self.server.close()
 
 
@@ -189,19 +188,19 @@ def test_a_card_with_short_formats_is_taken_as_it_is():
 def test_resynchronising_throws_away_late_answers():
     with Talk(Card()) as talk:
         talk.server.say(b" 1\r\n: 2\r\n:?")
-        talk.port.resynchronise()
+        talk.card.resynchronise()
         assert talk.card.number("MG _MOX") == 1.0
 
 
 def test_a_card_that_cannot_be_brought_into_step_is_a_timeout_after_three_tries():
     with Talk(lambda command: b"?", links=IMPATIENT) as talk:
         with pytest.raises(RigTimeout):
-            talk.port.resynchronise()
+            talk.card.resynchronise()
         eventually(lambda: len(talk.server.heard) == 3, "three questions")
 
 
 def test_a_card_that_is_gone_is_shouted_at_without_complaint():
     with Talk(Card()) as talk:
-        talk.port.close()
-        talk.port.shout("STX")
-        assert not talk.port.is_open
+        talk.card.close()
+        talk.card.shout("STX")
+        assert not talk.card.is_open

@@ -17,8 +17,8 @@ from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.galil import GalilRig
-from undrift.rig.link import LinkPort, LinkSettings
+from undrift.rig.galil import GalilCard, GalilRig
+from undrift.rig.link import LinkSettings
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -36,7 +36,7 @@ CALLS = {
     "move": lambda rig: rig.move_by(0.9 * RADIAN_PER_DEGREE),
     "stop": lambda rig: rig.stop(),
     "position": lambda rig: rig.position(),
-    "measure": lambda rig: mean_turn_rate(rig, rig.card.clock, 0.1),
+    "measure": lambda rig: mean_turn_rate(rig, rig.clock, 0.1),
     "following error": lambda rig: rig.following_error(),
     "fault": lambda rig: rig.fault(),
     "servo": lambda rig: rig.read_servo(),
@@ -156,7 +156,7 @@ WAYS = (
 
 def opened(line, sent):
     """Open a rig, and keep in a list what it sends."""
-    port = LinkPort(line.server.url, LinkSettings(reply_timeout_s=REPLY_S, clock=line.clock))
+    port = GalilCard(line.server.url, LinkSettings(reply_timeout_s=REPLY_S, clock=line.clock))
     send = port.send
 
     def noted(data):

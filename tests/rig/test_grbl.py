@@ -12,8 +12,8 @@ from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.grbl import GrblRig, open_from, parse_status, reply_end
-from undrift.rig.link import Link, LinkSettings
+from undrift.rig.grbl import GrblBoard, GrblRig, open_from, parse_status
+from undrift.rig.link import LinkSettings
 from undrift.rig.rig import Limits, RigSettings, codes, in_words
 
 ERRORS, ALARMS = (
@@ -30,9 +30,7 @@ class Bench:
         self.board = board or Board()
         self.clock = VirtualClock()
         self.server = VirtualScripted(self.board, self.clock, terminator=b"\n", at_once="?!~\x18\x85")
-        self.link = Link(
-            self.server.url, LinkSettings(reply_end=reply_end, reply_timeout_s=timeout_s, clock=self.clock)
-        )
+        self.link = GrblBoard(self.server.url, LinkSettings(reply_timeout_s=timeout_s, clock=self.clock), self.clock)
         try:
             self.rig = GrblRig(self.link, RigSettings(clock=self.clock, **settings))
         except BaseException:
@@ -186,7 +184,7 @@ def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
 
 
 def test_a_rate_beyond_the_controllers_own_is_refused(bench):
-    bench.rig._axis.fastest_dps = 30.0
+    bench.rig.fastest_dps = 30.0
     with pytest.raises(LimitError, match=r"turn rate .* 0.0167 to 30 deg/s, got 45.0000"):
         bench.rig.turn_for(45.0 * DEGREE, 2.0)
 

@@ -51,22 +51,12 @@ def test_a_question_is_answered_over_a_pseudo_terminal(prefix):
         os.close(theirs)
 
 
-def test_marked_bytes_that_nobody_asked_for_are_kept_out_of_an_answer():
-    hidden = bytes(byte | 0x80 for byte in b"limit\r\n")
-    with Scripted(lambda command: b"12" + hidden + b"34\n") as server, Link(server.url, LINK) as link:
-        link.mask_unsolicited()
-        assert link.exchange("TP") == "1234\n"
-        assert link.unsolicited() == "limit\r\n"
-        assert link.unsolicited() == ""
-
-
-def test_bytes_that_come_between_two_exchanges_are_kept_aside():
+def test_bytes_that_come_between_two_exchanges_are_discarded():
     with Scripted(echo) as server, Link(server.url, LINK) as link:
         link.exchange("a")
         server.say(b"by the way\n")
         eventually(lambda: link.is_open and len(link._received) == len(b"by the way\n"), "the bytes come")
         assert link.exchange("b") == "b!\n"
-        assert link.unsolicited() == "by the way\n"
 
 
 def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_taken_for_the_next():
@@ -172,15 +162,6 @@ def test_closing_twice_is_harmless_and_leaves_no_thread():
         with pytest.raises(LinkError, match="closed"):
             link.exchange("b")
     assert threading.active_count() == before
-
-
-def test_closing_ends_a_wait_in_another_thread():
-    with Scripted(lambda command: None) as server, Link(server.url, LINK) as link:
-        closer = threading.Timer(0.05, link.close)
-        closer.start()
-        with pytest.raises(LinkError, match="closed"):
-            link.exchange("a", 30.0)
-        closer.join()
 
 
 def test_nobody_there_is_a_link_error():

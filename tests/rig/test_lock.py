@@ -11,8 +11,8 @@ from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import PROTOCOL, driven, simulated
 from undrift.cli.app import run
 from undrift.errors import LinkError, RigFault
-from undrift.rig.lock import check_free, one_run, place_of, stop_rig
-from undrift.rig.rig import RigSettings
+from undrift.rig.lock import one_run, place_of, stop_rig
+from undrift.rig.rig import RigSettings, open_rig
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 TABLE = "galil:tcp://127.0.0.1:9"  # nothing is opened
@@ -52,38 +52,42 @@ def test_a_second_run_is_refused_before_there_is_a_folder(tmp_path, capsys, host
     assert not (tmp_path / "two").exists()
 
 
+def check_free(card, accept):
+    """Open the table of a card as a run does, and close the link only."""
+    open_rig(card.address, RigSettings(clock=card.bench.clock, accept=accept))._link.close()
+
+
 def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():
     card = TurningCard(simulated())
     bench, settings = card.bench, RigSettings(clock=card.bench.clock)
-    check_free(card.address, settings)
+    check_free(card, "off")
     with closing(driven(card)) as rig:
         rig.enable(True)
         with pytest.raises(RigFault, match="got its motor on"):
-            check_free(card.address, settings)
-        check_free(card.address, settings, motor_on=True)
+            check_free(card, "off")
+        check_free(card, "on")
         rig.turn_for(30.0 * DPS, 600.0)
         bench.clock.wait(1.0)
-        for motor_on in (False, True):
+        for accept in ("off", "on"):
             with pytest.raises(RigFault, match=r"got moving"):
-                check_free(card.address, settings, motor_on=motor_on)
+                check_free(card, accept)
         before = bench.angle()
         bench.clock.wait(1.0)
         assert math.degrees(bench.angle() - before) == pytest.approx(30.0, abs=0.1)
     stop_rig(card.address, settings)
-    check_free(card.address, settings)
+    check_free(card, "off")
 
 
 def test_a_stepper_board_that_moves_is_refused():
     board = TurningBoard(simulated())
-    settings = RigSettings(clock=board.bench.clock)
-    check_free(board.address, settings)
+    check_free(board, "off")
     assert board("$J=G91G21A3600F600") == b"ok\r\n"
-    with pytest.raises(RigFault, match=r"got state Jog"):
-        check_free(board.address, settings)
+    with pytest.raises(RigFault, match=r"got moving"):
+        check_free(board, "off")
 
 
 def test_a_table_that_does_not_answer_is_named():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(LinkError, match=r"127\.0\.0\.1.*cannot connect"):
-            check_free(f"galil:tcp://127.0.0.1:{taken.getsockname()[1]}?reply_timeout_s=0.2")
+            open_rig(f"galil:tcp://127.0.0.1:{taken.getsockname()[1]}?reply_timeout_s=0.2")

@@ -72,11 +72,11 @@ def test_limits_refuse_what_goes_beyond_and_allow_what_meets_them():
     limits.check_turn_rate(-1.0)
     limits.check_acceleration(2.0)
     limits.check_travel(-3.0)
-    with pytest.raises(LimitError, match=r"at most 1 rad/s .*, got -1.1"):
+    with pytest.raises(LimitError, match=r"at most 57.2958 deg/s .*, got -63"):
         limits.check_turn_rate(-1.1)
-    with pytest.raises(LimitError, match=r"acceleration .* at most 2 rad/s2, got 0"):
+    with pytest.raises(LimitError, match=r"acceleration: at most 114.592 deg/s2 .*, got 0"):
         limits.check_acceleration(0.0)
-    with pytest.raises(LimitError, match=r"travel: .* within 3 rad .*3.1"):
+    with pytest.raises(LimitError, match=r"travel: at most 171.887 deg .*177"):
         limits.check_travel(3.1)
     with pytest.raises(LimitError, match="turn rate"):
         limits.check_turn_rate(float("nan"))

@@ -9,8 +9,8 @@ from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import GAIN, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
-from undrift.programme import Protocol, programme_of
-from undrift.rig.judge import Contradiction, RestCheck, RunSettings
+from undrift.programme import Protocol
+from undrift.rig.judge import RunSettings
 from undrift.rig.manual import AskedOperator
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -49,37 +49,6 @@ def test_a_run_through_a_driver_turns_at_every_rate(tmp_path, controller):
     assert [round(piece.turn_rate / DPS) for piece in turns] == [30, -30, 60, -60]
     gain, uncertainty = gain_of(read_session(tmp_path))
     assert gain == pytest.approx(GAIN[2, 2], abs=max(5.0 * uncertainty, 1e-3))
-
-
-class Slow(Oven):
-    """A chamber that takes as long as it is told for each soak."""
-
-    def __init__(self, clock, takes_s):
-        super().__init__(window_s=15.0)
-        self.clock, self.takes_s, self.since_s = clock, takes_s, 0.0
-
-    def set(self, temp_c):
-        self.since_s = self.clock.now()
-        return super().set(temp_c)
-
-    def soaked(self):
-        return self.clock.now() - self.since_s > self.takes_s
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("takes_s", [300.0, 3000.0])
-def test_soaks_that_are_over_correct_the_forecast_of_those_to_come(tmp_path, takes_s):
-    protocol, said = replace(SHORT, temperatures_c=(35.0, 45.0, 55.0)), []
-    programme = programme_of(protocol)
-    bench = simulated()
-    oven = Slow(bench.clock, takes_s)
-    result, _ = run(bench, tmp_path, protocol, chamber=oven, report=said.append)
-    begun = {progress.step: progress.left_s for progress in reversed(said) if progress.phase == "soaking"}
-    dwells_s = sum(dwell.duration_s for dwell in programme.dwells)
-    assert begun["soak at 35 degC"] == pytest.approx(programme.duration_s - 30.0, abs=1.0)  # as the protocol says
-    assert begun["soak at 45 degC"] == pytest.approx(2.0 * takes_s + dwells_s * 2.0 / 3.0, rel=0.1)
-    assert begun["soak at 55 degC"] == pytest.approx(takes_s + dwells_s / 3.0, rel=0.1)
-    assert result.duration_s == pytest.approx(3.0 * takes_s + dwells_s, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -137,26 +106,6 @@ def test_faces_at_room_temperature_come_before_the_chamber_and_state_what_it_rea
     ]
     session = read_session(tmp_path)
     assert [still.temp_c for still in session.stills[:3]] == [25.0, 25.0, 30.0]
-
-
-def test_a_face_for_room_temperature_is_not_read_in_a_chamber_that_was_heated(tmp_path, monkeypatch):
-    heated = replace(SHORT, faces=("+x",), faces_at="room", temperatures_c=(40.0,))
-    spoilt = []
-
-    def withdraw(self, step, record, where):
-        if step.purpose == "rate" and not spoilt:
-            spoilt.append(step)
-            error = Contradiction("planted")
-            error.other, error.surely = "+x", True
-            raise error
-
-    monkeypatch.setattr(RestCheck, "check", withdraw)
-    bench = simulated()
-    with pytest.raises(RigFault, match=r"step \d+ \(rest, \+x up\) requires room temperature"):
-        run(bench, tmp_path, heated, chamber=Oven())
-    assert at_rest(bench)
-    result, _ = run(bench, tmp_path, heated, chamber=Oven(), resume=True)
-    assert result.added == 1
 
 
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):

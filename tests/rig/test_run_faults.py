@@ -131,7 +131,7 @@ def broken(bench, path, phase, protocol=PROTOCOL):
 
 
 def pieces(path):
-    return read_journal(path / "journal.jsonl")[0][1:] if path.exists() else ()
+    return read_journal(path / "session.toml")[1]
 
 
 @pytest.fixture(scope="module")
@@ -145,11 +145,11 @@ def uninterrupted(tmp_path_factory):
 
 def own_axis(path):
     """Return stored rates, mean readings and the stored rates' own uncertainty of the dwells about z, deg/s."""
-    session, stated = read_session(path), [entry for entry in pieces(path) if entry["purpose"] == "rate"]
+    session, stated = read_session(path), [piece for piece in pieces(path) if piece.purpose == "rate"]
     assert [turn.axis for turn in session.turns] == ["z"] * len(RATES_DPS)
     stored = [turn.turn_rate / DPS for turn in session.turns]
     means = [session.records[turn.recording].gyro[turn.start : turn.stop, 2].mean() for turn in session.turns]
-    return np.array(stored), np.array(means), np.array([entry["turn_rate_uncertainty"] for entry in stated]) / DPS
+    return np.array(stored), np.array(means), np.array([piece.turn_rate_uncertainty for piece in stated]) / DPS
 
 
 def compare(found, uninterrupted):
@@ -216,7 +216,7 @@ def cell(faulty, phase, path, uninterrupted):
     """Break a run, look at what it left, resume it, compare; return what was kept and added in words, and how far rates are off."""
     error = broken(faulty, path, phase)
     kept = pieces(path)
-    before = {entry["step"]: (path / f"pieces/{entry['step']:04d}.parquet").read_bytes() for entry in kept}
+    before = {piece.step: (path / piece.name).read_bytes() for piece in kept}
     faulty.clear()
     if "NOT CONFIRMED" in str(error):  # the operator stops it, once the link is back
         stop_rig(faulty.card.address, RigSettings(clock=faulty.bench.clock))
@@ -225,7 +225,7 @@ def cell(faulty, phase, path, uninterrupted):
     assert phase == "closing" or (error is None) == (len(kept) == 7)
     faulty.run(path, resume=True)
     assert at_rest(faulty.bench)
-    assert [entry["step"] for entry in pieces(path)] == [2, 3, 4, 5, 6, 7, 8]
+    assert [piece.step for piece in pieces(path)] == [2, 3, 4, 5, 6, 7, 8]
     for step, content in before.items():
         assert (path / f"pieces/{step:04d}.parquet").read_bytes() == content, "a dwell that was done has changed"
     found = own_axis(path)

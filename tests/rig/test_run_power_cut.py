@@ -13,7 +13,6 @@ from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.rig.folder import RunFolder
 
-WITHDRAWN = 1000
 RUN = """
 from testkit.disk import mark
 from testkit.rig_bench import SHORT, run, simulated
@@ -25,19 +24,13 @@ def keep(folder, record, piece, real=RunFolder.keep):
     return kept
 
 RunFolder.keep = keep
-bench = simulated()
-run(bench, {path})
-with RunFolder({path}, SHORT, resume=True) as folder:
-    mark(1000)
-    folder.withdraw("+z")
-    mark(1001)
-run(bench, {path}, resume=True)
+run(simulated(), {path})
 """
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    """Return the log of a run, of which all is taken back and done again, and the folder that it was in."""
+    """Return the log of a run and its folder."""
     folder = tmp_path_factory.mktemp("run") / "disk"
     folder.mkdir()
     path = f"__import__('pathlib').Path({str(folder / 'run')!r})"
@@ -60,13 +53,12 @@ def test_a_power_cut_at_each_fsync_loses_no_dwell_that_was_reported(log, tmp_pat
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             (path / name).write_bytes(content)
         path.mkdir(exist_ok=True)
-        reported = {mark for mark in cut.marks[cut.marks.index(1001) + 1 if 1001 in cut.marks else 0 :] if mark < 1000}
-        being_taken_back = cut.marks[-1:] == (1000,)
+        reported = {*cut.marks}
         counted["cuts"] += 1
         run_path = path / "run"
         counted[f"session {before_resume(run_path)}"] += 1
         with RunFolder(run_path, SHORT, resume=True) as folder:
-            assert being_taken_back or reported <= folder.done, cut
+            assert reported <= folder.done, cut
             for piece in folder.pieces:
                 digests.add((piece.step, piece.sha256))
                 assert hashlib.sha256((run_path / piece.name).read_bytes()).hexdigest() == piece.sha256
@@ -79,9 +71,9 @@ def test_a_power_cut_at_each_fsync_loses_no_dwell_that_was_reported(log, tmp_pat
             result, _ = run(bench, run_path, resume=True)
             assert len(result.pieces) == 7
             counted["resumed to the end"] += 1
-    assert len(digests) <= 14  # none but those that were written: 7 dwells, and again
+    assert len(digests) <= 7  # none but those that were written
     show("power cuts of a run", counted)
-    assert counted["cuts"] > 150 / every
+    assert counted["cuts"] > 60 / every
 
 
 def before_resume(path):

@@ -16,11 +16,11 @@ import pytest
 from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import DEVICE, GAIN, OFFSET, SHORT, UP, at_rest, driven, run, simulated
 from testkit.rig_process import BenchOnHost, Command
-from undrift.errors import InputError, LinkError
+from undrift.errors import FileFormatError, InputError, LinkError
 from undrift.io.session import read_session
 from undrift.programme import Protocol, write_protocol
 from undrift.rig import folder as folder_file
-from undrift.rig.folder import JOURNAL, RunFolder, read_journal
+from undrift.rig.folder import SESSION, Head, RunFolder, read_journal, session_text
 from undrift.rig.lock import stop_rig
 from undrift.sim.device.model import write_device
 from undrift.units import RADIAN_PER_DEGREE as DPS
@@ -62,12 +62,11 @@ def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, instant
             simulated_run(protocol, path, "--resume", "--json"), tmp_path, killed_at=killed_at
         ).result()
         assert code in (0, -signal.SIGKILL), err
-        entries = read_journal(path / JOURNAL)[0] if path.exists() else ()
-        now = {entry["step"]: entry["sha256"] for entry in entries[1:]}
+        now = {piece.step: piece.sha256 for piece in read_journal(path / SESSION)[1]}
         assert now.items() >= kept.items()
         assert all(digest == sha256_of(path / f"pieces/{step:04d}.parquet") for step, digest in now.items())
-        if now:  # one behind, if it was struck just then
-            assert len(read_session(path).records) in (len(now), len(now) - 1)
+        if now:
+            assert len(read_session(path).records) == len(now)
         kept = now
         if code == 0:
             assert json.loads(out)["dwells"] == DWELLS == len(kept)
@@ -186,16 +185,16 @@ def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_p
 
 
 def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
-    real = folder_file.synchronise
+    real = folder_file.write_parquet
 
-    def full(path):
+    def full(record, path):
+        real(record, path)
         if path.name == "0005.parquet":
             raise OSError(errno.ENOSPC, "No space left on device")
-        real(path)
 
     bench = simulated()
     with monkeypatch.context() as patched:
-        patched.setattr(folder_file, "synchronise", full)
+        patched.setattr(folder_file, "write_parquet", full)
         with pytest.raises(InputError, match=r"No space left on device.*Free space"):
             run(bench, tmp_path / "run")
     assert at_rest(bench)
@@ -227,8 +226,11 @@ def test_half_written_pieces_are_put_aside_and_whole_ones_checked(finished):
         assert len(folder.done) == 7
     name = path / folder.pieces[0].name
     name.write_bytes(name.read_bytes()[:-1])
-    with pytest.raises(InputError, match=r"readings of step 1 .*missing"):
+    with pytest.raises(InputError, match=r"readings of step 1 were changed"):
         RunFolder(path, SHORT, resume=True)
+    name.unlink()
+    result, hands = run(simulated(), path, resume=True)
+    assert (result.added, len(result.pieces), hands.mounted) == (1, 7, ["+z"])
 
 
 def test_another_run_is_not_mixed_in(finished):
@@ -241,15 +243,6 @@ def test_another_run_is_not_mixed_in(finished):
         assert folder.head is not None
         with pytest.raises(InputError, match=r"began with rig 'simulated.*', got 'other'"):
             folder.begin(replace(folder.head, rig="other"))
-
-
-def test_a_line_of_the_journal_that_is_lost_is_a_dwell_done_again(finished):
-    data = (finished / JOURNAL).read_bytes()
-    (finished / JOURNAL).write_bytes(data[:-20])
-    result, hands = run(simulated(), finished, resume=True)
-    assert result.added == 1
-    assert hands.mounted == ["+z"]
-    assert len(read_session(finished).records) == 7
 
 
 def test_two_programs_never_write_into_one_folder(tmp_path, protocol):
@@ -279,15 +272,26 @@ def test_readings_of_a_step_are_never_written_over(tmp_path):
     assert strange.read_bytes() == b"of another program"
 
 
-def test_readings_without_their_journal_are_refused(finished):
-    (finished / JOURNAL).write_bytes(b"")
-    for resume in (False, True):
-        with pytest.raises(InputError, match=r"journal.jsonl is empty or missing"):
-            RunFolder(finished, SHORT, resume=resume)
+def test_a_session_that_was_changed_is_refused(finished):
+    text = (finished / SESSION).read_text()
+    for changed in ("", text[:-20], text.replace("step = 3", "step = 4"), text.partition("\n")[2]):
+        (finished / SESSION).write_text(changed)
+        with pytest.raises(FileFormatError, match="not the session of a run"):
+            RunFolder(finished, SHORT, resume=True)
+    (finished / SESSION).unlink()
+    with pytest.raises(InputError, match="contains a run"):
+        RunFolder(finished, SHORT)
     assert len(os.listdir(finished / "pieces")) == 7
 
 
-def test_an_empty_journal_is_an_empty_folder(tmp_path):
+@pytest.mark.parametrize(("gravity_m_s2", "written_down"), [(None, False), (9.81, True)])
+def test_a_session_contains_gravity_only_if_it_was_set(gravity_m_s2, written_down):
+    text = session_text(Head(protocol="p", rig="r", gravity_m_s2=gravity_m_s2), ())
+    assert ("gravity_m_s2 = 9.81" in text) is written_down
+    assert ("gravity" in text) is written_down
+
+
+def test_a_folder_without_dwells_is_an_empty_folder(tmp_path):
     with RunFolder(tmp_path / "run", SHORT):
         pass
     result, _ = run(simulated(), tmp_path / "run")

@@ -95,7 +95,7 @@ def _is_demo(out: Path) -> bool:
         summary = json.loads((out / "summary.json").read_text())
         return isinstance(summary, dict) and "checks" in summary
     except (OSError, ValueError):
-        return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "journal.jsonl").is_file()
+        return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "protocol.toml").is_file()
 
 
 def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial", ...]]:

@@ -295,7 +295,6 @@ def _bench(
     """Connect chamber, operator and, last, the table."""
     from undrift.programme import Soak
     from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
-    from undrift.rig.lock import check_free
     from undrift.rig.manual import AskedOperator
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import RigBench
@@ -309,8 +308,9 @@ def _bench(
         oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=shown.ask)
         stack.callback(oven.close)
     mounting = AskedOperator(shown.ask)
-    check_free(rig, motor_on=resume)  # a run that was killed leaves its motor on
-    table = open_rig(rig, settings)
+    table = open_rig(
+        rig, replace(settings, accept="on" if resume else "off")
+    )  # a run that was killed leaves its motor on
     stack.callback(table.close)
     return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
 
@@ -424,7 +424,7 @@ def check(
         Largest following error at steady rate, deg; beyond it the exit code is 1.
     """
     from undrift.rig.check import CheckSettings, check_rig
-    from undrift.rig.lock import check_free, one_run, stopping_on_signals
+    from undrift.rig.lock import one_run, stopping_on_signals
     from undrift.rig.rig import open_rig, parse_address
 
     asked = shaft.settings(turn_rate_dps, acceleration_dps2)
@@ -440,8 +440,7 @@ def check(
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
-        check_free(rig, motor_on=True)
-        table = open_rig(rig, asked)
+        table = open_rig(rig, replace(asked, accept="on"))
         stack.callback(table.close)
         found = check_rig(table, asked.timing, settings, screen.over)
     return Accepted(rig=rig, settings=settings, found=found)

@@ -363,6 +363,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     if not path.exists():
         raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
     tree, text = codec.toml_of(path)
+    tree.pop("run", None)  # journal of a rig run (rig/folder.py)
     held = codec.value_of(SessionFile, tree, str(path), text)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]

@@ -147,10 +147,6 @@ class Chamber(AbstractContextManager["Chamber"]):
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
-    def slope_c_per_min(self) -> float:
-        """Return the slope of the air temperature, K/min, or infinity before the window is full."""
-        return self._steadiness.slope_c_per_min()
-
     @abstractmethod
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
@@ -286,34 +282,32 @@ class Operator(Protocol):
 
 # ---- Board of the device in a chamber. It lags behind the air, so a soak ends when the board is steady, not the air.
 
-LOOKS = 15  # number of looks per window
-FIRST_LOOK_S = 2.0  # time until the first look, which detects a thermometer, table s
-LAGS = 5.0
+LOOKS = 15  # number of readings of the thermometer per window
+FIRST_LOOK_S = 2.0  # time until the first reading, which detects a thermometer, table s
+LAGS = 5.0  # soak of a device without thermometer, in time constants
 
 
-class SoakWatch:
-    """Monitor of a device's board during a soak, which starts at construction."""
+class BoardWatch:
+    """Temperature of a device during a soak, which starts at construction."""
 
     def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber, lag_s: float) -> None:
-        self._readings, self._clock, self._lag_s = readings, clock, lag_s
-        self._slope, self._window_s = step.slope_c_per_min, chamber.criterion.window_s
-        self._wanted_c, self._near_c = step.temp_c, chamber.near_c
-        self._steadiness = Steadiness(SoakSettings(slope_c_per_min=self._slope, window_s=self._window_s))
+        self._readings, self._clock, self._step, self._lag_s = readings, clock, step, lag_s
+        self._near_c, self._window_s = chamber.near_c, chamber.criterion.window_s
+        self._steadiness = Steadiness(SoakSettings(slope_c_per_min=step.slope_c_per_min, window_s=self._window_s))
         self.temp_c: float | None = None  # latest temperature of the device, degC
-        self._known = False
-        self._air_since: float | None = None
-        self._since = clock.now()
+        self._look_after_s, self._air_since, self._since = FIRST_LOOK_S, math.inf, clock.now()
         readings.start(certain=False)  # the board changes slowly, so the exact start does not matter
 
     def __str__(self) -> str:
         return "" if self.temp_c is None else f", device {self.temp_c:.2f} degC"
 
     def followed(self, air_steady: bool) -> bool:
-        """Return True if air and board are steady."""
+        """Return True if air and board are steady. Raise RigFault if the board is steady far from the set-point."""
         now = self._clock.now()
-        self._look(now)
-        self._air_since = (self._air_since or now) if air_steady else None
-        if self._air_since is None or not self._known:
+        if now - self._since >= self._look_after_s:
+            self._read_board(now)
+        self._air_since = min(self._air_since, now) if air_steady else math.inf
+        if not air_steady or self._look_after_s == FIRST_LOOK_S:
             return False
         if self.temp_c is None:
             if self._near_c is not None:
@@ -321,31 +315,18 @@ class SoakWatch:
                     "device: a chamber set by hand requires a device with a thermometer. Use a chamber with an address."
                 )
             return now - self._air_since >= LAGS * self._lag_s
-        return self._still() and not self._apart()
+        steady = self._steadiness.slope_c_per_min() < self._step.slope_c_per_min
+        if steady and self._near_c is not None and abs(self.temp_c - self._step.temp_c) > self._near_c:
+            raise RigFault(
+                f"chamber: expected {self._step.temp_c:g} degC, but the device is steady at {self.temp_c:.2f} degC. Set the "
+                "chamber and continue with `resume`."
+            )
+        return steady
 
-    def slope_c_per_min(self, chamber: Chamber) -> float | None:
-        """Return the slope of the air or, when the air is steady, of the board, K/min. It is None before the window is full."""
-        air_is_steady = self._air_since is not None and self.temp_c is not None
-        slope = self._steadiness.slope_c_per_min() if air_is_steady else chamber.slope_c_per_min()
-        return slope if math.isfinite(slope) else None
-
-    def elsewhere(self) -> bool:
-        """Return True if the board is steady but far from the set-point of a chamber without its own thermometer."""
-        return self._still() and self._apart()
-
-    def _still(self) -> bool:
-        return self._steadiness.slope_c_per_min() < self._slope
-
-    def _apart(self) -> bool:
-        far = self.temp_c is not None and self._near_c is not None
-        return far and abs((self.temp_c or 0.0) - self._wanted_c) > (self._near_c or 0.0)
-
-    def _look(self, now: float) -> None:
-        if now - self._since < (self._window_s / LOOKS if self._known else FIRST_LOOK_S):
-            return
+    def _read_board(self, now: float) -> None:
         record = self._readings.stop()
         self._readings.start(certain=False)
-        middle, self._since, self._known = 0.5 * (self._since + now), now, True
+        middle, self._since, self._look_after_s = 0.5 * (self._since + now), now, self._window_s / LOOKS
         temp_c = mean_temp(record)
         if temp_c is not None:
             self.temp_c = temp_c

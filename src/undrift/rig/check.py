@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from undrift.base.clock import Clock
-from undrift.errors import InputError, RigError, RigTimeout, check_positive
+from undrift.errors import InputError, RigTimeout, check_positive
 from undrift.findings import finding
 from undrift.model import Verdict
 from undrift.rig.lock import uninterrupted
@@ -67,16 +67,12 @@ class RigCheck:
 
 
 def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = lambda line: None) -> RigCheck:
-    """Check a table and close it at rest. The motor state is restored, but after a rig error the motor is off."""
+    """Check a table and close it at rest with its motor off."""
     try:
-        result = _run_check(rig, clock, settings, report)
-    except BaseException as error:
+        return _run_check(rig, clock, settings, report)
+    finally:
         with uninterrupted():
-            rig.close(as_found=not isinstance(error, RigError))
-        raise
-    with uninterrupted():
-        rig.close(as_found=True)
-    return result
+            rig.close()
 
 
 def _run_check(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) -> RigCheck:

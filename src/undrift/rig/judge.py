@@ -16,19 +16,7 @@ first rests of this rig, and f the mean specific force of a face.
     |f - f(other face)|                        >= APART s               otherwise the face was not changed
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
 
-A turn is repeated if its readings are not those of a turn, for example if they arrive later than the link's delay. Let m be the
-mean of the gyroscopes over the dwell and m0 the mean over the last rest. From that rest, n is the noise of an eighth and e of m -
-m0.
-
-    |mean of an eighth - m|     <= UNSTEADY |m - m0| + SHOWN n     otherwise an eighth was read at another rate
-    largest |m - m0| / e        >= SHOWN, for |w| >= SLOWEST       otherwise the readings are those of a rest
-    |m - m0 - g w|              <= UNLIKE |g w| + SHOWN e          g = (m - m0) / w of the other turns about this axis (m may be
-                                                                   smaller at a rate beyond all others, if it is out of range)
-
-A rest after turns is repeated unless |m - m0| <= UNLIKE of the largest value in a turn.
-
-In counts, two contradictory faces do not determine which of them is wrong (`Contradiction`). A correct pair about another axis
-does. Its middle is the reading without acceleration, so f minus the middle is along k for the face that is mounted correctly.
+In counts, an earlier face may be the one that was mounted wrongly. The message names that face.
 """
 
 from dataclasses import dataclass
@@ -38,7 +26,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.programme import Dwell
-from undrift.record import Axis, Face, Record
+from undrift.record import Face, Record
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 
@@ -66,9 +54,15 @@ class RunSettings:
             )
 
 
-def link_hides(achieved: Achieved, settings: RunSettings) -> bool:
-    """Return True if the delays of the positions are too large to determine the turn rate."""
-    return 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s
+def check_delays(achieved: Achieved, late_s: float, settings: RunSettings, where: str) -> None:
+    """Raise RigTimeout if the delays of the positions hide the turn rate, or if the dwell ended after the steady turn."""
+    if late_s > 0.0 or 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s:
+        raise RigTimeout(
+            f"rig: times of positions must be known to {settings.link_tolerance:.0%} of the dwell in {where}, got delays of "
+            f"{achieved.delay_s:.3g} s in {achieved.span_s:.3g} s. Check the link and the load of this computer, or use longer "
+            "dwells. Then continue with `resume`.",
+            delay_s=achieved.delay_s,
+        )
 
 
 def check_rate(achieved: Achieved, set_rate: float, settings: RunSettings, where: str) -> None:
@@ -140,19 +134,13 @@ class Disturbed(RigFault):
     """A rest that was disturbed or mounted wrongly and must be repeated."""
 
 
-class Contradiction(Disturbed):
-    """A rest that contradicts an earlier rest in counts, so that either of them can be wrong."""
-
-    other: Face  # face of the earlier rest
-    surely: bool  # True if other faces determine that the earlier rest is wrong
-
-
 class RestCheck:
     """Check of rests, which stores the spreads of the first rests and the mean readings of each face."""
 
     def __init__(self) -> None:
         self._spreads: list[FloatArray] = []
         self._faces: dict[Face, FloatArray] = {}
+        self._files: dict[Face, str] = {}  # file of each face in the run folder
 
     def check(self, step: Dwell, record: Record, where: str) -> None:
         """Raise Disturbed for a rest that was not still, or a face that was not mounted as planned."""
@@ -170,124 +158,36 @@ class RestCheck:
         if step.purpose == "face" and record.accel is not None:
             self._check_face(step.up, record.accel, record.accel_unit, APART * usual[-3:], where)
 
-    def keep(self, step: Dwell, record: Record) -> None:
+    def keep(self, step: Dwell, record: Record, file: str = "") -> None:
         """Store an accepted rest."""
         if step.turn_rate != 0.0 or step.purpose == "turn":
             return
         if len(self._spreads) < FIRST:
             self._spreads.append(np.median(_spreads(record), axis=0))
-        if step.purpose == "face" and record.accel is not None:
-            self._faces.setdefault(step.up, np.nanmean(record.accel, axis=0))
-
-    def forget(self, face: Face) -> None:
-        """Remove the readings of a face that is repeated."""
-        self._faces.pop(face, None)
+        if step.purpose == "face" and record.accel is not None and step.up not in self._faces:
+            self._faces[step.up], self._files[step.up] = np.nanmean(record.accel, axis=0), file
 
     def _check_face(self, up: Face, accel: FloatArray, unit: str, distance: FloatArray, where: str) -> None:
-        force, kept_faces = np.nanmean(accel, axis=0), {face: f for face, f in self._faces.items() if face != up}
-        same = next((face for face, other in kept_faces.items() if (np.abs(force - other) <= distance).all()), None)
-        opposite = next((face for face in kept_faces if face[1] == up[1]), None)
+        """Raise Disturbed if the readings are those of another face, or if gravity is not along the axis of the face."""
+        force = np.nanmean(accel, axis=0)
+        others = {face: other for face, other in self._faces.items() if face != up}
+        same = next((face for face, other in others.items() if (np.abs(force - other) <= distance).all()), None)
+        opposite = next((face for face in others if face[1] == up[1]), None)
+        advice = "Mount it again"
         if same is not None:
-            reason, other = f"the readings of {same}", same
-        elif is_physical(unit):
-            if _lies_along(up, force, signed=True):
-                return
-            reason, other = "gravity along another axis", up
-        elif opposite is not None and not _lies_along(up, force - kept_faces[opposite]):
-            reason, other = f"gravity along another axis than {opposite}", opposite
+            reason = f"the readings of {same}"
+        elif is_physical(unit) and not _is_along(up, force, signed=True):
+            reason = "gravity along another axis"
+        elif not is_physical(unit) and opposite is not None and not _is_along(up, force - others[opposite]):
+            reason = f"gravity along another axis than {opposite}"
         else:
             return
-        if is_physical(unit):
-            raise Disturbed(f"device: {up} must be up in {where}, got {reason}. Mount it again.", up=up)
-        middles = [
-            0.5 * (kept_faces[plus] + kept_faces[minus])
-            for plus, minus in (("+x", "-x"), ("+y", "-y"), ("+z", "-z"))
-            if plus in kept_faces and minus in kept_faces and other not in (plus, minus)
-        ]
-        sound = [
-            all(_lies_along(face, f - at) for at in middles) for face, f in ((up, force), (other, kept_faces[other]))
-        ]
-        if middles and sound == [False, True]:
-            raise Disturbed(f"device: {up} must be up in {where}, got {reason}. Mount it again.", up=up)
-        raise Contradiction(
-            f"device: {up} must be up in {where}, got {reason}. One of the two faces was mounted wrongly. Mount both again with "
-            "--resume.",
-            other=other,
-            surely=bool(middles) and sound == [True, False],
-        )
+        if not is_physical(unit) and (earlier := same or opposite):
+            advice += f". If {earlier} was mounted wrongly, delete {self._files[earlier]} and continue with `resume`"
+        raise Disturbed(f"device: {up} must be up in {where}, got {reason}. {advice}.", up=up)
 
 
-# ---- Comparison of a turn with the last rest and with earlier turns.
-
-UNSTEADY, UNLIKE = 0.1, 0.25  # tolerances relative to the reading of a turn
-SHOWN = 6.0  # threshold of significance, in standard errors
-SLOWEST = 5.0 * RADIAN_PER_DEGREE  # slowest turn that is checked, rad/s (a slower one may be below one converter step)
-
-
-class TurnCheck:
-    """Check of turns, which stores the difference between the readings in turns and in the last rest, by axis."""
-
-    def __init__(self) -> None:
-        self._rest: tuple[float | None, Record] | None = None  # set-point and record of the last rest
-        # turn rate, and readings minus the readings at rest (3,), by axis
-        self._kept: dict[Axis | None, list[tuple[float, FloatArray]]] = {}
-
-    def check(self, step: Dwell, turn_rate: float, record: Record, where: str) -> None:
-        """Raise Disturbed for a turn whose readings do not match its rate, and for a rest with the readings of a turn."""
-        temp_c, last = self._rest or (None, None)
-        if step.purpose == "turn" or last is None or last.gyro is None or record.gyro is None:
-            return
-        parts, rest = _part_means(record.gyro), _part_means(last.gyro)
-        longer = max(1.0, len(last) / len(record))
-        noise = np.sqrt(2.0 * longer * rest.var(axis=0) + len(parts) * _half_steps(last)[:3] ** 2 / 3.0)  # per part
-        error, change = noise / np.sqrt(len(parts)), parts.mean(axis=0) - rest.mean(axis=0)
-        steady = (UNSTEADY * np.abs(change) + SHOWN * noise).max()
-        if step.purpose != "rate":
-            sizes = [np.abs(reading).max() for turns in self._kept.values() for _, reading in turns]
-            is_turn = step.temp_c == temp_c and np.abs(change).max() > UNLIKE * max(sizes, default=np.inf)
-            reason = "readings of a turn" if is_turn else ""
-        elif (np.abs(parts - parts.mean(axis=0)) > steady).any():
-            reason = "readings that change during the turn"
-        elif abs(turn_rate) >= SLOWEST and (np.abs(change) < SHOWN * error).all():
-            reason = "readings of a rest"
-        else:
-            is_unlike = self._is_unlike(step.axis, turn_rate, change, SHOWN * error.max())
-            reason = "readings of another rate" if is_unlike else ""
-        if reason:
-            raise Disturbed(
-                f"device: wrong readings in {where}, got {reason}. Check the device's link and the load of this computer, "
-                "then continue with `resume`.",
-                turn_rate=turn_rate,
-            )
-
-    def keep(self, step: Dwell, turn_rate: float, record: Record) -> None:
-        """Store an accepted turn or rest."""
-        if record.gyro is None or step.purpose == "turn":
-            return
-        if step.purpose != "rate":
-            self._rest = step.temp_c, record
-        elif self._rest is not None and self._rest[1].gyro is not None and abs(turn_rate) >= SLOWEST:
-            change = np.nanmean(record.gyro, axis=0) - np.nanmean(self._rest[1].gyro, axis=0)
-            self._kept.setdefault(step.axis, []).append((turn_rate, change))
-
-    def _is_unlike(self, axis: Axis | None, turn_rate: float, change: FloatArray, error: float) -> bool:
-        if not (turns := self._kept.get(axis)):
-            return False
-        rates, changes = np.array([rate for rate, _ in turns]), np.array([reading for _, reading in turns])
-        expected = turn_rate * (rates @ changes) / (rates @ rates)
-        if np.abs(change - expected).max() <= UNLIKE * np.abs(expected).max() + error:
-            return False
-        out_of_range = abs(turn_rate) > np.abs(rates).max() and change @ expected > 0.0
-        return not (out_of_range and np.linalg.norm(change) >= (1.0 - UNLIKE) * np.linalg.norm(changes, axis=1).max())
-
-
-def _part_means(gyro: FloatArray) -> FloatArray:
-    """Return the mean of each eighth of a dwell, (PARTS, 3), with fewer parts if there are fewer readings."""
-    finite = gyro[np.isfinite(gyro).all(axis=1)]
-    return np.array([chunk.mean(axis=0) for chunk in np.array_split(finite, min(PARTS, len(finite)))])
-
-
-def _lies_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
+def _is_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
     """Return True if a force is along the axis of a face. `signed` also compares the sign, which is unknown in counts."""
     along = (1.0 if face[0] == "+" else -1.0) * float(force["xyz".index(face[1])])
     return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))

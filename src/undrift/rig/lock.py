@@ -5,7 +5,7 @@ one dwell. So no second process has to watch a run.
 
 The lock is a file in the system's temporary folder, which every user may read and lock. Its name depends only on the port
 or host of the table, not on the spelling of the address, its options or the user. The system releases the lock when its process
-ends, in any way. To detect a run on another computer, the controller is asked before anything is set if the motor is on or moving.
+ends, in any way. A run on another computer is detected when the table is opened: its motor is on or moving (RigSettings.accept).
 """
 
 import contextlib
@@ -16,7 +16,6 @@ import os
 import re
 import signal
 import socket
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,12 +23,9 @@ from pathlib import Path
 from types import FrameType
 
 from undrift.base.clock import HOST
-from undrift.errors import InputError, RigError, RigFault
+from undrift.errors import InputError, RigFault
 from undrift.files import take_lock
 from undrift.live.transports import host_and_port
-from undrift.rig.galil import axis_state
-from undrift.rig.grbl import GrblController
-from undrift.rig.link import Link, link_settings
 from undrift.rig.rig import RigSettings, open_rig, parse_address
 
 # ---- Ctrl-C, Ctrl-Z and SIGTERM during a run: the first one raises an exception, later ones wait until the table has stopped.
@@ -86,7 +82,6 @@ def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
 
 # ---- Lock: one run per table.
 
-_FOLDER = "undrift-rigs"
 LOCK_S = 0.3  # longest wait for a lock, s
 END_S = 2.0  # longest wait for a run to end after SIGTERM, s
 
@@ -110,15 +105,13 @@ def one_run(address: str, what: str) -> Iterator[None]:
     if parse_address(address)[0] == "manual" or os.name != "posix":  # Windows has no lock file
         yield
         return
-    handle = _opened(place_of(address))
+    handle = _open_lock(address)
     try:
-        try:
-            take_lock(handle, LOCK_S)
-        except OSError as error:
+        if not _is_locked(handle, LOCK_S):
             holder = os.pread(handle, 300, 0).decode("utf-8", "replace").strip()
             raise RigFault(
                 f"rig: the table at {address} is in use by {holder or 'another program'}. Wait until that program has ended."
-            ) from error
+            )
         with contextlib.suppress(OSError):  # a file of another user can be locked but not written
             os.truncate(handle, 0)
             os.pwrite(handle, f"{what} (process {os.getpid()} of {getpass.getuser()})\n".encode(), 0)
@@ -127,80 +120,34 @@ def one_run(address: str, what: str) -> Iterator[None]:
         os.close(handle)
 
 
-def _opened(place: str) -> int:
-    """Open the lock file of a table, which is created for all users, and return its handle."""
-    folder = Path("/tmp" if os.name == "posix" else tempfile.gettempdir()) / _FOLDER
-    path = folder / hashlib.sha256(place.encode()).hexdigest()[:24]
-    try:
-        if not folder.is_dir():
-            folder.mkdir(exist_ok=True)
-            folder.chmod(0o1777)
-        for flags in (os.O_RDWR, os.O_RDONLY):  # a file of another user can be read and locked
-            with contextlib.suppress(PermissionError, FileNotFoundError):
-                return os.open(path, flags | os.O_NOFOLLOW)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot create the lock file of the table ({error.strerror or error}). Correct the folder permissions."
-        ) from error
-    return handle
-
-
 def stop_rig(address: str, settings: RigSettings = RigSettings()) -> None:
-    """End the run that drives a table on this computer, then stop the table and switch its motor off."""
+    """End the run of this user that drives a table on this computer, then stop the table and switch its motor off."""
     if parse_address(address, settings)[0] != "manual" and os.name == "posix":
-        _end_run(address)
+        handle = _open_lock(address)
+        try:
+            holder = re.search(rb"\(process (\d+) of", os.pread(handle, 300, 0))
+            if holder is not None and not _is_locked(handle, LOCK_S):
+                with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended, or is another user's
+                    os.kill(int(holder[1]), signal.SIGTERM)
+                HOST.until(lambda: _is_locked(handle, 0.0), END_S)
+        finally:
+            os.close(handle)
     open_rig(address, settings).close()
 
 
-def _end_run(address: str) -> None:
-    """Send SIGTERM to the process that has locked a table, and wait until it has stopped the table and ended."""
-    handle = _opened(place_of(address))
-    try:
-        holder = re.search(rb"\(process (\d+) of", os.pread(handle, 300, 0))
-        if holder is None or HOST.until(lambda: _is_free(handle), LOCK_S):
-            return
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # the process has ended or is another user's
-            os.kill(int(holder[1]), signal.SIGTERM)
-        HOST.until(lambda: _is_free(handle), END_S)
-    finally:
-        os.close(handle)
+def _open_lock(address: str) -> int:
+    """Open the lock file of a table, and return its handle. The file of another user can be read and locked."""
+    path = Path("/tmp", f"undrift-rig-{hashlib.sha256(place_of(address).encode()).hexdigest()[:24]}")
+    for flags in (os.O_RDWR, os.O_RDONLY, os.O_RDWR | os.O_CREAT):
+        with contextlib.suppress(OSError):
+            return os.open(path, flags | os.O_NOFOLLOW, 0o644)
+    raise InputError(f"{path}: cannot create the lock file of the table. Correct the permissions of the folder.")
 
 
-def _is_free(handle: int) -> bool:
+def _is_locked(handle: int, wait_s: float) -> bool:
     """Try to lock an open file and return True on success. The lock lasts until the file is closed."""
     try:
-        take_lock(handle, 0.0)
+        take_lock(handle, wait_s)
     except OSError:
         return False
     return True
-
-
-def check_free(address: str, settings: RigSettings = RigSettings(), *, motor_on: bool = False) -> None:
-    """Raise RigFault if a table moves, or if its motor is on and `motor_on` does not allow that.
-
-    The check sets nothing and does not stop the table.
-    """
-    kind, url, settings = parse_address(address, settings)
-    if kind == "galil":
-        state = axis_state(url, settings)
-        state = "" if motor_on and state == "its motor on" else state
-    elif kind == "grbl" and url.startswith("tcp:"):  # opening a serial port resets the board
-        state = _grbl_state(url, settings)
-    else:
-        return
-    if state:
-        raise RigFault(
-            f"rig: the table at {address} must be at rest with its motor off, got {state}. Another program uses it or has left "
-            f"it in this state. Wait for that program, or call undrift rig stop with `rig` '{address}'."
-        )
-
-
-def _grbl_state(url: str, settings: RigSettings) -> str:
-    link = Link(url, link_settings(settings, 115_200))
-    try:
-        state = GrblController(link, settings.timing).status().state
-    finally:
-        with contextlib.suppress(RigError):
-            link.close()
-    return "" if state in ("Idle", "Sleep", "Alarm", "Check") else f"state {state}"

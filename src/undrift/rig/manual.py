@@ -147,7 +147,7 @@ class ManualRig:
         """Return None, because the operator reports faults."""
         return None
 
-    def close(self, *, as_found: bool = False) -> None:
+    def close(self) -> None:
         """Close the rig, so that it asks no more. A second call has no effect."""
         self._closed = True
 

@@ -16,15 +16,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
 from undrift.base.clock import Clock, PacedClock
-from undrift.errors import InputError, LimitError, check_positive
+from undrift.errors import InputError, LimitError, RigFault, check_positive
 from undrift.plugins import load_named, split_address
 from undrift.programme import Dwell, Programme
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE as DPS
 
 # ---- Conversion between counts (encoder or stepper) and angles, and rounding of commands.
 
@@ -108,8 +108,8 @@ class Limits:
         """Raise LimitError if a rate is beyond the limits."""
         if not abs(turn_rate) <= self.turn_rate * ROUNDING:
             raise LimitError(
-                f"turn rate: at most {self.turn_rate:g} rad/s is allowed in either direction, got {turn_rate:g}. Choose a "
-                "lower rate.",
+                f"turn rate: at most {self.turn_rate / DPS:.6g} deg/s is allowed in either direction, got "
+                f"{turn_rate / DPS:.6g}. Choose a lower rate, or set another limit.",
                 turn_rate=turn_rate,
             )
 
@@ -117,8 +117,8 @@ class Limits:
         """Raise LimitError if an acceleration is beyond the limits."""
         if not 0.0 < acceleration <= self.acceleration * ROUNDING:
             raise LimitError(
-                f"acceleration must be above 0 and at most {self.acceleration:g} rad/s2, got {acceleration:g}. "
-                "Choose a smaller acceleration.",
+                f"acceleration: at most {self.acceleration / DPS:.6g} deg/s2 is allowed, got {acceleration / DPS:.6g}. Choose a "
+                "smaller acceleration above 0, or set another limit.",
                 acceleration=acceleration,
             )
 
@@ -126,8 +126,8 @@ class Limits:
         """Raise LimitError if an angle is beyond the travel."""
         if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
             raise LimitError(
-                f"travel: the axis must stay within {self.travel:g} rad of the start, got a move to {angle:g}. "
-                "Choose a shorter move.",
+                f"travel: at most {self.travel / DPS:.6g} deg from the start is allowed, got {angle / DPS:.6g}. "
+                "Choose a shorter move, or set another limit.",
                 angle=angle,
             )
 
@@ -192,8 +192,8 @@ class Rig(Protocol):
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""
 
-    def close(self, *, as_found: bool = False) -> None:
-        """Stop, switch the motor off (or restore its initial state) and close the link. A second call has no effect."""
+    def close(self) -> None:
+        """Stop, switch the motor off and close the link. A second call has no effect."""
 
 
 # ---- Achieved rate from encoder positions over a dwell.
@@ -282,9 +282,8 @@ def check_programme(
 ) -> None:
     """Raise InputError if a programme is beyond the limits of a rig."""
     pending = [(n, step) for n, step in enumerate(programme.steps) if isinstance(step, Dwell) and n not in done]
-    turning = [(number, step) for number, step in pending if step.turn_rate != 0.0]
     if by_hand:
-        if turning:
+        if turning := [(number, step) for number, step in pending if step.turn_rate != 0.0]:
             number, step = turning[0]
             raise InputError(
                 f"manual rig: an operator cannot turn at a steady rate, got {len(turning)} dwells at one (step {number}: "
@@ -292,29 +291,17 @@ def check_programme(
             )
         return
 
-    def check(name: str, value: float, unit: str, where: str = "") -> None:
-        """Raise InputError with the limit in degrees, as in a protocol."""
-        most = getattr(limits, name)
-        try:
-            getattr(limits, f"check_{name}")(value)
-        except LimitError as error:
-            limit = "inf" if most is None else f"{most / RADIAN_PER_DEGREE:.6g}"
-            raise InputError(
-                f"{where}{name.replace('_', ' ')}: at most {limit} {unit} is allowed, got {value / RADIAN_PER_DEGREE:.6g}. "
-                "Correct the protocol or set another limit.",
-                **error.numbers,
-            ) from error
-
-    check("acceleration", programme.acceleration, "deg/s2")
-    for number, step in pending:
-        if step.angle != 0.0:
-            check("travel", step.angle, "deg from the start", f"step {number} ({step}): ")
-    angle = 0.0
-    for number, step in turning:
-        where = f"step {number} ({step}): "
-        check("turn_rate", step.turn_rate, "deg/s", where)
-        check("travel", angle + TRAVEL_MARGIN * step.travel, "deg from the start", where)
-        angle += step.travel
+    try:
+        where = ""
+        limits.check_acceleration(programme.acceleration)
+        angle = 0.0
+        for number, step in pending:
+            where = f"step {number} ({step}): "
+            limits.check_turn_rate(step.turn_rate)
+            limits.check_travel(step.angle or angle + TRAVEL_MARGIN * step.travel)
+            angle += step.travel
+    except LimitError as error:
+        raise InputError(f"{where}{error}", **error.numbers) from error
 
 
 # ---- Error and stop codes of controllers.
@@ -350,6 +337,7 @@ class RigSettings:
     baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
     hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # longest wait for an answer, s
+    accept: Literal["off", "on", "moving"] = "moving"  # state of the motor in which a table may be opened
     clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
     clock: Clock | None = None  # clock of the table (None selects the host's clock at clock_speed)
     # prints a line for a person and returns the typed answer (required for a manual rig)
@@ -376,6 +364,16 @@ def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
     kind, url, settings = parse_address(address, settings)
     rig: Rig = load_named(kind, CONTROLLERS, GROUP)(url, settings)
     return rig
+
+
+def check_free(name: str, state: str, settings: RigSettings) -> None:
+    """Raise RigFault if a table moves ("moving") or its motor is on ("its motor on"), and the settings do not accept that."""
+    accepted = {"off": ("",), "on": ("", "its motor on"), "moving": ("", "its motor on", "moving")}[settings.accept]
+    if state not in accepted:
+        raise RigFault(
+            f"rig: the table at {name} must be at rest with its motor off, got {state}. Another program uses it or has left it "
+            "in this state. Wait for that program, or call undrift rig stop."
+        )
 
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:

@@ -292,11 +292,11 @@ class SimulatedTable:
         self._answer()
         return self._fault
 
-    def close(self, *, as_found: bool = False) -> None:
+    def close(self) -> None:
         """Stop and switch the motor off. A second call has no effect."""
         if "power_cut" not in self._bench.faults:
             self.stop()
-            self._bench.servo.switch(as_found and self._bench.servo.powered)
+            self._bench.servo.switch(False)
 
     def _answer(self, *, moving: bool = False) -> None:
         """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
