@@ -9,7 +9,6 @@ def tally(recorder):
     return SimpleNamespace(
         readings=line.readings,
         missing=line.marker.missing,
-        gaps=line.marker.gaps,
         garbled=recorder.source.errors,
         late=line.counter.late,
         restarts=line.counter.restarts,

@@ -1,16 +1,19 @@
-"""A regular clock for recordings whose time stamps come from the host that received them.
+"""A regular clock for readings whose time stamps are those of the host that received them, in files and live (live/clock.py).
 
-    t_k = a + n_k / f + d_k        n_k number of the sample by the device's own clock, f its rate, d_k >= 0 the delay of its stamp
+    t_k = a + n_k / f + d_k        n_k sample number on the device's clock, f its rate, d_k >= 0 delay of the stamp
 
-Samples come in bursts: the stamps of a burst are within milliseconds, and the next burst comes tens of milliseconds
-later. Packets come late, never early. A line below all stamps is therefore the device's clock, up to the least delay.
-n_k counts the rows and the samples lost between them. Losses come from the device's counter. Without a counter, they
-come from permanent steps of the stamps:
+Packets arrive late but never early. So the device's clock is the line below all points (n, t) with the smallest sum of distances,
+min sum(t_k - a - n_k / f). It is the edge of the lower convex hull that spans the mean of n [1]_. A constant delay cannot be
+determined.
 
-    step_k = min(d after k) - min(d up to k)        over as long as several bursts on either side; lost = round(step f)
+In a file, n_k is the row number plus the number of samples that were lost before it. The device's counter determines the losses.
+Without a counter, a loss is a lasting increase of the smallest delay:
 
-The rate is fitted to the least delays of a hundred stretches with least absolute deviations. Each detected step is
-removed and the rate is fitted again, until both converge. Losses with a step of 0.7 samples or less are not detected.
+    step_k = min(d after k) - min(d up to k)        over several bursts on either side; lost = round(step f)
+
+Losses and rate are determined alternately until they do not change. A loss within a step of 0.7 samples or less is not detected.
+
+.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999.
 """
 
 from dataclasses import dataclass
@@ -29,6 +32,36 @@ _STRETCHES = 100
 _GAP = 1.5  # usual steps between two readings; a longer step is a drop-out
 _ROUNDS, _SLOPES = 12, 3
 _LONGEST_LOSS = 0.5  # largest share of lost samples in a recording
+
+
+# ---- Lower convex hull of (device time, host time).
+
+Point = tuple[float, float]  # device time, s or samples, and host time, s
+
+
+def extend_hull(hull: list[Point], point: Point) -> None:
+    """Add a point to the right of a lower convex hull."""
+    if hull and point[0] <= hull[-1][0]:
+        if point[1] >= hull[-1][1]:
+            return
+        hull.pop()
+    while len(hull) >= 2:
+        (x0, y0), (x1, y1) = hull[-2], hull[-1]
+        if (y1 - y0) * (point[0] - x0) < (point[1] - y0) * (x1 - x0):
+            break
+        hull.pop()
+    hull.append(point)
+
+
+def slope_at(hull: list[Point], x: float, single: float = 0.0) -> float:
+    """Return the slope of the hull's edge at x, or `single` for a hull of one point."""
+    for (x0, y0), (x1, y1) in pairwise(hull):
+        if x <= x1:
+            return (y1 - y0) / (x1 - x0)
+    return single
+
+
+# ---- Clock of a file.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,21 +156,15 @@ def _steps_up(own: FloatArray, number: IntArray, step: float, width: int) -> tup
 
 
 def _line(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[float, float]:
-    """Return step and start, s, of the line through the least delays of up to a hundred stretches."""
+    """Return step and start, s, of the line below the least delays of up to a hundred stretches."""
     edges = np.linspace(0, len(own), int(np.clip(len(own) // width, 4, _STRETCHES)) + 1).astype(np.int64)
-    start = 0.0
-    for _ in range(3):
-        delay = own - step * number
-        least = np.array([low + int(delay[low:high].argmin()) for low, high in pairwise(edges.tolist())])
-        at = number[least] - number[-1] / 2.0
-        design = np.column_stack((np.ones(len(at)), at))
-        line = np.linalg.lstsq(design, delay[least], rcond=None)[0]
-        for _ in range(30):  # least absolute deviations: a stretch without a prompt stamp does not count
-            away = np.abs(delay[least] - design @ line)
-            root = 1.0 / np.sqrt(np.maximum(away, max(float(np.median(away)) * 0.1, 1e-9)))
-            line = np.linalg.lstsq(design * root[:, None], delay[least] * root, rcond=None)[0]
-        step, start = step + float(line[1]), float(line[0] - line[1] * number[-1] / 2.0)
-    return step, start
+    delay = own - step * number
+    hull = list[Point]()
+    for low, high in pairwise(edges.tolist()):
+        least = low + int(delay[low:high].argmin())
+        extend_hull(hull, (float(number[least]), float(delay[least])))
+    slope = slope_at(hull, float(number.mean()))
+    return step + slope, min(y - slope * x for x, y in hull)
 
 
 def _losses(own: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:

@@ -44,7 +44,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -325,6 +325,7 @@ class SessionFile:
     recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more
     still: tuple[StillEntry, ...] = ()  # May be left out
     turn: tuple[TurnEntry, ...] = ()
+    run: dict[str, Any] = field(default_factory=dict)  # Journal of a rig run (rig/folder.py)
 
 
 def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
@@ -363,7 +364,6 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     if not path.exists():
         raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
     tree, text = codec.toml_of(path)
-    tree.pop("run", None)  # journal of a rig run (rig/folder.py)
     held = codec.value_of(SessionFile, tree, str(path), text)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]

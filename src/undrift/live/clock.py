@@ -1,45 +1,27 @@
-"""Fit of the device's clock to the host's: ``host = offset + rate * device + delay``, with a delay that is never negative.
+"""Fit of the device's clock to the host's while packets arrive: ``host = offset + rate * device + delay``, delay >= 0.
 
-Packets arrive late but never early. So the clock is the line below all points (device, host) with the smallest sum of distances,
-min sum(host - offset - rate device). The solution is the edge of the lower convex hull that spans the mean device time [1]_. The
-hull is updated with a few operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog
-drains, the line is too late, until the first prompt packet. The clock is settled when several successive packets over some time
-were not earlier than the earlier packets allow. A constant delay cannot be determined from one side.
-
-.. [1] S. B. Moon, P. Skelly and D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999.
+The line is the one below all packets of the last minutes, as for files (io/clock.py). The lower hull is updated with a few
+operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog drains, the line is too
+late, until the first prompt packet. The clock is settled when several successive packets over some time were not earlier than the
+earlier packets allow.
 """
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
+from undrift.io.clock import Point, extend_hull, slope_at
 from undrift.live.decoder import Arrivals, Chunk, Counter, StreamDescription
 
-Point = tuple[float, float]
+MEMORY_S = 300.0  # shortest memory of a point, device s (the longest is twice that)
+RATE_TOLERANCE = 0.02  # largest relative error of a device's clock, which limits the slope if there are few points
 KEPT_DELAYS = 2000
 SETTLED_PACKETS = 8  # number of successive packets, without an earlier one, until the clock is settled
 SETTLED_S = 0.2  # shortest duration of these packets, host s
 DRAINING = 0.1  # relative excess of the rate from which a stream counts as a backlog
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClockSettings:
-    """Settings of the clock fit."""
-
-    memory_s: float = 300.0  # shortest memory of a point, device s (the longest is twice that)
-    # largest relative error of a device's clock, which limits the slope if there are few points
-    rate_tolerance: float = 0.02
-
-    def __post_init__(self) -> None:
-        if not (self.memory_s > 0.0 and 0.0 < self.rate_tolerance < 1.0):
-            raise InputError(
-                f"clock: memory must be above 0 s and tolerance between 0 and 1, got {self.memory_s:g} and "
-                f"{self.rate_tolerance:g}. Use for example 300 and 0.02."
-            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +35,6 @@ class ClockLine:
     # 95 % quantile of the delay relative to the promptest packet, without a backlog, host s
     jitter_s: float
     settled: bool  # False while a backlog drains, or with too few packets
-    count: int  # number of packets in the fit
 
     def host_time(self, device_time: float) -> float:
         """Return the host time at which the promptest packet of a device time would arrive."""
@@ -64,26 +45,20 @@ class ClockLine:
         return self.device_zero + (host_time - self.host_zero) / self.rate
 
 
-class _Block:
-    """Points of a stretch of time, as lower hull, number of points and sum of device times."""
+class _Stretch:
+    """Packets of a stretch of time: lower hull, number and sum of device times."""
 
     def __init__(self, start: float) -> None:
         self.start, self.count, self.total = start, 0, 0.0
         self.hull: list[Point] = []
 
-    def add(self, point: Point) -> None:
-        self.count += 1
-        self.total += point[0]
-        _extend(self.hull, point)
-
 
 class DeviceClock:
     """Fit of a device's clock, updated with each packet."""
 
-    def __init__(self, clock_speed: float = 1.0, settings: ClockSettings = ClockSettings()) -> None:
-        self._nominal = 1.0 / clock_speed
-        self._settings = settings
-        self._blocks: deque[_Block] = deque(maxlen=2)
+    def __init__(self, clock_speed: float = 1.0, memory_s: float = MEMORY_S) -> None:
+        self._nominal, self._memory_s = 1.0 / clock_speed, memory_s
+        self._stretches: deque[_Stretch] = deque(maxlen=2)
         self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
         self._zero: Point | None = None
         self._prompt: Point = (0.0, np.inf)  # earliest packet (earlier points are removed, because they were late)
@@ -94,32 +69,31 @@ class DeviceClock:
         If several readings arrive at the same time, only the last of them is used, because the others were late.
         """
         last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
-        for point in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
-            if self._zero is None:
-                self._zero = point
-            relative: Point = (point[0] - self._zero[0], point[1] - self._zero[1])  # small numbers keep their digits
-            earliest = self._prompt[1] + (1.0 - DRAINING) * self._nominal * (relative[0] - self._prompt[0])
-            if relative[1] < earliest:
-                self._prompt = relative
+        for device, host in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
+            self._zero = self._zero or (device, host)
+            x, y = device - self._zero[0], host - self._zero[1]  # small numbers keep their digits
+            if y < self._prompt[1] + (1.0 - DRAINING) * self._nominal * (x - self._prompt[0]):
+                self._prompt = x, y
                 self._recent.clear()
-                self._blocks.clear()
-            if not self._blocks or relative[0] - self._blocks[-1].start > self._settings.memory_s:
-                self._blocks.append(_Block(relative[0]))
-            self._blocks[-1].add(relative)
-            self._recent.append(relative)
+                self._stretches.clear()
+            if not self._stretches or x - self._stretches[-1].start > self._memory_s:
+                self._stretches.append(_Stretch(x))
+            stretch = self._stretches[-1]
+            stretch.count, stretch.total = stretch.count + 1, stretch.total + x
+            extend_hull(stretch.hull, (x, y))
+            self._recent.append((x, y))
 
     def fit(self) -> ClockLine:
         """Return the line fitted to all packets so far."""
         if self._zero is None:
             raise InputError("clock: no packet has arrived. Wait for the device.")
         hull: list[Point] = []
-        for block in self._blocks:
-            for point in block.hull:
-                _extend(hull, point)
-        count = sum(block.count for block in self._blocks)
-        mean = sum(block.total for block in self._blocks) / count
-        low, high = (self._nominal * (1.0 + sign * self._settings.rate_tolerance) for sign in (-1.0, 1.0))
-        slope = min(max(_slope_at(hull, mean, self._nominal), low), high)
+        for stretch in self._stretches:
+            for point in stretch.hull:
+                extend_hull(hull, point)
+        mean = sum(stretch.total for stretch in self._stretches) / sum(stretch.count for stretch in self._stretches)
+        low, high = self._nominal * (1.0 - RATE_TOLERANCE), self._nominal * (1.0 + RATE_TOLERANCE)
+        slope = min(max(slope_at(hull, mean, self._nominal), low), high)
         offset = min(y - slope * x for x, y in hull)
         x, y = np.array(self._recent).T
         return ClockLine(
@@ -129,30 +103,7 @@ class DeviceClock:
             rate_error=self._nominal / slope - 1.0,
             jitter_s=float(np.quantile(y - offset - slope * x, 0.95)),
             settled=len(y) > SETTLED_PACKETS and bool(y[-1] - self._prompt[1] >= SETTLED_S),
-            count=count,
         )
-
-
-def _extend(hull: list[Point], point: Point) -> None:
-    """Add a point to the right of a lower convex hull."""
-    if hull and point[0] <= hull[-1][0]:
-        if point[1] >= hull[-1][1]:
-            return
-        hull.pop()
-    while len(hull) >= 2:
-        (x0, y0), (x1, y1) = hull[-2], hull[-1]
-        if (y1 - y0) * (point[0] - x0) < (point[1] - y0) * (x1 - x0):
-            break
-        hull.pop()
-    hull.append(point)
-
-
-def _slope_at(hull: list[Point], x: float, nominal: float) -> float:
-    """Return the slope of the hull's edge above x."""
-    for (x0, y0), (x1, y1) in pairwise(hull):
-        if x <= x1:
-            return (y1 - y0) / (x1 - x0)
-    return nominal
 
 
 # ---- Readings in order, with gaps marked.
@@ -165,7 +116,6 @@ class GapMarker:
         self._period = period_s
         self._longest = longest_fill_s
         self._last: float | None = None
-        self.gaps = 0
         self.missing = 0
 
     def mark(self, time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -177,7 +127,6 @@ class GapMarker:
         lacking = np.maximum(np.rint((time - before) / self._period).astype(int) - 1, 0)
         if not lacking.any():
             return time, values
-        self.gaps += int((lacking > 0).sum())
         self.missing += int(lacking.sum())
         rows = np.where(lacking * self._period > self._longest, 1, lacking)
         at = np.repeat(np.arange(len(time)), rows)
@@ -197,14 +146,14 @@ class Block:
 class Timeline:
     """Converter of chunks to device time, with gaps marked and a fit of the device's clock to the host's."""
 
-    def __init__(self, description: StreamDescription, clock: ClockSettings = ClockSettings()) -> None:
+    def __init__(self, description: StreamDescription) -> None:
         speed = description.clock_speed
         self.readings = 0
         self.counter = Counter(description.counter_bits, description.tick_s, speed)
         self.marker = GapMarker(1.0 / description.rate)
         self._tick_s = description.tick_s
         self._arrivals = Arrivals(description.rate, speed)
-        self._clock = DeviceClock(speed, clock)
+        self._clock = DeviceClock(speed)
 
     def add(self, chunk: Chunk) -> Block:
         """Add a chunk and return its readings on the device's clock."""

@@ -12,14 +12,14 @@ import itertools
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Repeat
 from undrift.errors import InputError, LinkError, RigTimeout, UndriftError, check_positive
-from undrift.live.clock import Block, ClockSettings, Timeline
+from undrift.live.clock import Block, Timeline
 from undrift.live.transports import Source
 from undrift.record import Record
 
@@ -34,7 +34,6 @@ class RecorderSettings:
 
     silence_s: float = 5.0  # longest time without a valid reading before the device counts as lost, host s
     keep_s: float = 600.0  # duration of the stored readings, device s
-    clock: ClockSettings = field(default_factory=ClockSettings)  # settings of the clock fit
     # Pause of the reader after a wait for a reading, host s. Readings collect in the pause, which reduces the load. They
     # arrive later by the pause at most. Each wait still determines the time of arrival of a reading.
     gather_s: float = 0.0
@@ -50,7 +49,7 @@ class Recorder:
 
     def __init__(self, source: Source, settings: RecorderSettings = RecorderSettings(), clock: Clock = HOST) -> None:
         self.source, self.settings = source, settings
-        self.timeline = Timeline(source.description, settings.clock)
+        self.timeline = Timeline(source.description)
         self._clock = clock
         self._reader: Repeat | None = None
         self._stopping, self._heard = False, clock.now()
