@@ -26,9 +26,7 @@ def frame(count: int, checksum: str = "crc16", order: str = "little") -> bytes:
     return b"\xaa\x55" + body + made.of(body).to_bytes(made.size, order)
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"), [("none", 0), ("xor", 0x31), ("sum", 0xDD), ("crc16", 0x29B1), ("crc32", 0xCBF43926)]
-)
+@pytest.mark.parametrize(("name", "wanted"), [("none", 0), ("xor", 0x31), ("crc16", 0x29B1)])
 def test_checksums_of_the_nine_digits_are_the_published_ones(name, wanted):
     assert CHECKSUMS[name].of(b"123456789") == wanted
 
@@ -83,7 +81,7 @@ def test_a_datagram_ends_its_line():
 
 
 @pytest.mark.parametrize(
-    ("checksum", "order"), [("crc16", "little"), ("crc32", "big"), ("sum", "big"), ("none", "little")]
+    ("checksum", "order"), [("crc16", "little"), ("crc16", "big"), ("xor", "big"), ("none", "little")]
 )
 def test_frames_come_whole_out_of_pieces_of_any_size(checksum, order):
     data = b"".join(frame(k, checksum, order) for k in range(50))
@@ -127,7 +125,7 @@ def test_a_cut_datagram_is_an_error_and_not_the_start_of_the_next():
 
 def test_random_bytes_never_raise():
     rng = np.random.default_rng(5)
-    for decoder in (frames(), lines(), lines(checksum="crc32")):
+    for decoder in (frames(), lines(), lines(checksum="crc16")):
         for _ in range(300):
             decoder.feed(rng.integers(0, 256, rng.integers(0, 200), dtype=np.uint8).tobytes())
 

@@ -9,13 +9,13 @@ from testkit.virtual_clock import VirtualClock
 from testkit.waiting import eventually
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
-from undrift.live.hands import HandSettings, start_hand_held
+from undrift.live.hands import ANGLE_SD, TILT_SD, start_hand_held
 from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
 from undrift.sim.device.presets import random_device, random_device_of
 from undrift.sim.motion.motion import unit_vector
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import STANDARD_GRAVITY
 
 DEVICE = random_device(np.random.default_rng(8), grade="consumer")
 TURN = 2.0 * math.pi
@@ -46,12 +46,12 @@ def test_a_device_that_was_laid_on_a_face_rests_there_and_feels_gravity(held, fa
     truth(held, 4.0)
     assert not held.moving
     _, rate, mean, force = truth(held, 1.0)
-    assert not rate.any()
-    assert not mean.any()
+    assert np.abs(rate).max() < 1e-9
+    assert np.abs(mean).max() < 1e-9
     assert np.ptp(force, axis=0).max() == 0.0
     assert np.linalg.norm(force[0]) == pytest.approx(STANDARD_GRAVITY, rel=1e-12)
     tilt = math.acos(force[0] @ unit_vector(face) / STANDARD_GRAVITY)
-    assert 0.0 < tilt < 5.0 * HandSettings().tilt_sd * math.sqrt(2.0)  # two axes, five standard deviations
+    assert 0.0 < tilt < 5.0 * TILT_SD * math.sqrt(2.0)  # two axes, five standard deviations
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_a_face_is_off_level_by_another_tilt_each_time(held):
         if face == "+x":
             tilts.append(truth(held, 0.1)[3][0, 1:] / STANDARD_GRAVITY)
     # sd of 40 draws is known to 1 / sqrt(80) = 11 %: within four of these
-    assert np.std(tilts) == pytest.approx(HandSettings().tilt_sd, rel=0.45)
+    assert np.std(tilts) == pytest.approx(TILT_SD, rel=0.45)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,6 @@ def test_what_the_gyroscopes_feel_turns_gravity_as_the_accelerometers_feel_it(he
         q = quaternion_product(q, quaternion_of(step * 0.01))
     assert not held.moving
     assert rotate(quaternion_conjugate(q), before) == pytest.approx(force[-1], abs=1e-8 * STANDARD_GRAVITY)
-    assert np.abs(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY).max() > 0.1  # hands shake and lift it on the way
 
 
 def test_a_rate_is_the_mean_rate_of_a_short_step(held):
@@ -95,7 +94,7 @@ def test_a_rate_is_the_mean_rate_of_a_short_step(held):
 
 @pytest.mark.slow
 def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
-    settings, errors = HandSettings(), []
+    errors = []
     for axis in ("x", "y", "z") * 6:
         held.lay(f"+{axis}")
         truth(held, 4.0)
@@ -106,16 +105,8 @@ def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
         errors.append(turned["xyz".index(axis)] - TURN)
         assert np.delete(mean, "xyz".index(axis), axis=1).max() < 0.3 * mean.max()
     # angle errors of 18 turns: sd within 17 %, four of these, and a cosine of the axis' lean that is below 1e-3
-    assert np.std(errors) == pytest.approx(settings.angle_sd, rel=0.7)
-    assert np.abs(errors).max() < 5.0 * settings.angle_sd
-
-
-def test_a_turn_goes_beyond_the_mark_and_comes_back(held):
-    held.lay("+z")
-    truth(held, 4.0)
-    held.turn("z", TURN)
-    angle = np.cumsum(truth(held, 7.0)[2][:, 2]) * 0.01
-    assert angle.max() > angle[-1] + 0.2 * RADIAN_PER_DEGREE
+    assert np.std(errors) == pytest.approx(ANGLE_SD, rel=0.7)
+    assert np.abs(errors).max() < 5.0 * ANGLE_SD
 
 
 def test_a_slow_gyroscope_is_turned_within_its_range():
@@ -140,11 +131,6 @@ def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
     assert said[1] == pytest.approx(said[0], rel=1e-9, abs=1e-6)
 
 
-def test_the_board_warms_a_little(held):
-    first = held._warming(np.array([0.0, 3600.0]))
-    assert first == pytest.approx([25.0, 25.3], abs=0.01)
-
-
 def test_moves_that_are_asked_for_at_once_follow_each_other_and_only_a_few_wait(held):
     for face in ("+x", "-x") * 8:
         held.lay(face)
@@ -163,8 +149,6 @@ def test_what_cannot_be_is_refused(held):
     for axis, angle in (("z", 1.0), ("w", TURN), ("z", 0.0), ("z", 11.0 * TURN)):
         with pytest.raises(InputError, match=r"1 to 10 whole turns, got '"):
             held.turn(axis, angle)
-    with pytest.raises(InputError, match=r"turn_s .*got 4 and 3 s"):
-        HandSettings(turn_s=(4.0, 3.0))
 
 
 def test_its_address_is_read_by_live_at_the_speed_it_has():

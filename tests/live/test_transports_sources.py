@@ -14,7 +14,7 @@ from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.waiting import eventually
 from undrift.errors import LinkError, RigTimeout
 from undrift.live.decoder import StreamDescription
-from undrift.live.transports import OFFLINE, LslSource, configure_lsl, lsl_streams, source_at
+from undrift.live.transports import LslSource, lsl_streams, source_at
 
 OPTIONS = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 TEXT = b"".join(b"%d,1,2,3\n" % k for k in range(5))
@@ -182,23 +182,12 @@ def test_readings_come_over_lsl_on_this_computer(monkeypatch, tmp_path):
     sender = threading.Thread(target=send)
     sender.start()
     try:
-        with opened(f"lsl:{name}?channels=gyro_x,gyro_y,gyro_z&rate=100&offline=yes") as source:
+        with opened(f"lsl:{name}?channels=gyro_x,gyro_y,gyro_z&rate=100") as source:
             assert source.read(5.0).values[0].tolist() == [1, 2, 3]
         assert (name, "IMU, 3 channels, 100 Hz") in lsl_streams()
     finally:
         stop.set()
         sender.join()
-
-
-def test_lsl_stays_on_this_computer_unless_configured_otherwise(monkeypatch, tmp_path):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setenv("LSLAPICFG", "mine.cfg")
-    configure_lsl(OFFLINE)
-    assert os.environ["LSLAPICFG"] == "mine.cfg"
-    monkeypatch.delenv("LSLAPICFG")
-    configure_lsl(OFFLINE)
-    with open(os.environ["LSLAPICFG"]) as file:
-        assert "ResolveScope = machine" in file.read()
 
 
 def test_chunks_hold_what_they_say():

@@ -69,9 +69,6 @@ class Paced:
     def write(self, data: bytes) -> None:
         pass
 
-    def wake(self) -> None:
-        pass
-
     def close(self) -> None:
         pass
 

@@ -131,9 +131,6 @@ class Line:
         self._clock.jump(self._clock.now() + 2e-4)
         self._waiting = self._server._hear(self, self._waiting, data)
 
-    def wake(self) -> None:
-        pass
-
     def close(self) -> None:
         self.cut = True
 

@@ -32,9 +32,6 @@ class Port(Protocol):
     def write(self, data: bytes) -> None:
         """Send all of it."""
 
-    def wake(self) -> None:
-        """Wake up a read that is blocked in another thread."""
-
     def close(self) -> None:
         """Close it."""
 

@@ -7,7 +7,6 @@ stored under ``[stream]`` in a TOML file, which an address refers to with ``desc
 
 import binascii
 import re
-import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -25,8 +24,8 @@ from undrift.errors import InputError, check_positive
 from undrift.record import Record
 from undrift.units import canonical_unit
 
-# ---- Checksums after readings: ``xor`` as in NMEA 0183, ``sum`` (low byte of the sum), ``crc16`` (CRC-16/CCITT-FALSE, 0x1021 from
-# 0xFFFF) and ``crc32`` as in Ethernet. For "123456789" they are 0x31, 0xDD, 0x29B1 and 0xCBF43926.
+# ---- Checksums after readings: ``xor`` as in NMEA 0183, and ``crc16`` (CRC-16/CCITT-FALSE, 0x1021 from 0xFFFF). For "123456789"
+# they are 0x31 and 0x29B1.
 
 
 class Checksum(NamedTuple):
@@ -39,9 +38,7 @@ class Checksum(NamedTuple):
 CHECKSUMS = {
     "none": Checksum(lambda data: 0, 0),
     "xor": Checksum(lambda data: reduce(xor, data, 0), 1),
-    "sum": Checksum(lambda data: sum(data) & 0xFF, 1),
     "crc16": Checksum(lambda data: binascii.crc_hqx(data, 0xFFFF), 2),
-    "crc32": Checksum(zlib.crc32, 4),
 }
 
 
@@ -73,7 +70,7 @@ class StreamDescription:
     counter_bits: int = 0  # width of the counter (0 for a counter that never wraps)
     format: Framing = "line"  # line (only numbers), frame (binary) or log (any text of io/log.py)
     separator: str = ","  # separator of the numbers in a line, or in a log the words before a reading's first number
-    checksum: str = "none"  # none, xor, sum, crc16 or crc32, after a line as ``*hex`` and after a frame as bytes
+    checksum: str = "none"  # none, xor or crc16, after a line as ``*hex`` and after a frame as bytes
     sync: str = "aa55"  # first bytes of a frame, hex
     # fields of a frame in the format of Python's struct, with one field per channel, < or > for the byte order
     pack: str = ""

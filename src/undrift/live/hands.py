@@ -1,14 +1,13 @@
-"""A simulated hand-held device: it rests on a face, is moved to another face or turned by whole turns, and is read.
+"""A simulated hand-held device for practice: it rests on a face, is moved to another face or turned by whole turns, and is read.
 
 ::
 
-    q_nb(t) = q_0  turn(a, angle(s))  turn(c SMOOTH(s))  turn(tremor(t) w(s))       s in [0, 1] over a move
-    force_b = R_nb^T ((0, 0, g) + lift''(t)) + shake(t) w(s)                        w = 16 s^2 (1 - s)^2
+    q_nb(t) = q_0  turn(a, angle(s))  turn(c SMOOTH(s))       s in [0, 1] over a move
+    force_b = R_nb^T (0, 0, g)
 
 A move to a face is the shortest rotation (c = 0). A turn has a random error of its angle and axis, and c then returns the device to
-the face. About the vertical, the device slides on the bench. About other axes, it is lifted. At rest, rate and tremor are zero, and
-the face has the random tilt of its last move. Rates are differences of q_nb. The board warms slightly. Moves that are requested
-during a move are queued.
+the face. At rest, the rate is zero, and the face has the random tilt of its last move. Rates are differences of q_nb. Moves that
+are requested during a move are queued.
 
 ``HandHeld.address`` is an address for ``live``, in this process only. ``simulated:`` is a device without an operator. It is laid on
 its six faces, then turned in both directions about each axis, as in ``record --guide turns``.
@@ -19,7 +18,6 @@ import math
 import threading
 import time as host
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -37,41 +35,21 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
+# random motion of the hands, drawn for each move (all values are choices)
+TILT_SD = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a face's tilt about each axis, rad
+AXIS_SD = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a turn's axis, about each perpendicular axis, rad
+ANGLE_SD = 0.5 * RADIAN_PER_DEGREE  # standard deviation of a turn's angle, rad
+LAY_S, TURN_S = (1.0, 2.0), (3.0, 4.0)  # shortest and longest move to another face, and full turn, s
+BOARD_C = 25.0  # temperature of the board, degC
+
 REST_S = 0.5  # shortest rest between queued moves, s
+REST_ON_FACE_S = 9.0  # rest between two moves of a device without an operator, s
 MOST_MOVES = 16  # longest queue of moves
-WAVES, TREMOR_HZ = 6, (7.0, 11.0)
-OVERSHOOT = Polynomial.fromroots([0] * 17 + [1] * 3) * -(20.0**20 / (17.0**17 * 3.0**3))  # 1 at its peak, s = 0.85
-HELD = Polynomial.fromroots([0, 0, 1, 1]) * 16.0  # w
-LIFT = Polynomial.fromroots([0, 0, 0, 1, 1, 1]) * -64.0
 STEEPEST = 2.3  # largest rate of a turn relative to its mean rate
 REACH = 0.8  # largest fraction of the gyroscope's range in a turn
 TOGETHER_S = 0.02  # time between two reads, host s
 PAST_S = 60.0  # time for which finished moves are kept, s
 INSTANT_S = 1e-4  # time step for rates from two orientations, s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandSettings:
-    """Random motion of an operator's hands, drawn for each move. All defaults are choices."""
-
-    tilt_sd: float = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a face's tilt about each axis, rad
-    lay_s: tuple[float, float] = (1.0, 2.0)  # shortest and longest move to another face, s
-    turn_s: tuple[float, float] = (3.0, 4.0)  # shortest and longest full turn, s
-    axis_sd: float = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a turn's axis, about each perpendicular axis, rad
-    angle_sd: float = 0.5 * RADIAN_PER_DEGREE  # standard deviation of a turn's angle at the mark, rad
-    overshoot_sd: float = 4.0 * RADIAN_PER_DEGREE  # standard deviation of a turn's overshoot beyond the mark, rad
-    tremor: float = 1.0 * RADIAN_PER_DEGREE  # rms turn rate of the tremor in a move, about each axis, rad/s
-    shake: float = 0.1  # rms acceleration of the tremor in a move, along each axis, m/s2
-    lift: float = 0.08  # height of a lift, m
-    temp_c: float = 25.0  # initial temperature of the board, degC
-    warming_k: float = 0.3  # final temperature rise of the board, K
-    warming_s: float = 900.0  # time constant of the temperature rise, s
-
-    def __post_init__(self) -> None:
-        for name in ("lay_s", "turn_s"):
-            low, high = getattr(self, name)
-            if not 0.0 < low <= high:
-                raise InputError(f"hand held: {name} must be positive and increasing, got {low:g} and {high:g} s.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,8 +62,6 @@ class Move:
     axis_b: FloatArray  # (3,), a
     angle: Polynomial  # rad over s
     back: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,), c, rad
-    lift: float = 0.0  # m
-    tremor: FloatArray = field(default_factory=lambda: np.zeros((4, WAVES, 3)))  # amplitudes rad, m/s2, Hz, phase rad
 
     @property
     def stop(self) -> float:
@@ -96,34 +72,16 @@ class Move:
         """Return q_nb (N, 4) at times (N,), s. The device is at rest before and after the move."""
         s = np.clip((time - self.start) / self.duration, 0.0, 1.0)
         q = quaternion_product(self.q, turn_quaternion(self.axis_b, self.angle(s)))
-        q = quaternion_product(q, quaternion_of(SMOOTH(s)[:, None] * self.back))
-        return quaternion_product(q, quaternion_of(HELD(s)[:, None] * self._waves(time, 0)))
-
-    def push(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the upward acceleration (N,) and the tremor's acceleration (N, 3) in the axes of the case, m/s2."""
-        s = (time - self.start) / self.duration
-        inside = (s > 0.0) & (s < 1.0)
-        upwards = np.where(inside, self.lift * LIFT.deriv(2)(s) / self.duration**2, 0.0)
-        return upwards, np.where(inside, HELD(s), 0.0)[:, None] * self._waves(time, 1)
-
-    def _waves(self, time: FloatArray, row: int) -> FloatArray:
-        size, (frequency, phase) = self.tremor[row], self.tremor[2:]
-        return np.asarray((size * np.sin(2.0 * math.pi * frequency * time[:, None, None] + phase)).sum(axis=1))
+        return quaternion_product(q, quaternion_of(SMOOTH(s)[:, None] * self.back))
 
 
 class HandHeld:
     """A simulated device that is moved and read from any thread."""
 
     def __init__(
-        self,
-        device: DeviceModel,
-        hands: HandSettings = HandSettings(),
-        clock: Clock | None = None,
-        *,
-        seed: int = 0,
-        gravity_m_s2: float = STANDARD_GRAVITY,
+        self, device: DeviceModel, clock: Clock | None = None, *, seed: int = 0, gravity_m_s2: float = STANDARD_GRAVITY
     ) -> None:
-        self.device, self.hands, self.gravity_m_s2 = device, hands, gravity_m_s2
+        self.device, self.gravity_m_s2 = device, gravity_m_s2
         self.clock, self.lock, self._rest_s = clock or Clock.started(), threading.RLock(), REST_S
         self._draw = np.random.default_rng((seed, 1))
         self.face: Face = "+z"
@@ -177,9 +135,9 @@ class HandHeld:
             start, q = self._after()
             way = rotation_vector(quaternion_product(quaternion_conjugate(q), self._laid(q, face)))
             angle = float(np.linalg.norm(way))
-            axis, draw = (way / angle if angle > 0.0 else np.eye(3)[0]), self._draw
+            axis = way / angle if angle > 0.0 else np.eye(3)[0]
             self.face = face
-            self._add(start, draw.uniform(*self.hands.lay_s), q, axis, SMOOTH * angle, lift=self.hands.lift)
+            self._add(Move(start, self._draw.uniform(*LAY_S), q, axis, SMOOTH * angle))
 
     def turn(self, axis: Axis, angle: float) -> None:
         """Queue a turn by whole turns about +axis, rad, after which the device rests on the same face."""
@@ -191,25 +149,21 @@ class HandHeld:
             )
         with self.lock:
             start, q = self._after()
-            draw, hands, unit = self._draw, self.hands, unit_vector(axis)
-            leaning = unit + np.cross(draw.normal(0.0, hands.axis_sd, 3), unit)
+            draw, unit = self._draw, unit_vector(axis)
+            leaning = unit + np.cross(draw.normal(0.0, AXIS_SD, 3), unit)
             leaning /= np.linalg.norm(leaning)
-            reached = angle + draw.normal(0.0, hands.angle_sd)
-            beyond = math.copysign(abs(draw.normal(0.0, hands.overshoot_sd)), angle)
-            course = reached * (SMOOTH + draw.uniform(-0.3, 0.3) * UNEVEN) + beyond * OVERSHOOT
-            up = rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0]))
-            slid = abs(float(up @ unit)) > 0.9
+            reached = angle + draw.normal(0.0, ANGLE_SD)
+            course = reached * (SMOOTH + draw.uniform(-0.3, 0.3) * UNEVEN)
             q_end = quaternion_product(q, turn_quaternion(leaning, np.array(reached)))
-            q_laid = facing(q_end, up) if slid else self._laid(q_end, self.face)
-            back = rotation_vector(quaternion_product(quaternion_conjugate(q_end), q_laid))
-            quickest = STEEPEST * abs(angle) / (REACH * self.device.gyro.full_scale)
-            duration = max(abs(turns) * draw.uniform(*hands.turn_s), quickest)
-            self._add(start, duration, q, leaning, course, back=back, lift=0.0 if slid else hands.lift)
+            back = rotation_vector(quaternion_product(quaternion_conjugate(q_end), self._laid(q_end, self.face)))
+            quickest_s = STEEPEST * abs(angle) / (REACH * self.device.gyro.full_scale)
+            duration_s = max(abs(turns) * draw.uniform(*TURN_S), quickest_s)
+            self._add(Move(start, duration_s, q, leaning, course, back))
 
     def _laid(self, q: FloatArray, face: Face) -> FloatArray:
         """Return the nearest orientation to q with a face up and a random tilt."""
         up = unit_vector(face)
-        return facing(q, up + np.cross(self._draw.normal(0.0, self.hands.tilt_sd, 3), up))
+        return facing(q, up + np.cross(self._draw.normal(0.0, TILT_SD, 3), up))
 
     def _after(self) -> tuple[float, FloatArray]:
         """Return the start time, s, and the initial orientation of the next move."""
@@ -219,19 +173,11 @@ class HandHeld:
         q = last.orientation(np.array([last.stop]))[0]
         return max(now, last.stop + self._rest_s), q / np.linalg.norm(q)
 
-    def _add(
-        self, start: float, duration: float, q: FloatArray, axis: FloatArray, angle: Polynomial, **fields: Any
-    ) -> None:
-        draw, size = self._draw, math.sqrt(2.0 / WAVES)
-        frequency, phase = draw.uniform(*TREMOR_HZ, (WAVES, 3)), draw.uniform(0.0, 2.0 * math.pi, (WAVES, 3))
-        sizes = self.hands.tremor * size / (2.0 * math.pi * frequency), np.full((WAVES, 3), self.hands.shake * size)
-        self.moves.append(Move(start, duration, q, axis, angle, tremor=np.stack((*sizes, frequency, phase)), **fields))
+    def _add(self, move: Move) -> None:
+        self.moves.append(move)
         # remove old moves, because a reading requires only the last step
-        past = [k for k, move in enumerate(self.moves) if move.stop < self.clock.now() - PAST_S]
+        past = [k for k, old in enumerate(self.moves) if old.stop < self.clock.now() - PAST_S]
         del self.moves[: past[-1] if past else 0]
-
-    def _warming(self, time: FloatArray) -> FloatArray:
-        return np.asarray(self.hands.temp_c + self.hands.warming_k * (1.0 - np.exp(-time / self.hands.warming_s)))
 
     def _orientation(self, time: FloatArray) -> FloatArray:
         q = np.empty((len(time), 4))
@@ -241,33 +187,21 @@ class HandHeld:
         return q
 
     def _seen(self, times: FloatArray, step_s: float) -> Seen:
+        """Return rate, angular acceleration, force, mean rate over the step (n, 3) and temperature (n,)."""
         n, h = len(times), INSTANT_S
-        resting = bool(times[0] - step_s > self.moves[-1].stop)
-        rate, mean_rate, acceleration, shake = (np.zeros((n, 3)) for _ in range(4))
-        gravity_n = np.zeros((n, 3))
-        gravity_n[:, 2] = self.gravity_m_s2
-        if resting:
-            q = np.tile(self._orientation(times[:1]), (n, 1))
-        else:
-            shifts = np.repeat([-step_s, -h, 0.0, h], n)
-            before, early, q, late = self._orientation(np.tile(times, 4) + shifts).reshape(4, n, 4)
-            began, ended = np.concatenate((before, early, q)), np.concatenate((q, q, late))
-            rotation = rotation_vector(quaternion_product(quaternion_conjugate(began), ended)).reshape(3, n, 3)
-            mean_rate, first, second = rotation[0] / step_s, rotation[1] / h, rotation[2] / h
-            rate, acceleration = 0.5 * (first + second), (second - first) / h
-            for move in self.moves:
-                upwards, trembling = move.push(times)
-                gravity_n[:, 2] += upwards
-                shake += trembling
-        force = rotate(quaternion_conjugate(q), gravity_n) + shake
-        return rate, acceleration, force, mean_rate, self._warming(times)
+        shifts = np.repeat([-step_s, -h, 0.0, h], n)
+        before, early, q, late = self._orientation(np.tile(times, 4) + shifts).reshape(4, n, 4)
+        began, ended = np.concatenate((before, early, q)), np.concatenate((q, q, late))
+        rotation = rotation_vector(quaternion_product(quaternion_conjugate(began), ended)).reshape(3, n, 3)
+        mean_rate, first, second = rotation[0] / step_s, rotation[1] / h, rotation[2] / h
+        force = rotate(quaternion_conjugate(q), np.tile([0.0, 0.0, self.gravity_m_s2], (n, 1)))
+        return 0.5 * (first + second), (second - first) / h, force, mean_rate, np.full(n, BOARD_C)
 
 
 def start_hand_held(
     *,
     seed: int | None = None,
     device: DeviceModel | None = None,
-    hands: HandSettings = HandSettings(),
     speed: float = 1.0,
     clock: Clock | None = None,
     gravity_m_s2: float = STANDARD_GRAVITY,
@@ -276,14 +210,13 @@ def start_hand_held(
     if seed is None:
         seed = int(np.random.default_rng().integers(2**31))
     chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
-    return HandHeld(chosen, hands, clock or Clock.started(speed), seed=seed, gravity_m_s2=gravity_m_s2)
+    return HandHeld(chosen, clock or Clock.started(speed), seed=seed, gravity_m_s2=gravity_m_s2)
 
 
 # ---- Source of live readings.
 
 KIND = "simulated"
 CHANNELS = ("count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
-REST_ON_FACE_S = 9.0  # rest between two moves of a device without an operator, s
 _HELD: dict[str, HandHeld] = {}  # devices by address
 _NUMBERS = itertools.count(1)
 

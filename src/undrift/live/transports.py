@@ -8,7 +8,6 @@ stamps. A new kind of source needs a function from an Address to a Source, and e
 "undrift.sources".
 """
 
-import contextlib
 import importlib
 import os
 import socket
@@ -35,11 +34,10 @@ BAUD = 115_200
 BUFFER_BYTES = 1 << 22  # size of the system's buffer for datagrams
 RESOLVE_S = 5.0
 SCAN_S = 3.0  # time to search for streams, s
-QUIET = "[log]\nlevel = -2\n"
+QUIET = "[log]\nlevel = -2\n"  # configuration of the LSL library, so that it prints no log
 # USB vendors of microcontroller boards and of USB serial converters
 BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A, 0x2886, 0x2A03, 0x2E8A, 0x303A}
 LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # folders of a user's lsl_api.cfg
-OFFLINE = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
 SOURCES = {  # function that returns the source of an address, by kind
     **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
     "simulated": "undrift.live.hands:source_of",
@@ -118,11 +116,6 @@ class SocketPort:
         self._socket.settimeout(WRITE_S)
         self._socket.sendall(data)
 
-    def wake(self) -> None:
-        """Shut the connection down, so that a blocked read in another thread returns immediately."""
-        with contextlib.suppress(OSError):  # the peer has already closed
-            self._socket.shutdown(socket.SHUT_RDWR)
-
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
@@ -165,9 +158,6 @@ class SerialPort:
         """Send all bytes, or raise OSError."""
         self._port.write(data)
 
-    def wake(self) -> None:
-        """Do nothing, because a read of a serial port blocks only briefly."""
-
     def close(self) -> None:
         """Close the port."""
         self._port.close()
@@ -205,8 +195,11 @@ def serial_ports() -> list[tuple[str, str]]:
 
 def lsl_streams() -> list[tuple[str, str]]:
     """Return names and descriptions of the LSL streams in the network."""
-    if not any(Path(folder, "lsl_api.cfg").expanduser().exists() for folder in LSL_FOLDERS):
-        configure_lsl(QUIET)
+    is_configured = any(Path(folder, "lsl_api.cfg").expanduser().exists() for folder in LSL_FOLDERS)
+    if not is_configured and "LSLAPICFG" not in os.environ:
+        path = Path(tempfile.gettempdir()) / f"undrift-lsl-{os.getpid()}.cfg"
+        path.write_text(QUIET, encoding="ascii")
+        os.environ["LSLAPICFG"] = str(path)
     pylsl = package_of("pylsl", "pylsl", "LSL")
     streams = ((info, info.nominal_srate()) for info in pylsl.resolve_streams(SCAN_S))
     return [(info.name(), f"{info.type()}, {info.channel_count()} channels, {rate:g} Hz") for info, rate in streams]
@@ -371,15 +364,11 @@ def serial_source(address: Address) -> Source:
 
 def lsl_source(address: Address) -> Source:
     """Return a source that reads an LSL stream."""
-    name, offline = address.place, address.option("offline", "no")
-    if not name or offline not in ("yes", "no"):
-        raise InputError(
-            f"device: expected lsl:name?offline=yes or no, got '{name}' and '{offline}'. Enter the stream's name."
-        )
+    name = address.place
+    if not name:
+        raise InputError("device: expected lsl:name, got no name. Enter the stream's name.")
 
     def connect() -> Any:
-        if offline == "yes":
-            configure_lsl(OFFLINE)
         pylsl = package_of("pylsl", "pylsl", "lsl")
         streams = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
         if not streams:
@@ -387,12 +376,4 @@ def lsl_source(address: Address) -> Source:
         flags = pylsl.proc_dejitter | pylsl.proc_monotonize
         return pylsl.StreamInlet(streams[0], recover=False, processing_flags=flags)
 
-    return LslSource(f"lsl:{name}", address.describe("offline"), connect)
-
-
-def configure_lsl(text: str) -> None:
-    """Configure the LSL library before its first use in this process, unless LSLAPICFG is already set."""
-    if "LSLAPICFG" not in os.environ:
-        path = Path(tempfile.gettempdir()) / f"undrift-lsl-{os.getpid()}.cfg"
-        path.write_text(text, encoding="ascii")
-        os.environ["LSLAPICFG"] = str(path)
+    return LslSource(f"lsl:{name}", address.describe(), connect)
