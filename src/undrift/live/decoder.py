@@ -209,19 +209,6 @@ class Counter:
         if not self._begun and len(raw):
             self._raw, self._host, self._begun = float(raw[0]) - 1.0, float(host_time[0]), True
             self._total = -1.0
-        step = np.diff(raw, prepend=self._raw)
-        if self._modulus:
-            step %= self._modulus
-        ordinary = (
-            (step > 0.0)
-            & (step * self._tick < RESTART_S / 2.0)
-            & (np.diff(host_time, prepend=self._host) < RESTART_S / 2.0)
-        )
-        if ordinary.all():
-            count: FloatArray = self._total + np.cumsum(step)
-            if len(raw):
-                self._raw, self._host, self._total = float(raw[-1]), float(host_time[-1]), float(count[-1])
-            return count, ordinary
         pairs = [self._next(r, h) for r, h in zip(raw.tolist(), host_time.tolist(), strict=True)]
         return np.array([total for total, _ in pairs]), np.array([is_new for _, is_new in pairs], dtype=bool)
 
@@ -296,6 +283,7 @@ class Decoder(ABC):
         self.errors = 0
         self._width, self._checksum = len(description.channels), CHECKSUMS[description.checksum]
         self._rest = b""
+        self._begun = False  # False until the first line or frame, which may be incomplete
 
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
         """Add bytes and return the completed rows, (N, K). `whole` marks a datagram, after which no bytes are stored."""
@@ -303,6 +291,15 @@ class Decoder(ABC):
         valid = finite(rows)
         self.errors += len(rows) - len(valid)
         return valid
+
+    def _lines(self, buffer: bytes, is_datagram: bool) -> list[bytes]:
+        """Return the complete lines in the buffer, and store the incomplete rest."""
+        *lines, self._rest = buffer.split(b"\n")
+        if is_datagram:
+            lines, self._rest, self._begun = [*lines, self._rest], b"", True
+        elif len(self._rest) > LONGEST_LINE:
+            self._rest, self.errors = b"", self.errors + 1
+        return lines
 
     @abstractmethod
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
@@ -317,27 +314,20 @@ class LineDecoder(Decoder):
         self._separator = description.separator.encode("ascii", errors="replace")
         if not self._separator:
             raise InputError("stream: no separator between the numbers of a line. Set `separator`.")
-        self._first = True
 
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
-        *lines, self._rest = buffer.split(b"\n")
-        if is_datagram:
-            lines.append(self._rest)
-            self._rest, self._first = b"", False
-        if len(self._rest) > LONGEST_LINE:
-            self._rest, self.errors = b"", self.errors + 1
         rows = []
-        for line in lines:
-            stripped = line.strip()
-            row = self._row(stripped) if stripped else None
+        for line in map(bytes.strip, self._lines(buffer, is_datagram)):
+            row = self._row(line)
             if row is not None:
                 rows.append(row)
-            elif stripped and not self._first:
+            elif line and self._begun:
                 self.errors += 1
-            self._first = False
+            self._begun = True
         return np.array(rows, dtype=float).reshape(-1, self._width)
 
     def _row(self, line: bytes) -> list[float] | None:
+        """Return the numbers of a line, or None if the line is corrupted."""
         line = line.removeprefix(b"$")
         try:
             if self._checksum.size:
@@ -366,36 +356,30 @@ class FrameDecoder(Decoder):
         if not self._sync:
             raise InputError("stream: frames require sync bytes. Set `sync`.")
         self._fields = frame_fields(description.pack, self._width)
-        self._order: str = "little" if description.pack.startswith("<") else "big"
-        self._in_step = True  # bytes before the first sync belong to an incomplete frame
+        self._order: Literal["little", "big"] = "little" if description.pack.startswith("<") else "big"
+        self._in_step = True  # False within a stretch of corrupted bytes, which counts as one error
 
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
         head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
-        at, bodies = 0, []
-        while len(buffer) - at >= head + body + tail:
-            end = at + head + body
-            if not buffer.startswith(self._sync, at):
-                at = self._resume(buffer, at)
-            elif int.from_bytes(buffer[end : end + tail], self._order) == self._checksum.of(buffer[at + head : end]):  # type: ignore[arg-type]
-                bodies.append(buffer[at + head : end])
-                at, self._in_step = end + tail, True
-            else:
-                self.errors, self._in_step = self.errors + 1, False
-                at += 1
-        self._rest = b"" if is_datagram else buffer[at:]
-        if is_datagram and at < len(buffer):
+        start, bodies = 0, []
+        while len(buffer) - start >= head + body + tail:
+            fields, end = buffer[start + head : start + head + body], start + head + body
+            is_frame = buffer.startswith(self._sync, start)
+            if is_frame and int.from_bytes(buffer[end : end + tail], self._order) == self._checksum.of(fields):
+                bodies.append(fields)
+                start, self._in_step, self._begun = end + tail, True, True
+                continue
+            if is_frame or (self._in_step and self._begun):
+                self.errors += 1
+            self._in_step = False
+            position = buffer.find(self._sync, start + 1)
+            start = position if position >= 0 else max(start + 1, len(buffer) - head + 1)
+        self._rest = b"" if is_datagram else buffer[start:]
+        if is_datagram and start < len(buffer):
             self.errors += 1
         table = np.frombuffer(b"".join(bodies), dtype=self._fields)
         columns = [table[name].astype(float) for name in self._fields.names or ()]
         return np.array(columns).T.reshape(len(table), self._width)
-
-    def _resume(self, buffer: bytes, at: int) -> int:
-        """Return the position of the next sync bytes. A stretch of corrupted bytes counts as one error."""
-        if self._in_step and at:
-            self.errors += 1
-        self._in_step = False
-        position = buffer.find(self._sync, at)
-        return position if position >= 0 else max(at + 1, len(buffer) - len(self._sync) + 1)
 
 
 def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:

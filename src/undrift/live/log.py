@@ -20,7 +20,7 @@ from undrift.io.guess import example_map
 from undrift.io.labelled import label_of, sheet_of
 from undrift.io.log import LineReader, LogLine, cycle_of, find_readings, lines_of, log_text, readings_in
 from undrift.live.clock import DeviceClock
-from undrift.live.decoder import COUNTER, IGNORED, LONGEST_LINE, Decoder, StreamDescription
+from undrift.live.decoder import COUNTER, IGNORED, Decoder, StreamDescription
 from undrift.live.transports import GROUP, POLL_S, SOURCES, ByteSource, SerialPort, source_at
 from undrift.plugins import split_address
 from undrift.record import sample_rate_of
@@ -48,27 +48,22 @@ class LogDecoder(Decoder):
     def __init__(self, description: StreamDescription) -> None:
         super().__init__(description)
         self._first, self._reader = description.separator, LineReader()
-        self._begun, self._lines, self._cycle = False, list[LogLine](), list[tuple[str, ...]]()
+        self._unread, self._cycle = list[LogLine](), list[tuple[str, ...]]()
 
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
-        *lines, self._rest = buffer.split(b"\n")
-        if is_datagram:
-            lines, self._rest, self._begun = [*lines, self._rest], b"", True
-        elif len(self._rest) > LONGEST_LINE:
-            self._rest, self.errors = b"", self.errors + 1
-        texts = [line.decode("utf-8", "replace") for line in lines]
+        texts = [line.decode("utf-8", "replace") for line in self._lines(buffer, is_datagram)]
         if texts and not self._begun:  # the first line may be incomplete
             texts, self._begun = texts[1:], True
         fresh = list(filter(None, map(self._reader.take, texts)))
-        self._lines += fresh
+        self._unread += fresh
         if not self._cycle and not self._learn():
-            self._lines = self._lines[-LEARNT_LINES:]
+            self._unread = self._unread[-LEARNT_LINES:]
             return np.empty((0, self._width))
         self.errors += sum(line.shape not in self._cycle for line in fresh)
-        readings = list(readings_in(self._lines, self._cycle))
+        readings = list(readings_in(self._unread, self._cycle))
         if readings:  # lines after the last reading may continue
             last = readings[-1][-1]
-            self._lines = self._lines[next(k for k, line in enumerate(self._lines) if line is last) + 1 :]
+            self._unread = self._unread[next(k for k, line in enumerate(self._unread) if line is last) + 1 :]
         stamped = self._width > sum(len(shape) - 2 for shape in self._cycle)
         rows = [
             [*([reading[0].stamp_s] if stamped else ()), *(value for line in reading for value in line.values)]
@@ -78,7 +73,7 @@ class LogDecoder(Decoder):
 
     def _learn(self) -> bool:
         """Learn the sequence of line shapes. Return True if their count of numbers matches the channels."""
-        cycle = cycle_of(self._lines)
+        cycle = cycle_of(self._unread)
         start = next((k for k, shape in enumerate(cycle) if " ".join(shape[:2]).strip() == self._first), 0)
         cycle = cycle[start:] + cycle[:start]
         numbers = sum(len(shape) - 2 for shape in cycle)
