@@ -268,8 +268,7 @@ def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
         open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))
 
 
-def test_a_stepper_does_not_know_its_following_error(bench):
-    assert math.isnan(bench.rig.following_error())
+def test_a_board_at_rest_has_no_rate(bench):
     assert mean_turn_rate(bench.rig, bench.clock, 0.5) == 0.0
 
 

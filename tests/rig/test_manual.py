@@ -10,7 +10,7 @@ import undrift
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, UP
 from undrift.base.clock import Clock
-from undrift.errors import InputError, LimitError, LinkError, RigFault
+from undrift.errors import InputError, LimitError, RigFault
 from undrift.io.session import read_session
 from undrift.programme import programme_of, read_protocol
 from undrift.record import Record
@@ -72,7 +72,6 @@ def test_what_a_person_cannot_know_is_nan():
     rig = ManualRig(Person())
     rig.enable(True)
     rig.stop()
-    assert math.isnan(rig.following_error())
     assert math.isnan(rig.set_acceleration(1.0))
     assert rig.fault() is None
     assert rig.identify() == "a person who turns the device by hand"
@@ -83,14 +82,6 @@ def test_the_travel_counts_for_a_hand_too():
     with pytest.raises(LimitError, match="travel"):
         ManualRig(person, Limits(travel=1.0)).move_by(2.0)
     assert person.lines == []
-
-
-def test_a_closed_rig_asks_nothing():
-    rig = ManualRig(Person())
-    rig.close()
-    rig.close()
-    with pytest.raises(LinkError, match="it is closed"):
-        rig.move_by(1.0)
 
 
 def test_nobody_to_ask_and_a_person_with_a_port_are_refused():

@@ -147,21 +147,16 @@ class Chamber(AbstractContextManager["Chamber"]):
         self.read()
         return self._steadiness.steady_at(self._set_point)
 
+    def close(self) -> None:
+        """Switch the chamber off. A second call has no effect."""
+        if not self._closed:
+            self._closed = True
+            with contextlib.suppress(RigError):
+                self.switch_off()
+
     @abstractmethod
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
-
-    def close(self) -> None:
-        """Switch the chamber off and close the link, which may be lost. A second call has no effect."""
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            with contextlib.suppress(RigError):
-                self._reconnect()  # so that a late answer cannot prevent switching off
-                self.switch_off()
-        finally:
-            self._let_go()
 
     @abstractmethod
     def _send(self, temp_c: float) -> float:
@@ -170,12 +165,6 @@ class Chamber(AbstractContextManager["Chamber"]):
     @abstractmethod
     def _measure(self) -> float:
         """Return the temperature of the chamber's thermometer, degC."""
-
-    def _reconnect(self) -> None:
-        """Close and reopen the link."""
-
-    def _let_go(self) -> None:
-        """Close the link."""
 
 
 class ScpiChamber(Chamber):
@@ -195,6 +184,16 @@ class ScpiChamber(Chamber):
             self._link.close()
             raise
 
+    def close(self) -> None:
+        """Switch the chamber off and close the link, which may be lost. A second call has no effect."""
+        if not self._closed:
+            try:
+                with contextlib.suppress(RigError):
+                    self._link.reconnect()  # so that a late answer cannot prevent switching off
+                super().close()
+            finally:
+                self._link.close()
+
     def switch_off(self) -> None:
         """Switch heater and compressor off."""
         if self._number("OUTP OFF;:OUTP?") != 0.0:
@@ -209,12 +208,6 @@ class ScpiChamber(Chamber):
 
     def _measure(self) -> float:
         return self._number("MEAS:TEMP?")
-
-    def _reconnect(self) -> None:
-        self._link.reconnect()
-
-    def _let_go(self) -> None:
-        self._link.close()
 
     def _ask(self, text: str) -> str:
         return self._link.exchange(text).strip()

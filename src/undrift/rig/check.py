@@ -7,7 +7,8 @@ the error increases with the acceleration, so it is reported separately.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -45,6 +46,16 @@ class CheckSettings:
             )
 
 
+class ServoRig(Rig, Protocol):
+    """A rig that reports its servo and its following error."""
+
+    def read_servo(self) -> ServoReport:
+        """Return the servo's gains and sample period."""
+
+    def following_error(self) -> float:
+        """Return commanded minus actual angle, rad."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveError:
     """Following error in a step wave."""
@@ -63,36 +74,33 @@ class RigCheck:
     error: WaveError
     passed: bool
     servo: ServoReport
-    verdict: Verdict = field(default_factory=Verdict)
+    verdict: Verdict
 
 
 def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = lambda line: None) -> RigCheck:
     """Check a table and close it at rest with its motor off."""
     try:
-        return _run_check(rig, clock, settings, report)
+        if not hasattr(rig, "read_servo"):
+            raise InputError(
+                f"rig check: {rig.identify()} has no encoder, so it reports no following error. Check a servo table."
+            )
+        servo_rig = cast(ServoRig, rig)
+        rig.limits.check_turn_rate(settings.turn_rate)
+        rig.limits.check_travel(settings.turn_rate * settings.half_period_s)
+        identity, servo = rig.identify(), servo_rig.read_servo()
+        rig.enable(True)
+        rig.set_acceleration(settings.acceleration)
+        error = _step_wave(servo_rig, clock, settings, report)
     finally:
         with uninterrupted():
             rig.close()
-
-
-def _run_check(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) -> RigCheck:
-    rig.limits.check_turn_rate(settings.turn_rate)
-    rig.limits.check_travel(settings.turn_rate * settings.half_period_s)
-    identity, servo = rig.identify(), rig.read_servo()
-    if servo is None:
-        raise InputError(
-            f"rig check: {identity} has no encoder, so it reports no following error. Check a servo table."
-        )
-    rig.enable(True)
-    rig.set_acceleration(settings.acceleration)
-    error = _step_wave(rig, clock, settings, report)
     passed = error.largest <= settings.limit
     numbers = {"largest_deg": error.largest / RADIAN_PER_DEGREE, "limit_deg": settings.limit / RADIAN_PER_DEGREE}
     verdict = Verdict.of(*([] if passed else [finding("rig_check.error", "fail", **numbers)]))
     return RigCheck(identity=identity, error=error, passed=passed, servo=servo, verdict=verdict)
 
 
-def _step_wave(rig: Rig, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
+def _step_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
     """Turn in alternating directions, read the following error continuously and return its statistics."""
     steady: list[float] = []
     in_run_up: list[float] = []

@@ -5,7 +5,7 @@ motion, 0x85 ends a jog, 0x18 resets the board. Alarms arrive between answers, w
 
 `$J=G91A<deg>F<deg/min>` turns by an angle and can be cancelled at any time. A steady turn is a jog by a whole number of steps. The
 steps per degree are in `$100` and the next settings. The board ends the jog itself, even if this program has ended. The table has
-no encoder, so the commanded rate is reported as the achieved rate, and the following error is NaN.
+no encoder, so the commanded rate is reported as the achieved rate.
 """
 
 import contextlib
@@ -170,10 +170,6 @@ class GrblRig(LinkedRig):
         with self._guarded():
             return "; ".join([self._greeting, *(line.strip("[]") for line in self.board.do("$I"))])
 
-    def read_servo(self) -> None:
-        """Return None, because the board drives a stepper without an encoder."""
-        return
-
     def enable(self, on: bool) -> None:
         """Wake the motor up, or stop it and put it to sleep (``$SLP``)."""
         with self._guarded():
@@ -256,10 +252,6 @@ class GrblRig(LinkedRig):
             angle = (self._read_place() - self._home_deg) * RADIAN_PER_DEGREE
             after_s = self.board.clock.now()
         return Position(angle=angle, time=0.5 * (before_s + after_s), within_s=0.5 * (after_s - before_s))
-
-    def following_error(self) -> float:
-        """Return NaN, because a stepper without an encoder has no following error."""
-        return math.nan
 
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""

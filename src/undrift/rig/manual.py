@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 from undrift.base.clock import HOST, Clock
-from undrift.errors import InputError, LinkError, RigFault
+from undrift.errors import InputError, RigFault
 from undrift.live.transports import number_of
 from undrift.record import Face
 from undrift.rig.chamber import Chamber, ChamberSetup
@@ -91,35 +91,26 @@ class ManualRig:
         self.limits = limits
         self._ask, self._clock = ask, clock
         self._angle = 0.0
-        self._closed = False
 
     def identify(self) -> str:
         """Return a description of the manual rig."""
         return "a person who turns the device by hand"
 
-    def read_servo(self) -> None:
-        """Return None, because a person has no servo."""
-        return
-
     def enable(self, on: bool) -> None:
-        """Check that the rig is open. There is nothing to switch."""
-        self._check_open()
+        """Do nothing, because there is no motor."""
 
     def set_acceleration(self, acceleration: float) -> float:
         """Return NaN, because the acceleration of a hand is unknown."""
-        self._check_open()
         return math.nan
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Raise RigFault, because a hand cannot turn at a steady rate."""
-        self._check_open()
         raise RigFault(
             "manual rig: a hand cannot turn at a steady rate. Plan turns through known angles (move_by) instead."
         )
 
     def move_by(self, angle: float) -> float:
         """Ask the operator to turn the device by an angle, and return the angle that the operator reports, rad."""
-        self._check_open()
         self.limits.check_travel(self._angle + angle)
         asked_deg = angle / RADIAN_PER_DEGREE
         line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that, q: give up): "
@@ -136,24 +127,14 @@ class ManualRig:
 
     def position(self) -> Position:
         """Return the sum of the reported angles, rad, and the current time."""
-        self._check_open()
         return Position(angle=self._angle, time=self._clock.now())
-
-    def following_error(self) -> float:
-        """Return NaN, because the following error of a hand is unknown."""
-        return math.nan
 
     def fault(self) -> str | None:
         """Return None, because the operator reports faults."""
         return None
 
     def close(self) -> None:
-        """Close the rig, so that it asks no more. A second call has no effect."""
-        self._closed = True
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise LinkError("manual rig: the rig accepts no commands (it is closed). Open it again.")
+        """Do nothing, because there is no link."""
 
 
 def open_from(url: str, settings: RigSettings) -> ManualRig:

@@ -162,9 +162,6 @@ class Rig(Protocol):
     def identify(self) -> str:
         """Return make, model and firmware."""
 
-    def read_servo(self) -> ServoReport | None:
-        """Return the servo's gains and sample period, or None if the rig has no servo (a stepper or a person)."""
-
     def enable(self, on: bool) -> None:
         """Switch the motor on or off."""
 
@@ -185,9 +182,6 @@ class Rig(Protocol):
 
     def position(self) -> Position:
         """Return the current position of the axis."""
-
-    def following_error(self) -> float:
-        """Return commanded minus actual angle, rad."""
 
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""
