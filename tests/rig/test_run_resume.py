@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import random
 import re
 import shutil
 import signal
@@ -34,7 +35,8 @@ DWELLS = 9
 needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 # calls in which a run is killed: of the clock's wait while it moves and reads, of fsync while it writes
 INSTANTS = (("fsync", 2), ("wait", 40), ("fsync", 11), ("wait", 75))
-MORE_INSTANTS = tuple((name, number) for name in ("wait", "fsync") for number in range(1, 60, 3))
+CHANCE = random.Random(60)
+SIXTY_INSTANTS = tuple((CHANCE.choice(("wait", "fsync")), CHANCE.randrange(1, 60)) for _ in range(60))
 
 
 @pytest.fixture
@@ -52,7 +54,7 @@ def simulated_run(protocol, path, *more):
 
 
 @needs_signals
-@pytest.mark.parametrize("instants", [INSTANTS, pytest.param(MORE_INSTANTS, marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize("instants", [INSTANTS, pytest.param(SIXTY_INSTANTS, marks=pytest.mark.slow)], ids=len)
 def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, instants):
     """A run is killed and resumed, and killed again; each dwell that was reported is still there, bit by bit, at the end."""
     path, kept, left = tmp_path / "run", dict[int, str](), list(instants)

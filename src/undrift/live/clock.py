@@ -45,8 +45,8 @@ class ClockLine:
         return self.device_zero + (host_time - self.host_zero) / self.rate
 
 
-class _Stretch:
-    """Packets of a stretch of time: lower hull, number and sum of device times."""
+class _Packets:
+    """Packets of some minutes: lower hull, number and sum of device times."""
 
     def __init__(self, start: float) -> None:
         self.start, self.count, self.total = start, 0, 0.0
@@ -58,7 +58,7 @@ class DeviceClock:
 
     def __init__(self, clock_speed: float = 1.0, memory_s: float = MEMORY_S) -> None:
         self._nominal, self._memory_s = 1.0 / clock_speed, memory_s
-        self._stretches: deque[_Stretch] = deque(maxlen=2)
+        self._parts: deque[_Packets] = deque(maxlen=2)
         self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
         self._zero: Point | None = None
         self._prompt: Point = (0.0, np.inf)  # earliest packet (earlier points are removed, because they were late)
@@ -75,12 +75,12 @@ class DeviceClock:
             if y < self._prompt[1] + (1.0 - DRAINING) * self._nominal * (x - self._prompt[0]):
                 self._prompt = x, y
                 self._recent.clear()
-                self._stretches.clear()
-            if not self._stretches or x - self._stretches[-1].start > self._memory_s:
-                self._stretches.append(_Stretch(x))
-            stretch = self._stretches[-1]
-            stretch.count, stretch.total = stretch.count + 1, stretch.total + x
-            extend_hull(stretch.hull, (x, y))
+                self._parts.clear()
+            if not self._parts or x - self._parts[-1].start > self._memory_s:
+                self._parts.append(_Packets(x))
+            packets = self._parts[-1]
+            packets.count, packets.total = packets.count + 1, packets.total + x
+            extend_hull(packets.hull, (x, y))
             self._recent.append((x, y))
 
     def fit(self) -> ClockLine:
@@ -88,10 +88,10 @@ class DeviceClock:
         if self._zero is None:
             raise InputError("clock: no packet has arrived. Wait for the device.")
         hull: list[Point] = []
-        for stretch in self._stretches:
-            for point in stretch.hull:
+        for packets in self._parts:
+            for point in packets.hull:
                 extend_hull(hull, point)
-        mean = sum(stretch.total for stretch in self._stretches) / sum(stretch.count for stretch in self._stretches)
+        mean = sum(packets.total for packets in self._parts) / sum(packets.count for packets in self._parts)
         low, high = self._nominal * (1.0 - RATE_TOLERANCE), self._nominal * (1.0 + RATE_TOLERANCE)
         slope = min(max(slope_at(hull, mean, self._nominal), low), high)
         offset = min(y - slope * x for x, y in hull)
