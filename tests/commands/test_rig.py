@@ -43,7 +43,7 @@ def test_run_and_calibrate_find_the_devices_hidden_parameters(tmp_path, capsys):
     text = (tmp_path / "run.html").read_text()
     assert faults_of(text) == []
     assert "run: 30 dwells, 30 of them now, in 0:" in text
-    assert "session.toml; 0 readings missing" in text
+    assert "session.toml, 0 readings missing" in text
     out, err = capsys.readouterr()
     said = json.loads(out)
     assert (said["dwells"], len(said["turns"])) == (30, 18)
@@ -82,7 +82,7 @@ def test_check_accepts_a_table_by_its_limit(capsys):
     ("words", "message", "code"),
     [
         (["run", "none.toml", "--rig", "manual:", "--device", "tcp://h:1", "-o", "x"], "none.toml", 2),
-        (["stop", "--rig", "lathe:"], "rig: wanted one of galil:", 2),
+        (["stop", "--rig", "lathe:"], "rig: expected one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
         (["check", "--rig", "manual:"], "rig check: expected a table with a motor, got manual:", 2),
         (["check", "--rig", NOBODY, "--seconds", "0"], "duration_s above 0", 2),

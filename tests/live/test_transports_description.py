@@ -49,7 +49,7 @@ def test_readings_become_a_record_in_the_units_stated():
         ({"rate": 1.0, "channels": ("temp",)}, r"no channel of gyro"),
         ({"rate": 1.0, "channels": (*SIX, "x")}, r"count, -, .* got 'x'"),
         ({"rate": 1.0, "channels": (*SIX, "temp", "temp")}, r"got 'temp'"),
-        ({"rate": 1.0, "gyro_unit": "m"}, r"unit of rate: wanted one of"),
+        ({"rate": 1.0, "gyro_unit": "m"}, r"unit of rate: expected one of"),
         ({"rate": 1.0, "format": "xml"}, r"format .*got 'xml'"),
         ({"rate": 1.0, "checksum": "md5"}, r"none, xor, crc16, got 'md5'"),
         ({"rate": 1.0, "counter_bits": 64}, r"counter_bits .*0 to 53 .*got 64 and 0"),
@@ -65,9 +65,9 @@ def test_a_description_that_cannot_be_is_refused(options, text):
     [
         (
             "tcp",
-            r"wanted one of tcp:..., udp:..., serial:..., lsl:..., simulated:..., got 'tcp'; name how it is connected",
+            r"expected one of tcp:..., udp:..., serial:..., lsl:..., simulated:..., got 'tcp'. Name how it is connected",
         ),
-        ("can:0?rate=1", r"wanted one of tcp"),
+        ("can:0?rate=1", r"expected one of tcp"),
         ("tcp://h:1?rate", r"expected options as name=value&name=value, got 'rate'"),
         ("tcp://h:1?rate=fast", r"'fast' is not a number for rate"),
         ("tcp://h:1?rate=1&speed=2", r"unknown option 'speed'"),

@@ -30,7 +30,7 @@ def test_an_option_of_the_address_wins_over_the_settings():
 
 @pytest.mark.parametrize("address", ["", "galil", "lathe:tcp://host:1", "tcp://host:1"])
 def test_a_rig_that_is_none_of_ours_is_refused(address):
-    with pytest.raises(InputError, match=r"rig: wanted one of galil:..., grbl:..., manual:..., simulated:..., got"):
+    with pytest.raises(InputError, match=r"rig: expected one of galil:..., grbl:..., manual:..., simulated:..., got"):
         open_rig(address)
 
 

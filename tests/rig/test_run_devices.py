@@ -132,7 +132,7 @@ def test_one_device_that_is_disturbed_for_good_misses_the_rest_and_the_other_goe
 
 def test_a_device_that_is_gone_before_its_rest_is_taken_again_misses_it(tmp_path):
     bench = simulated(devices=2)
-    with pytest.raises(RigTimeout, match=r"b: expected 7 dwells, got 6. Step 7 .*wanted a device that sends"):
+    with pytest.raises(RigTimeout, match=r"b: expected 7 dwells, got 6. Step 7 .*expected a device that sends"):
         run_two(bench, tmp_path, second={"disturbed": (7,), "dead_from": 8})
     assert at_rest(bench)
     assert len(read_session(tmp_path / "a").records) == 7

@@ -238,7 +238,7 @@ def _simulated(
         )
     models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
     for text in devices:
-        told = dict(split_address(text, "device", {"simulated": ""}, "", "name how it is connected")[2])
+        told = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
         try:
             seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
         except ValueError as error:

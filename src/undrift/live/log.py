@@ -84,7 +84,7 @@ class LogDecoder(Decoder):
 
 def described_address(address: str) -> tuple[str, tuple[str, ...]]:
     """Return an address with a description of the device, and notes. An address that has a description is not changed."""
-    kind, place, options = split_address(address, "device", SOURCES, GROUP, "name how it is connected")
+    kind, place, options = split_address(address, "device", SOURCES, GROUP, "Name how it is connected")
     given_options = dict(options)
     if kind not in BYTE_WAYS or {"channels", "rate", "description", "format"} & given_options.keys():
         return address, ()

@@ -85,7 +85,7 @@ class Address:
 
 def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
     """Return the unopened source of an address."""
-    kind, place, options = split_address(text, "device", SOURCES, GROUP, "name how it is connected")
+    kind, place, options = split_address(text, "device", SOURCES, GROUP, "Name how it is connected")
     address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
     source: Source = load_named(kind, SOURCES, GROUP)(address)
     return source

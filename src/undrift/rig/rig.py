@@ -372,7 +372,7 @@ def check_free(name: str, state: str, settings: RigSettings) -> None:
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Return the kind, the URL and the settings that an address contains."""
-    kind, url, options = split_address(address, "rig", CONTROLLERS, GROUP, "name the kind of rig")
+    kind, url, options = split_address(address, "rig", CONTROLLERS, GROUP, "Name the kind of rig")
     for name, text in options:
         if name not in OPTIONS:
             raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
