@@ -16,7 +16,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 REST_LOOKED_AT_S = 600.0
 FAR_SIGMAS = 4.0
-# One standard deviation of what a sound device leaves at a rest beside the calibration's own uncertainty: turn-on and ageing by
+# Standard deviation at rest of a sound device in addition to the calibration's uncertainty: turn-on and ageing from
 # data sheets of consumer parts [assumed], local gravity elsewhere (0.15 %), and the Earth's rate.
 LEFT_ACCEL, LEFT_RATE = 0.010 * STANDARD_GRAVITY, 0.25 * RADIAN_PER_DEGREE
 LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # m/s2 as read, and the share of it that the opposite sign leaves
@@ -26,10 +26,10 @@ UNKNOWN_DEPARTURE_K = 10.0  # where recording or calibration has no temperature
 def check_corrected(
     record: Record, calibration: Calibration, raw: Record, stills: tuple[Still, ...] | None = None
 ) -> tuple[Finding, ...]:
-    """Return what speaks against a corrected record's columns, its range or its calibration; raise where it is clear.
+    """Return findings about columns, range or calibration of a corrected record. Raise if an error is clear.
 
-    The size of the specific force is not looked at but at rest: the readings may be of a model, not of a motion. ``stills`` are
-    its still phases where they are known.
+    The size of the specific force is checked only at rest, because the readings may come from a model. ``stills`` are the still
+    phases of the record, if known.
     """
     from undrift.io.inspect import find_saturated
 

@@ -2,24 +2,24 @@
 
 For a reading u (3,) at temperature T, in this order::
 
-    1  u1 = u + h sign(u)         codes truncated toward zero; u + h where they were rounded down; h is half a step
-    2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, else the constant offset; o is the warm-up of a device that
-                                  was switched on t ago, if t is known; gyroscopes only
+    1  u1 = u + h sign(u)         for codes truncated toward zero, or u + h if codes were rounded down (h half a step)
+    2  u2 = u1 - offset(T) - o(t) tuning table of absolute offsets, otherwise the constant offset, and for gyroscopes the
+                                  warm-up o at the time t since power-on, if t is known
     3  w  = M(T) u2               matrix, constant or over temperature
-    4  w  = w - G a               g-sensitivity, gyroscopes only, a the corrected specific force
+    4  w  = w - G a               g-sensitivity with the corrected specific force a, gyroscopes only
     5  w  = w - e(w, T)           dynamic drift over the measured rate, bilinear, gyroscopes only
-    6  w  = w - m(t) d            where a fit to references has d: m is 1 while the device turns, else 0 (segments.py), which looks
-                                  back only: it lags the onset of 10 deg/s by 0.02 s, the end of 200 deg/s by 1 s; gyroscopes only
-    7  w  = w - r                 on request: the mean of w at a rest, which takes what steps 1 to 6 leave there (rest.py)
-    8  h  = x - l w x x           magnetometer, x = A (m - b) and w that of step 6; without a model m is carried along
+    6  w  = w - m(t) d            gyroscopes only, with d from a fit to references, and m = 1 while the device turns, else 0
+                                  (segments.py, causal: it lags the onset of 10 deg/s by 0.02 s, the end of 200 deg/s by 1 s)
+    7  w  = w - r                 on request: r is the mean of w at a rest, the remaining error of steps 1 to 6 (rest.py)
+    8  h  = x - l w x x           magnetometer, x = A (m - b), with w from step 6 (without a model m is copied)
 
-A table takes the place of its constant; the two are never added. T is the temperature of the sensors: the lag of the thermometer
-is subtracted if the calibration has one. Tables are held at their ends. ``policy`` decides whether a temperature beyond them is an
-error, is held, or becomes a gap. Without a temperature the result is a gap under every policy.
+A table replaces its constant. The two are never added. T is the temperature of the sensors: the lag of the thermometer is
+subtracted if the calibration has one. Beyond its ends a table keeps its end values. ``policy`` decides whether a temperature beyond
+the table is an error, uses the end value, or becomes a gap. Without a temperature the result is a gap under every policy.
 
 ``_evaluate_triad`` contains steps 1 to 5. plan.py turns the calibration into the constants of the kernels, and coverage.py finds
-what the calibration does not cover. ``Corrector`` corrects a stream chunk by chunk. Only the lag of the thermometer and the search
-for turns look at other samples; both look back only, and pass their state to the next chunk.
+samples that the calibration does not cover. ``Corrector`` corrects a stream chunk by chunk. Only the lag of the thermometer and the
+search for turns use other samples. Both are causal, and pass their state to the next chunk.
 """
 
 import warnings
@@ -68,7 +68,7 @@ REFERENCE_SPAN_C = 5.0  # constant offsets are assumed to hold so far from the r
 
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
-    """Evaluate the model for one triad: readings u to w; a is empty without step 4."""
+    """Evaluate the model for a triad and write readings u to w. The force a is empty without step 4."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
@@ -105,24 +105,24 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
 
 
 class DriftRangeWarning(UserWarning):
-    """Readings were corrected beyond what the calibration covers."""
+    """Readings were corrected beyond the range of the calibration."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """A corrected record, and where the calibration did not cover it.
+    """A corrected record, with masks of the samples that the calibration did not cover.
 
     Parameters
     ----------
     record : Record
         rad/s and m/s2 in frame b, state corrected.
     outside, extrapolated, missing : array, shape (N,)
-        True if the temperature lay outside a tuning table; inside, at nodes that no data were near; or was not recorded though a
-        table needs it: the result is then NaN, whatever the policy.
+        ``outside`` marks temperatures beyond a tuning table, ``extrapolated`` marks nodes without nearby data. ``missing`` marks
+        samples without a temperature that a table needs: their result is NaN under every policy.
     findings : tuple of Finding
         Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
     reach, carry : Reach, Carry
-        Samples and seconds of each mask with the span of temperature and rate; the state for the next chunk of a stream.
+        Samples and seconds of each mask with the span of temperature and rate, and the state for the next chunk of a stream.
     rest : RestOffset, MotionOffset or None
         The offset that was subtracted, with its uncertainty.
     """
@@ -157,35 +157,38 @@ def correct(
     offset: Offset = "none",
     check: bool = True,
 ) -> Record:
-    """Turn a device's readings into rate and specific force.
+    """Correct a device's readings to rate and specific force.
 
     Parameters
     ----------
     record, calibration : Record, Calibration
-        Raw readings, in the calibration's unit or another physical one; temperatures if the calibration has tables.
+        Raw readings, in the calibration's unit or another physical unit, with temperatures if the calibration has tables.
     policy : str
-        For samples whose temperature lies outside a table: "raise", "hold" the table's end, or "nan".
+        For samples with a temperature outside a table: "raise" an error, "hold" the end value, or return "nan".
     out : tuple of two arrays, shape (N, 3), optional
-        Where to write rate and specific force; the record then refers to these arrays.
+        Buffers for rate and specific force. The record then refers to these arrays.
     power_on_s : float, optional
         Time since power-on at the first sample, s. Without it no warm-up is subtracted.
     offset : str, RestOffset or MotionOffset
-        "rest" subtracts the mean rate that is left at the first still phase, and with it any true slow turn. "motion" also
-        subtracts what gravity shows while the device moves. An object subtracts an offset that is known.
+        "rest" subtracts the mean rate at the first still phase, including any true slow turn. "motion" also subtracts the
+        offset that gravity determines in motion. An object subtracts a known offset.
     check : bool
-        Check that gyroscope and accelerometer agree and that rests fit the calibration: some tens of milliseconds.
+        If True, check that gyroscope and accelerometer agree and that rests fit the calibration, in some tens of milliseconds.
 
     Returns
     -------
     Record
         rad/s and m/s2 in frame b, state corrected. Warns with DriftRangeWarning beyond the calibration's temperatures and
-        dynamic table, and if record and calibration do not fit.
+        dynamic table, and if record and calibration do not agree.
 
     Raises
     ------
-    InputError, DriftRangeError, Implausible
-        Readings that the calibration is not for, or no rest if one is asked for; temperatures outside a table under policy
-        "raise"; columns, units or a sample rate that are clearly wrong.
+    InputError
+        The calibration is not for these readings, or a requested rest is missing.
+    DriftRangeError
+        Under policy "raise", a temperature is outside a table.
+    Implausible
+        Columns, units or the sample rate are clearly wrong.
 
     Examples
     --------
@@ -215,16 +218,16 @@ def correct_checked(
     power_on_s: float | None = None,
     offset: Offset = "none",
 ) -> Corrected:
-    """Correct a record and return with it where the calibration does not cover it, or does not fit it.
+    """Correct a record, and return findings and masks if the calibration does not cover or fit it.
 
     Parameters
     ----------
     record, calibration, policy
-        As for ``correct``, which also says what is raised.
+        As for ``correct``, which also lists the exceptions.
     reference_span_c : float
-        Without a table, warn if the temperature departs from the reference by more than this, degC.
+        Without a table, warn if the temperature differs from the reference by more than this, degC.
     threads : int, optional
-        Default: all processors for long records, one for short ones. The bits of the result do not depend on it.
+        By default all processors for long records, and one for short records. The result does not depend on it.
     power_on_s, offset
         As for ``correct``.
 
@@ -235,8 +238,8 @@ def correct_checked(
     >>> device = undrift.random_device(rng)
     >>> calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     >>> trial = undrift.simulate_trial("sit_to_stand", device, rng=rng)
-    >>> done = undrift.correct_checked(trial.record, calibration)
-    >>> len(done.findings), int(done.outside.sum())
+    >>> corrected = undrift.correct_checked(trial.record, calibration)
+    >>> len(corrected.findings), int(corrected.outside.sum())
     (0, 0)
     """
     options = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
@@ -256,7 +259,7 @@ def correct_whole(
     offset: Offset = "none",
     **options: Any,
 ) -> Corrected:
-    """Correct a record from its start, without checks of plausibility; ``options`` are those of ``correct_planned``."""
+    """Correct a record from its start, without plausibility checks. ``options`` are passed to ``correct_planned``."""
     carry = carry_at_start(float(record.time[0]), power_on_s)
     done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
     if isinstance(offset, str):
@@ -299,11 +302,11 @@ def correct_planned(
     threads: int | None = None,
     carry: Carry = Carry(),
 ) -> Corrected:
-    """Correct a record with plans that were prepared; ``carry`` is the state of the stream before it."""
+    """Correct a record with prepared plans. ``carry`` is the state of the stream before it."""
     check_choice(policy, Policy, "correct", "policy")
     conditions, coming = conditions_of(record, calibration, plans, carry)
     temp_c, time, before = conditions.temp_c, record.time, carry.last_time
-    # A least value is NaN if any is. Masks stay None if nothing is marked: most records need no second pass over them.
+    # If any value is NaN, the minimum is NaN. Masks stay None if nothing is marked, so most records need no second pass.
     missing = np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
     drift, allowed = calibration.drift or NO_TABLES, policy != "raise"
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
@@ -351,7 +354,7 @@ def correct_planned(
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
-    """Return the arrays to write to: fresh ones, or the caller's."""
+    """Return the output arrays, new or provided by the caller."""
     if out is None:
         gyro, accel = (np.empty((0 if plan is None else n, 3)) for plan in plans)
         return gyro, accel
@@ -366,7 +369,7 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
 
 
 def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatArray | None:
-    """Return the magnetic field in the axes of the gyroscopes, uT: step 8; without their rate its lag stays."""
+    """Return the magnetic field in the axes of the gyroscopes, uT (step 8). Without their rate its lag is not corrected."""
     magnetometer = calibration.magnetometer
     if magnetometer is None or record.mag_ut is None:
         return record.mag_ut
@@ -378,7 +381,7 @@ def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrectorState:
-    """How far a stream has come: enough to continue it elsewhere."""
+    """State of a stream, which is enough to continue it in another Corrector."""
 
     reach: coverage.Reach = field(default_factory=coverage.Reach)  # of the chunks so far
     carry: Carry = field(default_factory=Carry)  # time of power-on, state of the lag
@@ -390,14 +393,14 @@ class CorrectorState:
 
 
 class Corrector:
-    """Correct a stream chunk by chunk; the result equals the batch to the last bit.
+    """Correct a stream chunk by chunk, with bit-identical results to ``correct``.
 
     Parameters
     ----------
     calibration, policy, reference_span_c, power_on_s
         As for ``correct_checked``.
     offset : RestOffset or MotionOffset, optional
-        Subtracted from every chunk. ``find_rest_offset_in`` finds a RestOffset in the first corrected chunks.
+        Offset that is subtracted from every chunk. ``find_rest_offset_in`` finds a RestOffset in the first corrected chunks.
 
     Examples
     --------
@@ -436,13 +439,13 @@ class Corrector:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Where the stream so far went beyond the calibration: the findings of the batch, each once."""
+        """Findings of the stream so far, each once, identical to the findings of a batch."""
         return coverage.coverage_findings(self.state.reach, self._calibration, self._span)
 
     def push(self, chunk: Record) -> Record:
-        """Return the next chunk, raw readings that follow the last one, corrected.
+        """Return the next chunk of raw readings, which must follow the previous chunk, corrected.
 
-        It raises as ``correct`` does, and for a chunk that does not follow the last one in time; the state is then as before.
+        It raises as ``correct`` does, and for a chunk that does not follow in time. The state is then unchanged.
         """
         done = self.push_checked(chunk)
         for text in done.warnings:
@@ -472,7 +475,7 @@ class Corrector:
 
 
 def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
-    """Read the next chunk in a second thread while the caller works on this one."""
+    """Read the next chunk in a second thread while the caller processes the current chunk."""
     with ThreadPoolExecutor(1) as pool:
         take = partial(next, chunks, None)
         coming = pool.submit(copy_context().run, take)  # the reading thread sees the progress of the caller

@@ -1,14 +1,14 @@
-"""Where a calibration does not cover a record, as masks, seconds and findings; no reading is changed.
+"""Find samples that a calibration does not cover, as masks, seconds and findings, without changing readings.
 
 ::
 
-    missing        no temperature was recorded, and a table needs one
-    outside        the temperature lies beyond a table; under policy raise also 3 degC beyond the data of the table
-    extrapolated   it lies inside, but the correction draws on a node that no data were near
+    missing        no temperature was recorded, but a table needs one
+    outside        the temperature is beyond a table (under policy raise also 3 degC beyond the data of the table)
+    extrapolated   it is inside, but the correction uses a node without nearby data
     departure      constant offsets are used far from the temperature at which they were determined
     turn rate      beyond the dynamic table
 
-Temperatures are those of the sensors, the thermometer's lag subtracted (correction/plan.py).
+Temperatures are sensor temperatures, without the thermometer's lag (correction/plan.py).
 """
 
 from dataclasses import dataclass
@@ -30,18 +30,18 @@ ON_NODE = 1e-9  # of a cell: a value so near to a node draws on that node only
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """How far readings went, as far as the calibration cares; of a record, or of all chunks of a stream so far."""
+    """Range of the readings that the calibration depends on, in a record, or in all chunks of a stream so far."""
 
     samples: int = 0
     samples_outside: int = 0  # beyond the tuning tables
     samples_extrapolated: int = 0  # inside them at nodes that no data were near
-    samples_without_temperature: int = 0  # that the tables need: the result is a gap, whatever the policy
+    samples_without_temperature: int = 0  # needed by the tables (the result is a gap under every policy)
     seconds_outside: float = 0.0
     seconds_extrapolated: float = 0.0
     seconds_without_temperature: float = 0.0
-    temp_c: Span = NOWHERE  # degC; infinite the wrong way round if nothing depends on it
-    departure_c: float = 0.0  # from the temperature of the constant offsets, degC; 0 if no offset is constant
-    turn_rate: Span = NOWHERE  # measured, that met the dynamic table, rad/s; infinite the wrong way round without one
+    temp_c: Span = NOWHERE  # degC, or (inf, -inf) if nothing depends on it
+    departure_c: float = 0.0  # from the temperature of the constant offsets, degC, or 0 if no offset is constant
+    turn_rate: Span = NOWHERE  # measured rate in the dynamic table, rad/s, or (inf, -inf) without the table
 
     def joined(self, later: "Reach") -> "Reach":
         """Return the reach of both."""
@@ -59,7 +59,7 @@ def _both(first: Span, second: Span) -> Span:
 
 
 def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
-    """Return how long marked samples last, s, each t_k - t_(k-1); ``before`` is the time of the sample before the first."""
+    """Return the total duration of marked samples, s. ``before`` is the time of the sample before the first."""
     if mask is None or not mask.any():
         return 0.0
     first = 2.0 * time[0] - time[1] if before is None else before
@@ -72,9 +72,9 @@ def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -
 def find_outside(
     record: Record, temp_c: FloatArray, plans: Plans, drift: DriftTables, *, allowed: bool, before: float | None
 ) -> BoolArray | None:
-    """Find the samples whose temperature lies beyond a tuning table, None if there is none.
+    """Find the samples whose temperature is beyond a tuning table, or return None.
 
-    Unless that is allowed, such a sample is an error, and so is a temperature far beyond the data of the table.
+    Unless ``allowed``, such a sample is an error, and so is a temperature far beyond the data of the table.
     """
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
     if not ranges:
@@ -111,7 +111,7 @@ def _other_unit(least: float, greatest: float, table: Span) -> str:
 
 
 def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray]) -> BoolArray | None:
-    """Find the samples whose correction draws on nodes that no data were near, None without such; corrected (N, 3), SI."""
+    """Find the samples whose correction uses nodes without nearby data, or return None. ``corrected`` (N, 3) is in SI units."""
     mask: BoolArray | None = None
     for plan, rates in zip(plans, corrected, strict=True):
         for table in () if plan is None else plan.constants.tables:
@@ -122,7 +122,7 @@ def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatAr
 
 
 def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray | None:
-    """Return the weight (N,) that extrapolated nodes have in a table's values, by interpolation; None if none is near."""
+    """Return the interpolation weight (N,) of extrapolated nodes in a table's values, or None if none is near."""
     nodes, marks = table.temp.nodes, table.extrapolated
     least, greatest = extremes(temp_c)
     if (
@@ -142,7 +142,7 @@ def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) 
 
 
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> tuple[Span, float]:
-    """Return the least and greatest temperature, and how far they depart from that of constant offsets, degC."""
+    """Return minimum and maximum temperature, degC, and the largest distance to the temperature of constant offsets."""
     reference = calibration.reference_temp_c
     constant = np.isfinite(reference) and any(
         plan is not None and triad.model is not None and plan.constants.offset_table is None
@@ -195,7 +195,7 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
 
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
-    """Return what the calibration leaves uncorrected, and names of device that differ."""
+    """Return findings about errors that the calibration does not correct, and about device names that differ."""
     findings = [
         finding(
             "correct.sensors_differ", "info", what=f"{triad.sensor} is not calibrated: nominal values were passed on"

@@ -1,16 +1,16 @@
-"""Offset from motion: what gravity, carried along by the strapdown, shows of the gyroscopes' offset while the device moves.
+"""Offset of the gyroscopes from motion, by gravity in the level frame of the strapdown.
 
 ::
 
-    <F>_k = g u - A_k b + P_k d + e_k      A_k = <[F]x J>_k, J = the integral of R dt; P_k = <R>_k, d offset of the accelerometers
+    <F>_k = g u - A_k b + P_k d + e_k      A_k = <[F]x J>_k, J the integral of R dt, P_k = <R>_k, accelerometer offset d
 
-with the means, the walk of the attitude and the sizes of fit/carried.py. b, d and the vertical u are found by generalised least
-squares, linearised anew about the last b (Gauss-Newton). Long recordings are cut into stretches, each with a vertical, an offset
-and sizes of its own; offsets follow a random walk from one stretch to the next.
+with the means, the random walk of the attitude and the sizes of fit/carried.py. Generalised least squares determines b, d and the
+vertical u, linearised about the last b (Gauss-Newton). Long recordings are cut into stretches, each with its own vertical, offset
+and sizes. Offsets follow a random walk from one stretch to the next.
 
-The prior of b is the mean at a rest; without a rest, what a calibration or a data sheet leaves of it. Gravity shows no turn about
-the vertical: along an axis that stays upright b keeps its prior. The rates of a device that was not calibrated are off by E w, E
-within the tolerances of data sheets: b answers that in part, and its uncertainty includes the answer.
+The prior of b is the mean at a rest. Without a rest it is the uncertainty of a calibration or a data sheet. Gravity does not
+determine turns about the vertical, so b keeps its prior along an axis that stays upright. The rates of an uncalibrated device
+have errors E w, with E within the tolerances of data sheets. They change b, and its uncertainty includes this change.
 """
 
 import math
@@ -37,10 +37,10 @@ WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offs
 CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 # rad/s, of an offset without a rest: turn-on repeatability of a calibrated device, and a raw one's zero-rate output [assumed]
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
-_UNRESTED = 1.6  # error without a rest over what the equations state of it: 30 simulated people who move freely
+_UNRESTED = 1.6  # ratio of actual to computed error without a rest, for 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
 _KEPT = 0.7  # of the prior deviation, above which an axis keeps its prior
-_FIXED = 1e-9  # of an error of the rates while the sizes are sought: it is part of what is left
+_FIXED = 1e-9  # error of the rates, while the sizes are estimated
 _ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
 
 
@@ -51,7 +51,7 @@ class MotionOffset:
     time: Annotated[FloatArray, Shape("s")]  # s
     rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
     covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # (rad/s)^2
-    prior: Annotated[FloatArray, Shape(3)]  # standard deviation of what was known before, rad/s
+    prior: Annotated[FloatArray, Shape(3)]  # standard deviation of the prior, rad/s
     acceleration: float  # left in a mean, rms, m/s2
     rest: RestOffset | None  # None if the device never rested
     vertical: Annotated[
@@ -78,7 +78,7 @@ class MotionOffset:
 
     @property
     def stills(self) -> tuple[Still, ...] | None:
-        """Rests that were found on the way; None for a named stretch."""
+        """Rests detected during the search, or None for a given stretch."""
         return None if self.rest is None else self.rest.stills
 
     @property
@@ -116,7 +116,7 @@ class MotionOffset:
 
 
 def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
-    """Return the offset that the motion of a corrected record shows, beside the mean at a rest or what its model leaves."""
+    """Return the offset that gravity determines in motion, with the mean at a rest or the model's uncertainty as its prior."""
     record = unpadded(record)
     advice = "Record with a pause at rest." if rest is None else "Use `offset` rest."
     if record.gyro is None or record.accel is None:
@@ -158,13 +158,13 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
 
 
 def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) -> FloatArray:
-    """Return what error of the offset from motion, mean of its stretches, an error of the rates makes: (3, 3, C).
+    """Return the error of the mean offset from motion for unit errors of the rates, (3, 3, C).
 
-    Of an error x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A calibration's error of a scale
-    factor turns gravity as an offset does: where the offset answers it, less of it is left in the orientation.
+    The rate errors are x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A scale factor error
+    turns gravity as an offset does. The estimated offset compensates a part of it, so less remains in the orientation.
     """
     none, unit = np.zeros(3), rate_errors.shape[1]
-    if record.duration_s < 2.0 * MEAN_S:  # two means show nothing beside the prior
+    if record.duration_s < 2.0 * MEAN_S:  # two means determine nothing in addition to the prior
         return np.zeros((3, 3, unit))
     answers = _offset_gains(record, none, none, np.diag(prior**2), rate_errors)[:-3]
     mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
@@ -188,9 +188,9 @@ def _fit_stretches(
     stretch_s: float,
     rate_errors: FloatArray | None = None,
 ) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
-    """Return stretches of about a length, offsets of each and of the accelerometers, and their information; near is a start.
+    """Return stretches of about a length, their offsets with the accelerometer offset, and the information, starting from ``near``.
 
-    With ``rate_errors`` (N, C), in one step, information of errors x_c e_b of the rates too, which nobody seeks.
+    With ``rate_errors`` (N, C), do one step, with the information of errors x_c e_b of the rates as well.
     """
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
     force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty
@@ -232,10 +232,10 @@ def _fit_stretches(
 
 
 def tilted(force: FloatArray, deviation: float) -> FloatArray:
-    """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers of a deviation, m/s2, measure.
+    """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers can measure.
 
-    An error of the rate about the vertical turns no gravity. An axis that stays within ``deviation / g`` of the vertical, rms,
-    would seem to be determined by the errors of the accelerometers.
+    An error of the rate about the vertical turns no gravity. If an axis stays within ``deviation / g`` of the vertical, rms, errors
+    of the accelerometers (``deviation``, m/s2) would seem to determine it.
     """
     up = force / np.linalg.norm(force, axis=1)[:, None]
     away, axes = np.linalg.eigh(np.eye(3) - up.T @ up / len(up))  # mean square sine of the angle to the vertical
@@ -244,14 +244,14 @@ def tilted(force: FloatArray, deviation: float) -> FloatArray:
 
 
 def matrix_deviation(record: Record, model: TriadModel | None) -> FloatArray | None:
-    """Return the standard deviation of each element of E (3, 3) by data sheets; None for a calibrated device, whose E is small."""
+    """Return the standard deviation of each element of E (3, 3) from data sheets, or None for a calibrated device."""
     if record.state == "corrected" and (model is None or model.covariance[:9, :9].any()):
         return None
     return np.where(np.eye(3, dtype=bool), SCALE_FACTOR, GYRO_CROSS_AXIS)
 
 
 def axis_moved_by(model: TriadModel | None) -> float:
-    """Return the standard deviation of an axis' change from rest to motion, rad/s: what a fit leaves of that of other devices."""
+    """Return the standard deviation of an axis' change from rest to motion, rad/s, with any fitted change taken into account."""
     if model is None or model.moving_offset is None:
         return MOVED
     fitted = moved_by(model) / math.sqrt(3.0)
@@ -259,7 +259,7 @@ def axis_moved_by(model: TriadModel | None) -> float:
 
 
 def _prior_without_rest(model: TriadModel | None) -> FloatArray:
-    """Return the covariance of an offset that no rest shows: that of the calibration, and what a switch-on changes."""
+    """Return the covariance of an offset without a rest, from the calibration and the change at a switch-on."""
     if model is None or not model.covariance.any():
         return np.eye(3) * RAW_RATE**2
     spread: FloatArray = model.offset_covariance * si_factor(model.unit_out, "rate") ** 2
@@ -267,7 +267,7 @@ def _prior_without_rest(model: TriadModel | None) -> FloatArray:
 
 
 def _walk_information(middle: FloatArray, prior: FloatArray, accel: float) -> FloatArray:
-    """Return what is known of offsets (S, 3) that begin with a prior and walk, and of the accelerometers': information."""
+    """Return the prior information of offsets (S, 3), which walk at random, and of the accelerometer offset."""
     count = 3 * len(middle)
     information = np.zeros((count + 3, count + 3))
     information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / accel**2

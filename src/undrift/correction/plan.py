@@ -1,21 +1,21 @@
-"""The constants of correction, derived once: ``correct``, the stream, the C source and every other export read them.
+"""Constants of correction, computed once for ``correct``, the stream, the C source and every other export.
 
 For readings in unit r, with c model units per r and s SI units per unit of the model's output ::
 
     M' = s M c        offset' = (offset + K d) / c        h' = half a code step / c        warm_up' = warm_up / c
 
-d is the change of the offset while the device turns, if a fit has one, and K = M^-1. The constants hold in motion; d' = s d is
+d is the change of the offset while the device turns, if a fit has one, and K = M^-1. The constants apply in motion, and d' = s d is
 added at rest.
 
-``constants_of`` derives them, with the tables at the nodes of the fit. ``plan_record`` prepares them for the kernels. A table over
-nodes t_0 < ... < t_n is linear between them and held at its ends. In cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
+``constants_of`` computes them, with the tables at the nodes of the fit. ``plan_record`` prepares them for the kernels. A table over
+nodes t_0 < ... < t_n is linear between them and constant beyond its ends. In cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
 
     one dimension    y = y_i + f (y_(i+1) - y_i)
-    two dimensions   y = c0 + f c1 + r c2 + f r c3        r the fraction along the second axis
+    two dimensions   y = c0 + f c1 + r c2 + f r c3        r is the fraction along the second axis
 
-Nodes that are whole multiples of one step (a rate grid with a gap around zero) are filled up to an even grid. This changes no
-value and finds the cell with one multiplication; the cell of other nodes is searched. Tables are over the temperature of the
-sensors: a lag of the thermometer is subtracted (drift/temperature.py), looking back only, with a state from chunk to chunk.
+Nodes that are whole multiples of a step (a rate grid with a gap around zero) are extended to an even grid. This changes no value,
+and one multiplication determines the cell. Cells of other nodes are searched. Tables are over the temperature of the sensors. A
+causal filter with state subtracts the lag of the thermometer (drift/temperature.py).
 """
 
 import os
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 NOTHING = np.empty(0)
 EVERYWHERE = (-np.inf, np.inf)
 EVEN_WITHIN = 1e-9  # of a step
-THREADS_FROM = 100_000  # samples; below it a second thread costs more than it saves
+THREADS_FROM = 100_000  # samples from which a second thread is worthwhile
 
 T = TypeVar("T")
 
@@ -76,7 +76,7 @@ class TableAxis:
 
     @property
     def grid(self) -> "Grid":
-        """How the kernel finds the cell: by one multiplication if the nodes are even, otherwise by bisection."""
+        """Method of finding the cell: one multiplication if the nodes are even, otherwise bisection."""
         from undrift.kernels.correct import Grid
 
         return Grid(np.array(self.nodes), self.start, float(self.inverse[0]) if self.even else 0.0, self.cells)
@@ -103,8 +103,8 @@ class TableAxis:
 class LookupTable:
     """Values over temperature, or over temperature and rate."""
 
-    temp: TableAxis  # temperatures, degC; of the warm-up the time since power-on, s
-    turn_rate: TableAxis | None = None  # measured rates, rad/s; None for a table over temperature only
+    temp: TableAxis  # temperatures, degC, or for the warm-up the time since power-on, s
+    turn_rate: TableAxis | None = None  # measured rates, rad/s, or None for a table over temperature only
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
     extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
 
@@ -119,19 +119,19 @@ class LookupTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Constants:
-    """What one triad's readings are corrected with."""
+    """Constants that correct the readings of a triad."""
 
     name: Sensor
     unit_in: str  # unit of the readings
     matrix: FloatArray  # (3, 3), SI per unit of the readings
-    offset: FloatArray  # (3,), unit of the readings; minus half a step if codes are rounded down
-    half_step: FloatArray | None = None  # (3,), unit of the readings; if codes are cut off toward zero, or fitted
-    at_rest: FloatArray | None = None  # (3,), rad/s, added while the device does not turn; None if it was not fitted
+    offset: FloatArray  # (3,), unit of the readings, minus half a step if codes are rounded down
+    half_step: FloatArray | None = None  # (3,), unit of the readings, if codes are cut off toward zero, or fitted
+    at_rest: FloatArray | None = None  # (3,), rad/s, added while the device does not turn, or None if it was not fitted
     g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
     offset_table: LookupTable | None = None  # in the same units
     matrix_table: LookupTable | None = None
     error_table: LookupTable | None = None
-    # extra offset over the time since power-on, s, in the place of the temperature; zero from its last node on
+    # extra offset over the time since power-on, s, instead of temperature, with zero from its last node on
     warm_up_table: LookupTable | None = None
 
     @property
@@ -141,7 +141,7 @@ class Constants:
 
 
 def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Constants:
-    """Return the constants of one triad for readings in a unit, by default the input unit of its model."""
+    """Return the constants of a triad for readings in a unit, by default the input unit of its model."""
     triad = calibration.triad(sensor)
     model, si = triad.model, triad.si
     if model is None:
@@ -202,7 +202,7 @@ def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quanti
 
 
 def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty | None:
-    """Return the uncertainty of a calibration's accelerometers, for readings in a unit; None if it states none."""
+    """Return the uncertainty of a calibration's accelerometers, for readings in a unit, or None if it is unknown."""
     triad = calibration.triad("accel")
     model = triad.model
     if model is None or not np.isfinite(model.covariance).all() or not model.covariance.any():
@@ -254,12 +254,12 @@ class TriadPlan:
     matrix: FloatArray  # (9,), row by row
     half_step: FloatArray  # (3,), zero unless codes are corrected
     g_sensitivity: FloatArray | None  # (9,)
-    tables: "Tables | None" = None  # cell coefficients; None if the triad has no table
+    tables: "Tables | None" = None  # cell coefficients, or None if the triad has no table
     temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
     warm_up: "tuple[Grid, FloatArray] | None" = None
 
 
-Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers; None: the record has none
+Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers (None if not recorded)
 
 
 def plan_record(record: Record, calibration: Calibration) -> Plans:
@@ -298,7 +298,7 @@ def _build_plan(constants: Constants) -> TriadPlan:
 
 
 def _build_cells(constants: Constants) -> "Tables":
-    """Return the cells of all tables over temperature; empty for a table that is missing."""
+    """Return the cells of all tables over temperature, with an empty array for a missing table."""
     from undrift.kernels.correct import Grid, Tables
 
     unused = Grid(np.zeros(2), 0.0, 0.0, 1)
@@ -329,19 +329,21 @@ def plane_cells(table: LookupTable) -> "tuple[Grid, Grid, FloatArray]":
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carry:
-    """What one chunk of a stream hands to the next."""
+    """State passed from a chunk of a stream to the next chunk."""
 
-    power_on_time: float | None = None  # on the recording's clock, s; None if it is not known
-    lag: LagState | None = None  # of the thermometer; None before the first sample, or without lag
-    last_time: float | None = None  # time of the last sample, s; None before the first
-    turning: tuple[float, ...] = NOT_TURNING  # of the search for turns; unused if the offset is the same in motion
+    power_on_time: float | None = None  # on the recording's clock, s, or None if unknown
+    lag: LagState | None = None  # state of the thermometer's lag, or None before the first sample, or without lag
+    last_time: float | None = None  # time of the last sample, s, or None before the first
+    turning: tuple[float, ...] = (
+        NOT_TURNING  # state of the search for turns, unused if the offset is the same in motion
+    )
 
 
 class Conditions(NamedTuple):
-    """What the samples of one chunk are looked up with; empty if it is not known or no table needs it."""
+    """Table coordinates of the samples of a chunk. Arrays are empty if unknown or if no table needs them."""
 
     temp_c: FloatArray  # (N,), of the sensors, degC
-    since: FloatArray  # (N,), time since power-on, s; empty after the warm-up, too
+    since: FloatArray  # (N,), time since power-on, s, or empty after the warm-up
 
 
 def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
@@ -358,7 +360,7 @@ def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
 
 
 def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> tuple[Conditions, Carry]:
-    """Return the conditions of a chunk, and what the next chunk needs."""
+    """Return the conditions of a chunk, and the state for the next chunk."""
     drift, lag = calibration.drift, carry.lag
     temp_c = NOTHING if record.temp_c is None else record.temp_c
     if has_tables(plans) and drift is not None and drift.lag_s > 0.0:

@@ -1,14 +1,14 @@
-"""What a rest shows: the gyroscopes' offset that is left, and how well gravity's direction is known.
+"""Remaining offset of the gyroscopes at a rest, and uncertainty of the direction of gravity there.
 
-Re-zero a gyroscope at a rest: what the calibration leaves there is subtracted from the whole recording.
+The mean rate at a rest, which the calibration left, is subtracted from the whole recording.
 
 ::
 
     w'(t) = w(t) - r        r = mean of w over the rest        var r = var of the mean, with the correlation between samples
 
-It removes the offset of that moment, whatever its cause (turn-on, ageing, hysteresis), and with it any true slow turn. It removes
-no scale or rate-dependent error, and no offset that changes afterwards. The rest is the first still phase in the first half hour
-of the corrected readings, or a named stretch: here, in orientation.py, in validation/trial.py and in a stream alike.
+It removes the offset at that time for any cause (turn-on, ageing, hysteresis), and also any true slow turn. It removes no scale or
+rate-dependent error, and no offset that changes afterwards. The rest is the first still phase in the first half hour of the
+corrected readings, or a given stretch. This applies here, in orientation.py, in validation/trial.py and in a stream.
 """
 
 import math
@@ -27,14 +27,16 @@ from undrift.record import Record, Still, joined
 from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
-Stretch = tuple[float | None, float | None]  # named start and end, s, on the recording's clock; both None: to be found
+Stretch = tuple[
+    float | None, float | None
+]  # given start and end, s, on the recording's clock, or both None for a search
 NAMED_NONE: Stretch = (None, None)
 FOUND_IN_S = 1800.0  # a stream that is read in chunks finds the rest that the whole recording shows
-LEAST_IN_MOTION_S = 20.0  # of a recording whose motion shows the vertical, and what is left of the offset
-FEWEST = 10  # samples: below it their scatter says nothing
+LEAST_IN_MOTION_S = 20.0  # shortest recording whose motion determines the vertical and the remaining offset
+FEWEST = 10  # samples needed to estimate their scatter
 # rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
 MOVED = 0.02 * RADIAN_PER_DEGREE
-# rad/s, the same of one recording about that of its device, where a fit has that: BROAD, three devices, rounded up
+# rad/s, deviation of a recording's change from a fitted change of its device: BROAD, three devices, rounded up
 MOVED_AGAIN = 0.005 * RADIAN_PER_DEGREE
 IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset is that in motion already
 
@@ -47,7 +49,7 @@ class RestOffset:
     stop_s: float  # Last sample of it
     rate: Annotated[FloatArray, Shape(3)]  # mean, rad/s, frame b
     covariance: Annotated[FloatArray, Shape(3, 3)]  # of the mean by the scatter of the readings, (rad/s)^2
-    stills: tuple[Still, ...] | None = None  # all that were found where it was looked for; None for a named stretch
+    stills: tuple[Still, ...] | None = None  # all rests found in the search, or None for a given stretch
     moved: float = math.sqrt(3.0) * MOVED  # rad/s, standard uncertainty of the change in motion, all axes together
 
     def __post_init__(self) -> None:
@@ -96,11 +98,8 @@ def mean_variance(x: FloatArray) -> float:
     """Estimate the variance of the mean of correlated samples.
 
     The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is
-    noise [1]_: var = (c_0 + 2 sum c_k) / n.
-
-    References
-    ----------
-    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7 (1992), section 3.3.
+    noise: var = (c_0 + 2 sum c_k) / n (C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7, 1992, section
+    3.3).
     """
     n = len(x)
     spectrum = np.fft.rfft(x - x.mean(), 2 * n)
@@ -155,7 +154,7 @@ def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffs
 
 
 def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:
-    """Return what a calibration leaves at the first rest of a corrected record, or at a named stretch."""
+    """Return the mean rate of a corrected record at its first rest, or in a given stretch."""
     if record.gyro is None:
         raise InputError("rest: gyroscope readings and their calibration are needed. Omit `offset` rest.")
     if (still := named_rest(record, stretch)) is not None:
@@ -187,7 +186,7 @@ def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE)
 
 
 def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
-    """Return the still phases of the head of a record; raise if there are none."""
+    """Return the still phases of the head of a record. Raise if there are none."""
     head = unpadded(_head(record))
     first = int(record.time.searchsorted(head.time[0]))
     search = find_still(head)
@@ -209,22 +208,22 @@ def _head(record: Record) -> Record:
 # ---- What is uncertain of the mean specific force at a rest, a covariance (3, 3), (m/s2)^2, by source
 #
 # ``scatter``      of the mean, with the correlation between samples
-# ``sway``         a person who stands: the tilt is that of the rest's end, the mean that of all of it. They differ by the spread of
-#                  means over a second, where it exceeds what white noise gives: a slow lean ends farther away, up to twice in
-#                  variance, but accelerations read as tilt; of simulated stance, 3 to 10 s, 97 % err by less than the 95 %
+# ``sway``         of a person in quiet stance: the tilt applies to the end of the rest, but the mean covers all of it. They differ
+#                  by the spread of means over a second beyond white noise. A slow lean ends farther away, up to twice in variance,
+#                  but accelerations look like tilt. In simulated stance, 3 to 10 s, 97 % of errors are within the 95 % limit
 # ``calibration``  E f + d (``record.ForceUncertainty``): f = M (s - o), so that E = dM M^-1 and d = -M do
-# ``temperature``  of the offsets and the scale factors, by the departure from the temperatures that they are made for
-# ``ageing``       of the offsets since the calibration; and their repeatability from one switch-on to the next
-# ``codes``        half a step, uniform, where the readings at rest scatter by less: their mean then errs as one of them does
+# ``temperature``  of offsets and scale factors, for the distance to their reference temperatures
+# ``ageing``       of the offsets since the calibration, and their repeatability from one switch-on to the next
+# ``codes``        half a step, uniform, if the readings at rest scatter by less, because their mean then has the same error
 
-# m/s2 after a year: bias repeatability of one year, MTi 10- and 100-series (Xsens MT0605P, recalled); that others age likewise, and
-# all with the square root of the time, is [assumed]
+# m/s2 after a year: bias repeatability for a year, MTi 10- and 100-series (Xsens MT0605P, from memory). That other devices age
+# in the same way, with the square root of the time, is [assumed]
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
-CLOCK_S = (1e9, 4e9)  # of seconds since 1970: a recording whose time lies beyond states no date
-UNKNOWN_YEARS = 1.0  # from calibration to recording, if either states no date [assumed]
-_SWAY_S = 1.0  # means over it: shorter accelerations of a body are no tilt
+CLOCK_S = (1e9, 4e9)  # of seconds since 1970 (a recording with a time outside has no date)
+UNKNOWN_YEARS = 1.0  # from calibration to recording, if either has no date [assumed]
+_SWAY_S = 1.0  # width of means that are insensitive to accelerations of a body
 _ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
 
 

@@ -59,7 +59,9 @@ class StretchMeans:
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     gyro: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
     accel: FloatArray  # (n, 3), likewise
-    gyro_variance: FloatArray  # (n, 3), variance of the mean from the scatter inside, raw unit squared, or NaN if unknown
+    gyro_variance: (
+        FloatArray  # (n, 3), variance of the mean from the scatter inside, raw unit squared, or NaN if unknown
+    )
 
     def __len__(self) -> int:
         return len(self.temp_c)
