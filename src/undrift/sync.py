@@ -1,13 +1,13 @@
-"""Sync: bring a record and a reference onto one clock, before any fit or comparison.
+"""Synchronise a record with a reference on a common clock, before any fit or comparison.
 
-``native_poses`` undoes a linear up-sampling of the reference, ``pose_rates`` turns poses into mean rates, ``find_lag`` finds how
-late the record's samples are, ``in_step`` whether that stays so, ``find_motion`` where rest ends and begins again. With w the body
-rate of the reference and u the readings, both averaged over the same stretches::
+``native_poses`` undoes a linear up-sampling of the reference. ``pose_rates`` turns poses into mean rates. ``find_lag`` determines
+the lag of the record's samples, and ``in_step`` whether it is constant. ``find_motion`` finds the end of the first rest and the
+start of the last. With w the body rate of the reference and u the readings, both averaged over the same stretches::
 
-    w(t) = A u(t + lag) + c                    A (3 x 3) and c free: scale, mounting and offset do not disturb the lag
+    w(t) = A u(t + lag) + c                    free A (3 x 3) and c, so that scale, mounting and offset do not affect the lag
 
-First their covariance is computed at every lag of a wide search. Then Gauss-Newton on A, c and lag together: the change of u with
-time is one more column of the design. A reading is the rate at its time stamp. Where each sample holds over the interval before it,
+First their covariance is computed at every lag of a wide search. Gauss-Newton then fits A, c and lag together, with the change of u
+over time as another column of the design. A reading is the rate at its time stamp. If a sample applies to the interval before it,
 as in strapdown, the lag is half a sample shorter.
 """
 
@@ -31,7 +31,7 @@ from undrift.units import RADIAN_PER_DEGREE
 #
 # Averages of readings come from the running integral of the straight lines between samples.
 
-LONGEST_STEP = 1.5  # medians of the pose interval; a longer step is a gap
+LONGEST_STEP = 1.5  # in medians of the pose interval (a longer step is a gap)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class PoseRates:
 
     start: FloatArray  # (K,), time of the first pose, s
     stop: FloatArray  # (K,), of the second, s
-    rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body; zero where not valid
+    rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body, with zeros for invalid rows
     valid: BoolArray  # (K,), false where a pose is missing or the step is a gap
 
     def part(self, rows: IntArray | BoolArray | slice, later_s: float = 0.0) -> "PoseRates":
@@ -90,18 +90,18 @@ class RunningIntegral:
 
 # ---- coarse lag: where readings and rates correlate most, over a wide search
 #
-# Both are averaged into cells of one width on a common clock. At every shift the score is the multiple correlation of rates w and
-# readings u over the cells that both have, tr(C' V^-1 C) / tr(W), with their covariances C, V of u and W of w: it is the same for
-# every mounting. All sums over cells, with masks for gaps, are correlations; a Fourier transform gives them for all shifts at once.
+# Both are averaged into cells of equal width on a common clock. At every shift the score is the multiple correlation of rates w
+# and readings u over common cells, tr(C' V^-1 C) / tr(W), with the covariances C of u and w, V of u, W of w. It is equal for
+# all mountings. All sums over cells, with masks for gaps, are correlations. A Fourier transform computes them for all shifts.
 
 Spectrum = NDArray[np.complex128]
 CELL_S = 0.02  # s
-LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # of the shorter side; cells
+LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # share of the shorter side, and number of cells
 STILL = 1e-9  # of the largest variance: a side that does not turn
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
-    """Return the lag, s, at which readings and rates correlate most; the wider overlap decides between equal ones."""
+    """Return the lag, s, with the largest correlation between readings and rates, and of equal lags the wider overlap."""
     middle = 0.5 * (rates.start + rates.stop)
     width = CELL_S * max(1, *(round(float(np.median(np.diff(t))) / CELL_S) for t in (time, middle)))
     start = min(time[0], middle[0])
@@ -160,14 +160,14 @@ def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple
 # ---- poses as the instrument took them: undo a linear up-sampling of the reference
 #
 # Many files hold optics at the sensor's sample rate, drawn on straight lines (great arcs) between the frames that the cameras took.
-# Between frames such a pose cuts the corner: by a h^2 / 8 at an angular acceleration a and a frame interval h, always towards less
+# Between frames such a pose cuts the corner by a h^2 / 8 for an angular acceleration a and a frame interval h, always towards less
 # motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would take as scale factor.
 #
-# On a straight line the rate between neighbours repeats to the last digit; it jumps at the frames. The middles of the repeats lie
-# on a comb of the frame rate; its frequency and phase come from the largest Fourier sum, and each frame is the end of a line.
+# On a straight line the rate between neighbours repeats to the last digit, and changes at the frames. The middles of the repeats
+# form a comb of the frame rate. The largest Fourier sum gives its frequency and phase, and each frame is the end of a line.
 
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
-COMB_SHARPNESS = 0.95  # of what a perfect comb gives
+COMB_SHARPNESS = 0.95  # relative to a perfect comb
 SAME_RATE = 1e-4  # of the median change of rate: two rates are one
 NEAR_FRAME_S = 2e-5  # a sample this close to a frame may lie on either side of it
 
@@ -184,7 +184,7 @@ def native_poses(reference: Reference) -> Reference:
         return reference
     first, last = np.ceil(frequency * reference.time[0] - phase), np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
-    # the line through the last two samples before a frame, drawn to it; NaN if they are not both in the interval before it
+    # line through the last two samples before a frame, extended to it, or NaN if they are not both in the interval before it
     after = np.searchsorted(reference.time, frames)
     k = np.clip(after - 2, 0, len(rates.rate) - 1)
     inside = rates.valid[k] & (rates.start[k] >= frames - 1.0 / frequency - NEAR_FRAME_S)
@@ -211,7 +211,7 @@ def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
 
 
 def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
-    # Frame times are (k + phase) / frequency; the middles of the repeats lie half a frame later. Longer and longer spans.
+    # Frame times are (k + phase) / frequency. The middles of the repeats are half a frame later. Spans grow step by step.
     if len(t) < 20:
         return guess, 0.0, 0.0
     t0, span, width = t[0], 200.0 / guess, 0.1 * guess
@@ -232,16 +232,16 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
 
 # ---- lag to a fraction of a sample
 
-_STEPS = 12  # Gauss-Newton steps at most; the last ones move the lag by less than a microsecond
+_STEPS = 12  # largest number of Gauss-Newton steps (the last steps change the lag by less than a microsecond)
 AVERAGE_S = 0.05  # s, of rates that are compared
 _BLOCK_S = 0.5  # residuals this far apart count as independent
 LEAST_AVERAGES = 30  # that both sides have
-LEAST_CORRELATION = 0.7  # between the rates at the lag; below it the two did not see the same motion
+LEAST_CORRELATION = 0.7  # smallest correlation of the rates at the lag for a common motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LagSettings:
-    """How the lag is found."""
+    """Settings of the search for the lag."""
 
     longest_lag_s: float = 5.0  # Half-width of the search, s
     # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
@@ -254,10 +254,10 @@ _ONE_AXIS, _THREE_AXES = 0.05, 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lag:
-    """How the clock of a record stands against that of a reference."""
+    """Lag between the clock of a record and the clock of a reference."""
 
     seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
-    standard_uncertainty: float  # Of ``seconds``, s, from half-second blocks of residuals
+    standard_uncertainty: float  # of ``seconds``, s, from half-second blocks of residuals
     correlation: float  # multiple correlation of reference rate and readings at this lag
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
@@ -273,7 +273,7 @@ def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSe
 def lag_of(
     time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, *, near: float | None = None
 ) -> Lag:
-    """Find how late readings are against mean rates about three axes or one; ``near`` is where the search begins, if known."""
+    """Determine the lag of readings behind mean rates about three axes or about one, starting at ``near``, if given."""
     lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
     integral, wanted = RunningIntegral(time, gyro), _average_rates(rates, settings.average_s)
     fit: Lag | None = None
@@ -307,7 +307,7 @@ def _average_rates(rates: PoseRates, average_s: float) -> PoseRates:
 
 
 def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
-    """Fit A and c at a lag; return them with the step of the lag that reduces the residual most; None without common motion."""
+    """Fit A and c at a lag. Return them with the step of the lag that reduces the residual most, or None without common motion."""
     start, stop = wanted.start + lag, wanted.stop + lag
     mean, inside = integral.mean(start, stop)
     if inside.sum() < LEAST_AVERAGES:
@@ -345,7 +345,7 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
 PARTS, LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
 LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks that run alike differ by up to 0.1 ms, in BROAD
 OUT_OF_STEP_S = 0.03  # off a line through the lags: samples were lost, or another trial's were put in. Assumed.
-TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest, whatever the device's offset
+TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest has such rates, for any offset of the device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -356,7 +356,7 @@ class LagLine:
     lag_s: float
     skew: float  # seconds per second by which the clock of the record runs faster
     lag_uncertainty_s: float  # standard, at ``middle_s``
-    skew_uncertainty: float  # standard; infinite if only one part has a lag
+    skew_uncertainty: float  # standard uncertainty, or infinity if only one part has a lag
     off_s: FloatArray  # (P,), lags minus the line
     correlation: float  # least of the parts
 
@@ -372,10 +372,10 @@ class LagLine:
 def lag_line(
     record: Record, parts: Sequence[PoseRates], settings: LagSettings, *, near: float, floor_s: float = 1e-6
 ) -> LagLine:
-    """Fit a line to the lags of parts of a recording; its uncertainty is enlarged by their scatter.
+    """Fit a line to the lags of parts of a recording, with an uncertainty that includes their scatter.
 
-    A lag that is known to less than an average is left out, and none counts as better than ``floor_s``. Raises AlignmentError if a
-    part has no common motion.
+    Lags with a larger uncertainty than an average are omitted, and ``floor_s`` is the smallest uncertainty that counts. Raise
+    AlignmentError if a part has no common motion.
     """
     lags, when = list[Lag](), list[float]()
     for section in parts:
@@ -406,7 +406,7 @@ def lag_line(
 def in_step(
     record: Record, poses: Reference, settings: LagSettings = LagSettings()
 ) -> tuple[Record, Lag, list[Finding]]:
-    """Return the record on a clock that runs like that of the reference, its lag, and a finding if samples were lost."""
+    """Return the record on a clock with the reference's rate, its lag, and a finding if samples were lost."""
     lag, rates = find_lag(record, poses, settings), pose_rates(poses)
     common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
     span_s = float(np.ptp(rates.start[common])) if common.any() else 0.0
@@ -431,7 +431,7 @@ def padding(full_record: Record, record: Record) -> tuple[Finding, ...]:
 
 
 def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:
-    """Return poses with a gap where the first or the last one is repeated while the record turns: the file was filled up."""
+    """Return poses with gaps if the file repeats the first or the last pose while the record turns."""
     q_nb, time = np.array(poses.q_nb), record.time - lag.seconds
     for start, stop in runs((np.diff(poses.q_nb, axis=0) == 0.0).all(axis=1)):
         inside = (time >= poses.time[start]) & (time <= poses.time[stop])
@@ -457,7 +457,7 @@ class MotionSpan:
 
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
-    """Find the stretch of motion between the first and the last rest; without a rest before it, only where both have readings."""
+    """Find the stretch of motion between the first and the last rest, or without a first rest the common stretch of motion."""
     valid_time, begins = (
         reference.time[reference.valid] + lag_s,
         max(float(record.time[0]), float(reference.time[0]) + lag_s),
@@ -483,7 +483,7 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
 
 
 def _motion_between_stills(record: Record) -> tuple[float, float] | None:
-    """Return the stretch from the first rest of 3 s to the last one, or to the end; None without such a rest."""
+    """Return the stretch from the first rest of 3 s to the last one or to the end, or None without such a rest."""
     search = find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:

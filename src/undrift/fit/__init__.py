@@ -1,11 +1,12 @@
-"""What all fits share: equations with named sources of uncertainty, least squares of a triad, curves over temperature.
+"""Methods that all fits share: least squares with named sources of uncertainty, triad models, curves over temperature.
 
-    equations       rows of three sensors, blocks of unknowns (K, b, H), sources; gains, covariance, budget, the inverse model;
-                    families of covariances by restricted likelihood; rows that are not linear, priors as rows among them
-    least_squares   s = K a + b of a triad, its verdict; excess variance; Huber's weights; noise of means
-    smooth          curves over temperature, with their covariance
+    gls       generalised least squares with excess variances and a budget, the inverse model, robust fits
+    triad     model of a triad from its fit: matrix, offset and g-sensitivity, with covariance and budget
+    curve     curves over temperature, with their covariance
+    carried   means of gravity in the level frame of the strapdown, for fits in motion
+    priors    sizes of error sources that the readings of a session cannot determine
 
-In: readings, what multiplies their unknowns, and what is known of their errors. Out: unknowns with covariance and, by source, their
-budget: certificate, report and verdict read these alone. Arrays have the rows first: readings (E, 3), designs (E, P); covariances
-of rows are (3, E, E), one of each sensor. Units are those of the readings; nothing here knows a session. Open equations first.
+In: readings (E, 3), designs (E, P), and covariances of the rows by source. Out: parameters with covariance and, by source, their
+budget, which certificate, report and verdict use. Units are the units of the readings. Nothing here depends on a session. Open gls
+first.
 """

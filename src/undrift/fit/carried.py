@@ -1,14 +1,15 @@
-"""Gravity carried along by the strapdown: what a mean specific force says of rates and forces while a device moves.
+"""Gravity in the level frame of the strapdown: what mean specific forces determine about rates and forces in motion.
 
 ::
 
     F(t) = R(t) f(t) = g u + a(t)          specific force f, turned by the strapdown R of the rates w into the first frame
-    <F>_k + D_k x = g u + e_k              Hann means over 5 s; D_k = what changes x of the model add to them
+    <F>_k + D_k x = g u + e_k              Hann means over 5 s, with the effect D_k of changes x of the model
 
-A rate x e that was not there turns all that follows: it adds (the integral of R e x dt) x F; a force adds itself, turned by R. A
-body that comes back has no mean acceleration: what is left of a is white, and means that half overlap share a sixth. What the
-model leaves turns the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l). Both sizes are those of
-greatest restricted likelihood. A long push (lift, car, bend) reads as a tilt: it enters the sizes, and widens what is stated.
+An error x e of the rate turns all that follows, and adds (the integral of R e x dt) x F. An error of the force adds itself, turned
+by R. A body that comes back has no mean acceleration, so the remainder of a is white. Means that overlap by half have a correlation
+of one sixth. Remaining model errors turn the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l).
+Restricted likelihood determines both sizes. A long push (lift, car, bend) looks like a tilt, which increases the sizes and the
+uncertainty.
 """
 
 import numpy as np
@@ -20,7 +21,7 @@ from undrift.kernels.rotation import carried_means
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 MEAN_S = 5.0  # of a Hann mean
-# Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual ones, within e^2 each way where few means say little [assumed]
+# Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual values, with a prior range of e^2 for few means [assumed]
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 _RESTING = 0.05  # of both variances, at rest [assumed]
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
@@ -30,7 +31,7 @@ class CarriedMeans:
     """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
 
     def __init__(self, time: FloatArray, moving: FloatArray | None = None) -> None:
-        """``time`` (N,) of its samples, s; ``moving`` (N,) is 1 in motion and 0 at rest, None where it never rests."""
+        """Prepare windows for samples at ``time`` (N,), s. ``moving`` (N,) is 1 in motion and 0 at rest, or None without a rest."""
         self.time = time
         self.middle = 0.5 * float(time[0] + time[-1])
         width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
@@ -52,9 +53,9 @@ class CarriedMeans:
     def means(
         self, rate: FloatArray, force: FloatArray, rate_regressors: FloatArray, force_regressors: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return means (K, 3) of F, and what is added to them by a rate x_c e_b (K, 3, 3, C) and by a force y_c e_b (K, 3, 3, D).
+        """Return means (K, 3) of F, and the effect of unit errors of a rate, (K, 3, 3, C), and of a force, (K, 3, 3, D).
 
-        Rates w (N, 3), rad/s, forces f (N, 3), m/s2, and their regressors x (N, C) and y (N, D).
+        The errors are x_c e_b and y_c e_b for regressors x (N, C) and y (N, D) of rates (N, 3), rad/s, and forces (N, 3), m/s2.
         """
         count, channels = len(self.first), (rate_regressors.shape[1], force_regressors.shape[1])
         out = np.empty((count, 3 + 9 * sum(channels)))
@@ -68,10 +69,10 @@ class CarriedMeans:
     def equations(
         self, mean: FloatArray, design: FloatArray, usual: FloatArray, length: tuple[float, float]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return information (P, P) and right side (P,) for changes x of P parameters, the vertical eliminated.
+        """Return information (P, P) and right side (P,) for changes x of P parameters, without the vertical.
 
-        Means (K, 3) and their ``design`` (K, 3, P); ``usual`` (P,) are deviations of x that hold while the sizes are sought; the
-        length of the vertical is gravity with a deviation, m/s2.
+        Means (K, 3) have the ``design`` (K, 3, P). ``usual`` (P,) are prior deviations of x while the sizes are estimated.
+        ``length`` contains gravity and its deviation, m/s2.
         """
         up, unknown = mean.mean(axis=0), design.shape[2]
         frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
@@ -104,6 +105,6 @@ class CarriedMeans:
         ]
 
     def vertical(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the vertical (3,) by the last equations, and its covariance by that of the parameters (P, P)."""
+        """Return the vertical (3,) from the last equations, and its covariance for a covariance (P, P) of the parameters."""
         frame, inverse, gain, right = self.level
         return frame.T @ inverse @ right, frame.T @ (inverse + gain @ covariance @ gain.T) @ frame

@@ -1,16 +1,19 @@
-"""A smooth curve over temperature with its covariance: a Gaussian process about a parabola (C. E. Rasmussen, C. K. I. Williams,
-"Gaussian Processes for Machine Learning", 2006, section 2.7), and the cubic spline through every point.
+"""A smooth curve over temperature with its covariance, and the cubic spline through every point.
+
+The curve is a Gaussian process about a parabola (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning",
+2006, section 2.7)::
 
     y = f(T) + Z c + u + e          rows y (n,) of each column, regressors Z (n, p)
     f(T) = a + b x + g 4 x^2 + h(x)       x = (T - T_0) / span
-    cov h = q bending(x, x')        integrated Wiener process: what departs from the parabola
-    cov u = s C                     what a visit to a temperature adds and the next visit does not, correlation C
-    cov e                           stated
+    cov h = q bending(x, x')        departure from the parabola, an integrated Wiener process
+    cov u = s C                     contribution of a visit to a temperature, with correlation C
+    cov e                           known
 
-a, b and c have no prior. g has a wide one: over 10 K the slope of an offset changes by as much as its mean. The two
+a, b and c have no prior. The prior of g is wide: over 10 K the slope of an offset changes by as much as its mean. The two
 hyperparameters, the sizes of bends and visits, are common to all columns, each in the unit of its column. They maximise the
-restricted likelihood times a half-t prior for each (A. Gelman, "Prior distributions for variance parameters", 2006), so that the
-size of what a few rows cannot show is the usual one, not zero. The covariance counts both variances widened by Student's factor.
+restricted likelihood times a half-t prior for each (A. Gelman, "Prior distributions for variance parameters", 2006). If a few rows
+cannot determine a size, it therefore has its usual value, not zero. The covariance contains both variances, widened by Student's
+factor.
 """
 
 import math
@@ -49,13 +52,13 @@ class NodeValues:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """A fitted curve of k columns; ``at`` evaluates it."""
+    """A fitted curve of k columns, evaluated with ``at``."""
 
     origin_c: float  # T_0, degC
     span_c: float  # degC
     x: FloatArray  # (n,), scaled temperature of the rows
     value: FloatArray  # (n, k)
-    basis: FloatArray  # (n, 2 + p): ones, x, regressors
+    basis: FloatArray  # (n, 2 + p): constant, x, regressors
     stated: FloatArray  # (k, n, n), covariance of e
     correlation: FloatArray  # (n, n), C
     bow: FloatArray  # (k,), prior variance of g
@@ -81,12 +84,12 @@ class Curve:
 
     @property
     def visit_deviation(self) -> FloatArray:
-        """Standard deviation of what a future visit adds, (k,), unit of the values."""
+        """Standard deviation of the contribution of a future visit, (k,), unit of the values."""
         return np.asarray(np.sqrt(self.widening * self.visit))
 
     @property
     def widened(self) -> "Curve":
-        """The same rows with both variances widened for few degrees of freedom."""
+        """The same curve with both variances widened for few degrees of freedom."""
         return replace(self, bend=self.widening * self.bend, visit=self.widening * self.visit, widening=1.0)
 
     @property
@@ -96,12 +99,12 @@ class Curve:
         return np.linalg.solve(weighted @ self.basis, weighted)
 
     def kernel(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Covariance of f beside its line at scaled temperatures (i,) and (j,), (k, i, j)."""
+        """Covariance of f without its line at scaled temperatures (i,) and (j,), (k, i, j)."""
         bows = 16.0 * np.outer(x**2, y**2)
         return self.bow[:, None, None] * bows + self.bend[:, None, None] * bending(x, y)
 
     def at(self, temp_c: FloatArray) -> NodeValues:
-        """Return the curves at temperatures (m,), degC, with their covariance; regressors count as 0 there.
+        """Return the curves at temperatures (m,), degC, with their covariance, for zero regressors.
 
         Rasmussen and Williams, eqs. 2.41 and 2.42.
         """
@@ -129,9 +132,9 @@ def fit_curve(
 ) -> Curve:
     """Fit a curve to each column of ``value`` (n, k) at ``temp_c`` (n,), degC.
 
-    ``variance`` (n, k) is the stated variance of each row and ``shared`` (k, n, n) a stated covariance beside it; ``correlation``
-    (n, n) says which rows belong to one visit (default: each row is a visit). Raises ``NotObservable`` if all rows are at one
-    temperature, or do not determine a line and the coefficients of ``regressors`` (n, p).
+    ``variance`` (n, k) belongs to the rows, and ``shared`` (k, n, n) is an additional known covariance. ``correlation`` (n, n)
+    assigns rows to visits (default: each row is a visit). Raise ``NotObservable`` if all rows are at the same temperature, or do
+    not determine a line and the coefficients of ``regressors`` (n, p).
     """
     span = float(np.ptp(temp_c)) if len(temp_c) else 0.0
     if span <= 0.0:
@@ -208,7 +211,7 @@ def _log_half_t(size: float, scale: float, freedom: float) -> float:
 
 
 def _visit_freedom(curve: Curve) -> float:
-    """Return the degrees of freedom from which the visit variance of all columns is known: tr(P C)^2 / tr(P C P C).
+    """Return the degrees of freedom of the visit variance of all columns, tr(P C)^2 / tr(P C P C).
 
     P = V^-1 - V^-1 H (H' V^-1 H)^-1 H' V^-1 for the covariance V of the rows and their basis H.
     """
@@ -220,9 +223,9 @@ def _visit_freedom(curve: Curve) -> float:
 
 
 def bending(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the covariance of a once integrated Wiener process that runs both ways from 0, where it is flat.
+    """Return the covariance of an integrated Wiener process that runs both ways from 0, where it is flat.
 
-    k(s, t) = m^2 (3 M - m) / 6 with m the lesser and M the greater of |s| and |t|, on one side of 0; zero across it.
+    k(s, t) = m^2 (3 M - m) / 6 on the same side of 0, with m the smaller and M the larger of |s| and |t|, and k = 0 across it.
     """
     least = np.minimum(np.abs(x)[:, None], np.abs(y)[None, :])
     most = np.maximum(np.abs(x)[:, None], np.abs(y)[None, :])
@@ -231,7 +234,7 @@ def bending(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, nodes: FloatArray) -> NodeValues:
-    """Interpolate values (n, k) at temperatures (n,) by a cubic spline with not-a-knot ends; return it at nodes (m,)."""
+    """Interpolate values (n, k) at temperatures (n,) to nodes (m,) with a cubic spline with not-a-knot ends."""
     from scipy.interpolate import CubicSpline
 
     if len(temp_c) < 2:

@@ -1,26 +1,26 @@
-"""Generalised least squares with stated sources of error, excess variances that the residuals show, and a budget.
+"""Generalised least squares with known sources of error, excess variances from the residuals, and a budget.
 
     y = X theta + e                  E rows, P parameters
     cov(e) = V = sum_i S_i + sum_j s_j E_j
     theta = C (X' V^-1 y + K m)      C = (X' V^-1 X + K)^-1,   prior mean m and precision K
 
-S_i are the stated sources. E_j is the shape of an error whose size is unknown: for example, the tilt of a plate acts across
-gravity, and a wobble of a rate table grows with the rate. Its variance s_j >= 0 maximises the restricted likelihood
-(Patterson and Thompson 1971), which balances the residuals against what the fit leaves of them:
+S_i are the known sources. E_j is the shape of an error of unknown size. For example, the tilt of a plate acts across gravity, and a
+wobble of a rate table increases with the rate. Its variance s_j >= 0 maximises the restricted likelihood (Patterson and Thompson
+1971), which equates the residuals with their expectation:
 
     r' V^-1 E_j V^-1 r = tr(P E_j)   P = V^-1 - V^-1 X C X' V^-1
 
-An excess variance is known from few residuals. Its contribution to the covariance is therefore widened by the square of
-Student's quantile over that of the normal distribution, for nu_j = tr(P E_j)^2 / tr(P E_j P E_j) degrees of freedom, so that
-an interval of 1.96 standard uncertainties still holds in 95 % of cases.
+A few residuals determine an excess variance with an uncertainty. Its contribution to the covariance is therefore widened by the
+square of Student's quantile over the normal quantile, for nu_j = tr(P E_j)^2 / tr(P E_j P E_j) degrees of freedom. An interval of
+1.96 standard uncertainties then contains 95 % of cases.
 
-Three sensors against known inputs (``solve_inverse``): M s - c - G a = f + e, with readings s, inputs f, and specific force a if
-the sensors feel it. Errors of the readings would make M too small if the readings themselves were the columns of X. Their
-projection s^ on the known columns (f, a, 1) takes their place, and what is left of them is carried by M as it is known:
+For three sensors and known inputs (``solve_inverse``): M s - c - G a = f + e, with readings s, inputs f, and specific force a if
+the sensors respond to it. If the readings were the columns of X, their errors would make M too small. Their projection s^ on the
+known columns (f, a, 1) replaces them, and the current M multiplies the remainder:
 
     M s^ - c - G a = f - M (s - s^) + e
 
-A prior of G is one of the g-sensitivity as read, H = M^-1 G. Otherwise it would pull a scale that no input determines towards
+A prior of G applies to the g-sensitivity of the readings, H = M^-1 G. Otherwise it would pull a scale without an input towards
 zero. With M_0 and H of the previous step, it is the prior of G - (M - M_0) H.
 """
 
@@ -36,7 +36,7 @@ from undrift.errors import NotObservable
 MAX_ITERATIONS, MOST_HALVINGS = 100, 30
 FIRST_STEPS = 5  # for one excess variance by itself: enough to compare their likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
-ROUNDS, CONVERGED = 8, 0.01  # of a fit of the inverse model; share of a row's standard deviation
+ROUNDS, CONVERGED = 8, 0.01  # fit of the inverse model: rounds, and final change in standard deviations of a row
 ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
 RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
 RANK = 1e-9  # of the largest singular value of known columns
@@ -46,10 +46,10 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior:
-    """What is known about the parameters before the fit."""
+    """Knowledge about the parameters before the fit."""
 
     mean: FloatArray  # (P,)
-    precision: FloatArray  # (P, P), inverse covariance; zero rows for parameters without a prior
+    precision: FloatArray  # (P, P), inverse covariance, with zero rows for parameters without a prior
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ class GlsFit:
 
     theta: FloatArray  # (P,)
     covariance: FloatArray  # (P, P)
-    budget: Mapping[str, FloatArray]  # covariance (P, P) by source; the sum is ``covariance``
+    budget: Mapping[str, FloatArray]  # covariance (P, P) by source, which sums to ``covariance``
     excess: Mapping[str, float]  # excess variance s_j by its kind
     freedom: Mapping[str, float]  # degrees of freedom nu_j of each excess variance
     residuals: FloatArray  # (E,), y - X theta
@@ -89,7 +89,7 @@ def determined(quantity: str) -> Iterator[None]:
 
 
 def student_factor(freedom: float) -> float:
-    """Return (t / 1.96)^2 for the 97.5 % quantile t of Student's distribution; one degree of freedom at least."""
+    """Return (t / 1.96)^2 for the 97.5 % quantile t of Student's distribution, with at least one degree of freedom."""
     from scipy.special import stdtrit
 
     return float(stdtrit(max(freedom, 1.0), 0.975) / NORMAL_95) ** 2
@@ -103,12 +103,12 @@ def solve(
     excess: Mapping[str, FloatArray] | None = None,
     prior: Prior | None = None,
 ) -> GlsFit:
-    """Fit theta to y = X theta + e.
+    """Fit theta to y = X theta + e for ``design`` X (E, P) and ``value`` y (E,).
 
-    ``design`` is X (E, P) and ``value`` is y (E,). ``sources`` are the stated covariances S_i by name, and ``excess`` the shapes
-    E_j of errors of unknown size; each is a matrix (E, E), or the diagonal (E,) of one. The sum of the sources must be positive
-    definite. In the budget, an excess counts as the source that is the first word of its kind. Raises
-    ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
+    ``sources`` contains the known covariances S_i by name, and ``excess`` the shapes E_j of errors of unknown size. Each is a
+    matrix (E, E) or its diagonal (E,). The sum of the sources must be positive definite. In the budget, an excess belongs to the
+    source named by the first word of its kind. Raise ``numpy.linalg.LinAlgError`` if rows and prior together do not determine
+    theta.
     """
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
@@ -154,10 +154,10 @@ def solve_inverse(
     excess: Mapping[str, FloatArray] | None = None,
     prior: Prior | None = None,
 ) -> GlsFit:
-    """Fit M, c and G to readings (E, 3) of known inputs (E, 3), and of a specific force (E, 3); ``matrix`` is a first M.
+    """Fit M, c and G to readings (E, 3) of known inputs (E, 3), and of a specific force (E, 3), starting from ``matrix``.
 
-    ``prior`` is that of M, c and G, in which G is independent of the others. The parameters are M row by row, c, and G row by row.
-    Rows of the sources and shapes are those of the readings, 3 E in all.
+    The parameters are M row by row, c, and G row by row. In ``prior``, G is independent of M and c. Sources and shapes describe the
+    rows of the readings, 3 E in all.
     """
     count, forces = len(reading), [] if force is None else [force]
     # inputs along an axis with a prior are a small tilt of the others, and their noise would pull its scale towards zero
@@ -236,7 +236,7 @@ class _Rows:
     shapes: tuple[FloatArray, ...]  # E_j
 
     def solve(self, variances: FloatArray) -> _State:
-        """Return the solution for excess variances (J,): V = L L', and L^-1 X over R = Q T.
+        """Return the solution for excess variances (J,), from V = L L' and the factorisation L^-1 X (with the prior) = Q T.
 
         Then C = T^-1 T'^-1, and P = V^-1 - B B' with B = L'^-1 Q. The condition of X is not squared.
         """
@@ -272,7 +272,7 @@ class _Rows:
 
 # ---- excess variances by restricted likelihood: Fisher scoring, bounded at zero
 #
-# Variances s of score g and information I, g_j = r' V^-1 E_j V^-1 r - tr(P E_j) and I_jk = tr(P E_j P E_k), go towards
+# The score of variances s is g_j = r' V^-1 E_j V^-1 r - tr(P E_j), the information I_jk = tr(P E_j P E_k). A step leads to
 #
 #     s+ = argmin_{x >= 0} (x - s)' I (x - s) / 2 - g' (x - s)
 #
@@ -294,7 +294,7 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
 
 
 def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
-    """Improve the variances of the free shapes by at most ``steps`` steps of Fisher scoring; return them and their solution."""
+    """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
     shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
         products = [state.projector @ shape for shape in shapes]
@@ -338,8 +338,8 @@ def _degrees(product: FloatArray) -> float:
 def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float) -> float:
     """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
 
-    Noise within a rest does not show a hand that sways or a nonlinearity: they move whole poses, and show in the residuals only
-    (Paule and Mandel, "Consensus values and weighting factors", 1982).
+    A swaying hand or a nonlinearity moves whole poses. Only residuals reveal it, not the noise within a rest (Paule and Mandel,
+    "Consensus values and weighting factors", 1982).
     """
     from scipy.optimize import brentq
 
@@ -376,9 +376,9 @@ def fit_huber(
     passes: int = 15,
     prior: int = 0,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return parameters (P,), weights (E,) and robust scale; ``together`` neighbouring rows weigh alike, by their rms.
+    """Return parameters (P,), weights (E,) and robust scale. Each group of ``together`` rows has a common weight, from its rms.
 
-    The last ``prior`` rows are no readings: they keep their weight and say nothing of the scale.
+    The last ``prior`` rows are no readings. They keep their weight and do not contribute to the scale.
     """
     length = np.linalg.norm(design, axis=0)
     scaled, weight = design / length, np.ones(len(reading))
@@ -402,7 +402,7 @@ _LEAST_SPARE_BLOCKS = 6  # with fewer, the estimate is too uncertain to use
 
 
 def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed: int = 1) -> FloatArray | None:
-    """Return the standard deviation (P, 3) of the mean of each window (N, 3); None where there are too few blocks."""
+    """Return the standard deviation (P, 3) of the mean of each window (N, 3), or None with too few blocks."""
     square, spare = np.zeros(3), 0
     for values, size in zip(windows, sizes, strict=True):
         count = len(values) // size

@@ -1,7 +1,7 @@
-"""Physical priors: sizes of error sources that the readings of a session cannot show.
+"""Physical priors: sizes of error sources that the readings of a session cannot determine.
 
-Each is one standard deviation. "Assumed" marks a size without a published source; it was chosen from recordings at hand. A session
-or an option overrides a size if the comment names one.
+Each is a standard deviation. "Assumed" marks a size without a published source, chosen from available recordings. A session or an
+option overrides a size if the comment names it.
 """
 
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -10,16 +10,16 @@ MILLI_G = 1e-3 * STANDARD_GRAVITY  # m/s2
 
 # ---- offsets within a session
 
-# flicker of the accelerometers' offset, m/s2; bias instability of consumer parts is 0.02 to 0.1 mg. Assumed.
+# flicker of the accelerometers' offset, m/s2 (consumer parts: bias instability of 0.02 to 0.1 mg). Assumed.
 ACCEL_FLICKER = 0.05 * MILLI_G
 
-# flicker of the gyroscopes' offset, rad/s; bias instability of consumer parts is 3 to 15 deg/h. Assumed.
+# flicker of the gyroscopes' offset, rad/s (consumer parts: bias instability of 3 to 15 deg/h). Assumed.
 GYRO_FLICKER = 8.0 / 3600.0 * RADIAN_PER_DEGREE
 
-# g-sensitivity of the gyroscopes, rad/s per m/s2; data sheets of consumer parts state 0.1 deg/s/g (MPU-6050).
+# g-sensitivity of the gyroscopes, rad/s per m/s2 (data sheets of consumer parts: 0.1 deg/s/g, MPU-6050).
 G_SENSITIVITY = 0.1 * RADIAN_PER_DEGREE / STANDARD_GRAVITY
 
-# lag of a thermometer behind the sensors, s, if no ramp shows it: seconds on one chip, 80 s for an LM335 beside them. Assumed.
+# lag of a thermometer behind the sensors, s, without a ramp: seconds on the same chip, 80 s for a separate LM335. Assumed.
 THERMOMETER_LAG = 60.0
 
 # ---- matrix
@@ -28,7 +28,7 @@ THERMOMETER_LAG = 60.0
 SCALE_FACTOR = 0.03
 SCALE_FACTOR_IN_COUNTS = 0.2
 
-# largest departure from the nominal scale factor that data sheets allow, relative; above it a finding asks for the unit.
+# largest difference from the nominal scale factor in data sheets, relative. Beyond it a finding asks for the unit.
 SCALE_LIMIT = 0.05
 
 # cross-axis term of a gyroscope as read, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, two standard deviations.
@@ -52,11 +52,11 @@ REFERENCE_LEVEL = 2e-3
 
 # ---- limits of a verdict: marginal above the first, bad above the second
 
-# drift of the rest offsets over a session, rad/s: what 1 K does to a consumer part; the mean offset is off by half of it.
+# drift of the rest offsets over a session, rad/s: effect of 1 K on a consumer part, half of which is the error of the mean.
 REST_DRIFT = 0.05 * RADIAN_PER_DEGREE
 
-# drift of the gyroscopes' offset, deg/s: 0.1 in a minute ends 3 deg off after that minute; no warm-up reaches 2.
+# drift of the gyroscopes' offset, deg/s: 0.1 in a minute causes an error of 3 deg after that minute, and no warm-up reaches 2.
 DRIFT_DPS = (0.1, 2.0)
 
-# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn; 5 is no better than data sheets.
+# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn, and 5 is no better than data sheets.
 UNCERTAIN_PERCENT = (0.5, 5.0)

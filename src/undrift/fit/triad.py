@@ -1,6 +1,6 @@
-"""The model of three sensors from its fit: matrix, offset and g-sensitivity with covariance and budget; the note's closed form.
+"""Model of a triad from its fit: matrix, offset and g-sensitivity with covariance and budget, and the note's closed form.
 
-M s - c - G a = f        as ``gls.solve_inverse`` fits it
+M s - c - G a = f        as fitted by ``gls.solve_inverse``
 f = M (s - o) - G a      the model: o = M^-1 c,   do = M^-1 dc - M^-1 dM o
 C = L S' (S S')^-1       the note's matrix without an offset (eqs. 3 and 6), for imposed L and measured S, (3, N)
 """
@@ -81,9 +81,9 @@ def fit_of(
     remainder: str = "noise",
     **names: Any,
 ) -> TriadFit:
-    """Return parameters that were fitted to known inputs (E, 3) as a fit; names are method, unit_in and unit_out.
+    """Return fitted parameters as a fit to inputs (E, 3). ``names`` contains method, unit_in and unit_out.
 
-    ``remainder`` is the source that takes what the parts of the covariance leave of it.
+    ``remainder`` is the source of the covariance that no part explains.
     """
     rank, condition = scaled_condition(np.column_stack((inputs, np.ones(len(inputs)))))
     finite = bool(np.isfinite(parameters.covariance).all())
@@ -112,7 +112,7 @@ def first_matrix(inputs: FloatArray, reading: FloatArray, regressors: FloatArray
 
 
 def offset_of(matrix: FloatArray, constant: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return o of M (u - o) = M u - c, and d (M, o, ..) / d (M, c, ..), (P, P): do = M^-1 dc - M^-1 dM o."""
+    """Return o of M (u - o) = M u - c, and d (M, o, ..) / d (M, c, ..), (P, P), from do = M^-1 dc - M^-1 dM o."""
     inverse, jacobian = np.linalg.inv(matrix), np.eye(count)
     offset = inverse @ constant
     jacobian[9:12, 9:12], jacobian[9:12, :9] = inverse, -np.kron(inverse, offset)
@@ -139,8 +139,8 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
 def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: Any) -> TriadFit:
     """Fit the note's calibration matrix, which has no offset column, to inputs and readings (N, 3).
 
-    C = L S' (S S')^-1 (note, eqs. 3 and 6). Errors e of the rows, (N, 3) in the unit of the inputs, move it by -e' S' (S S')^-1.
-    ``fit`` is the fit of M, c and G to the same rows: it states their covariances, and the offset c that the matrix leaves out.
+    C = L S' (S S')^-1 (note, eqs. 3 and 6). Errors e of the rows, (N, 3) in the unit of the inputs, change it by -e' S' (S S')^-1.
+    ``fit`` is the fit of M, c and G to the same rows, and provides their covariances and the offset c.
     """
     rank, condition = scaled_condition(readings)
     if rank < 3:
@@ -164,7 +164,7 @@ def fit_paper(inputs: FloatArray, readings: FloatArray, fit: GlsFit, **names: An
 
 
 def parameter_names(names: Sequence[str]) -> str:
-    """Return names of parameters as a laboratory says them, those of one kind together."""
+    """Return names of parameters in words, grouped by kind."""
     ends = [(name.partition("_")[0], name.rpartition("_")[2]) for name in names]
     scales = [end[0] for head, end in ends if head == "m" and end[0] == end[-1]]
     crossed = [end for head, end in ends if head == "m" and end[0] != end[-1]]

@@ -1,1 +1,1 @@
-"""Numba kernels, and nothing else: flat arrays and scalars in, flat arrays out. The public wrappers stand in the stages."""
+"""Numba kernels only, from flat arrays and scalars to flat arrays. The calling packages contain the public wrappers."""

@@ -1,7 +1,7 @@
 """Attitude by VQF [1]_, offline, over a whole recording.
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
-   rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
+   rejection", Information Fusion 91, 187-204, 2023, and the package ``vqf``.
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ UNEVEN = 0.1  # of the median step: beyond it the filter, which knows one step, 
 def filtered_attitude(
     time: FloatArray, rate: FloatArray, force: FloatArray, *, offset_sigma: float, acc_s: float = 3.0
 ) -> FloatArray:
-    """Return q_nb (N, 4) from corrected rates (N, 3), rad/s, and specific force (N, 3), m/s2; the heading drifts.
+    """Return q_nb (N, 4), with a drifting heading, from corrected rates (N, 3), rad/s, and specific force (N, 3), m/s2.
 
-    ``offset_sigma`` is the standard uncertainty of the rate's offset, rad/s; ``acc_s`` the time constant by which the inclination
-    follows the accelerometers.
+    ``offset_sigma`` is the standard uncertainty of the rate's offset, rad/s. ``acc_s`` is the time constant, s, with which the
+    inclination follows the accelerometers.
     """
     return filtered_with_field(time, rate, force, None, offset_sigma=offset_sigma, acc_s=acc_s)[0]
 

@@ -1,8 +1,8 @@
 """Kernels of calibration: thermometer lag, rotation between stills.
 
-Shapes and units. Lag: temp, time, out (N,) degC, s, degC, out not the same
-memory; lag, smooth s; state (4,): time and value of the last reading, the low-passed value, the last output; NaN before the first
-reading; changed in place. Moves: gyro flat (3 N,) raw unit, time (N,) s.
+Lag: temp and out (N,) degC in different memory, time (N,) s, lag and smooth in s. state (4,) contains time and value of the last
+reading, the low-passed value and the last output, NaN before the first reading. It is updated in place.
+Moves: gyro flat (3 N,) raw unit, time (N,) s.
 """
 
 import math
@@ -19,8 +19,8 @@ from undrift.kernels.rotation import matrix_of, turned
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth: float, state: FloatArray) -> None:
     # (lag s + 1) / (smooth s + 1), exact where the reading is straight between samples: z' = (x - z) / smooth,
-    # y = z + lag z'. Over a step a = dt / smooth: z = e^-a z_before + (m - e^-a) x_before + (1 - m) x, m = (1 - e^-a) / a.
-    # A NaN holds the output and leaves the state: the next reading bridges it.
+    # y = z + lag z'. With m = (1 - e^-a) / a over a step a = dt / smooth: z = e^-a z_before + (m - e^-a) x_before + (1 - m) x.
+    # A NaN repeats the output and keeps the state, and the next reading bridges the gap.
     gain = lag / smooth
     last, x, z, y = state[0], state[1], state[2], state[3]
     for k in range(np.uint64(temp.size)):
@@ -53,10 +53,10 @@ def rotations_between(
     rotation: FloatArray,
     sums: FloatArray,
 ) -> None:
-    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j];
-    # the rate of sample k holds on (k-1, k].
+    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j].
+    # The rate of sample k applies to (k-1, k].
     # rotation (9 J,): R of the end body frame seen in the start body frame, row by row.
-    # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers each,
+    # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers for each,
     # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
     m0, m1, m2, m3, m4 = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4]
     m5, m6, m7, m8 = matrix[5], matrix[6], matrix[7], matrix[8]
@@ -78,7 +78,7 @@ def rotations_between(
             qw, qx, qy, qz = qw * unit, qx * unit, qy * unit, qz * unit
             t = matrix_of(qw, qx, qy, qz)
             for e in range(9):
-                h = half * (r[e] + t[e])  # the mean of the step's two ends stands for its middle
+                h = half * (r[e] + t[e])  # the mean of the step's two ends approximates its middle
                 out[e] += h
                 out[9 + e] += dx * h
                 out[18 + e] += dy * h

@@ -1,8 +1,8 @@
-"""Correction kernels: raw readings to rate and specific force, one triad or both at a time.
+"""Correction kernels: raw readings to rate and specific force, for one triad or for both.
 
-Shapes and units: x, a, out flat (3 N,); temp (N,) degC; since (N,) s since power-on, or empty; m flat (9,) row by row, unit_out
-per unit_in; o (3,) offset and h (3,) what a code lost, unit_in; g flat (9,) unit_out per m/s2. Unsigned indices let the compiler
-use the vector units.
+Shapes and units: x, a and out are flat (3 N,). temp (N,) is in degC. since (N,) is the time since power-on, s, or empty. m is flat
+(9,) row by row, unit_out per unit_in. Offset o (3,) and rounding loss h (3,) are in unit_in. g is flat (9,), unit_out per m/s2.
+Unsigned indices let the compiler use the vector units.
 """
 
 import math
@@ -32,7 +32,7 @@ class Grid(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Cell coefficients of one triad's tables, flat; an empty array where there is no such table."""
+    """Cell coefficients of a triad's tables, flat, with an empty array for a missing table."""
 
     offset: FloatArray
     offset_temp: Grid
@@ -45,13 +45,13 @@ class Tables(NamedTuple):
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def of_code(x: float, h: float) -> float:
-    # h sign(x); code 0, |x| < |h|, stays
+    # h sign(x), but 0 for code 0, |x| < |h|
     return (h if x > 0.0 else -h) if abs(x) > abs(h) else 0.0
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: FloatArray) -> None:
-    # out = M (x + h sign(x) - o); h is zero unless codes are corrected
+    # out = M (x + h sign(x) - o), with zero h unless codes are corrected
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     o0, o1, o2, h0, h1, h2 = o[0], o[1], o[2], h[0], h[1], h[2]
     if h0 == 0.0 and h1 == 0.0 and h2 == 0.0:  # the signs would cost half as much again
@@ -113,7 +113,7 @@ def affine_pair(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def search(nodes: FloatArray, x: float) -> np.uint64:
-    # index of the cell that holds x, by bisection; the first or last cell where x lies outside
+    # index of the cell that contains x, by bisection, or of the first or last cell for x outside
     low, high = ZERO, np.uint64(nodes.size) - ONE
     while high - low > ONE:
         middle = (low + high) // TWO
@@ -126,7 +126,7 @@ def search(nodes: FloatArray, x: float) -> np.uint64:
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def even_cell(start: float, inverse: float, last: float, x: float) -> tuple[np.int32, float]:
-    # as cell, of an even grid whose last cell is given; 32 bits, since vector units turn no others into integers
+    # as cell, for an even grid with a given last cell (32 bits, because vector units convert nothing else to integers)
     p = (x - start) * inverse
     low = p if p > 0.0 else 0.0
     i = np.int32(low if low < last else last)
@@ -138,7 +138,7 @@ def even_cell(start: float, inverse: float, last: float, x: float) -> tuple[np.i
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def cell(grid: Grid, x: float) -> tuple[np.uint64, float]:
-    # cell index and fraction in [0, 1]: held at the ends, NaN where x is NaN
+    # cell index and fraction, limited to [0, 1], or NaN for x = NaN
     if grid.inverse > 0.0:
         even, f = even_cell(grid.start, grid.inverse, float(grid.cells - 1), x)
         return np.uint64(even), f
@@ -189,7 +189,7 @@ def linear(
     x: FloatArray, a: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, g: FloatArray, tables: Tables,
     offset_at: IndexArray, offset_f: FloatArray, matrix_at: IndexArray, matrix_f: FloatArray,
 ) -> None:  # fmt: skip
-    # out = M(T) (x - o(T)) - G a for one block; a empty without g-sensitivity
+    # out = M(T) (x - o(T)) - G a for a block (a is empty without g-sensitivity)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     g0, g1, g2, g3, g4, g5, g6, g7, g8 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]
     o0, o1, o2 = o[0], o[1], o[2]
@@ -218,7 +218,7 @@ def linear(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def extremes(w: FloatArray, least: float, greatest: float) -> tuple[float, float]:
-    # the least and the greatest of all values and of those given; a chain for each axis, as a single one would wait for itself
+    # minimum and maximum of all values and of the given two (a separate chain per axis avoids waiting)
     l0 = l1 = l2 = least
     u0 = u1 = u2 = greatest
     for k in range(ZERO, np.uint64(w.size), THREE):
@@ -233,9 +233,9 @@ def tabulated(
     x: FloatArray, temp: FloatArray, a: FloatArray, out: FloatArray,
     m: FloatArray, o: FloatArray, h: FloatArray, g: FloatArray, tables: Tables,
 ) -> tuple[float, float]:  # fmt: skip
-    # w = M(T) (x + h sign(x) - o(T)) - G a - e(w, T), e bilinear; a empty without g-sensitivity. Returns the least and the
-    # greatest measured rate, so that the caller can tell whether it left the table. Cells are found a block at a time, before
-    # what they hold is fetched: twice as fast as sample by sample.
+    # w = M(T) (x + h sign(x) - o(T)) - G a - e(w, T) with bilinear e (a is empty without g-sensitivity). Returns the minimum and
+    # maximum measured rate, so that the caller can check the range of the table. Cells are computed a block at a time, before their
+    # coefficients are read, which is twice as fast as sample by sample.
     at, f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
     matrix_at, matrix_f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
     rate_at, r, y = np.empty(3 * LOOKED_UP, np.uint32), np.empty(3 * LOOKED_UP), np.empty(3 * LOOKED_UP)
@@ -270,7 +270,7 @@ def tabulated(
 def without_line(
     x: FloatArray, at: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
 ) -> None:  # fmt: skip
-    # out = x + h sign(x) - line(at): the warm-up over the time since power-on; cells (cells, 3, 2) flat: value and slope
+    # out = x + h sign(x) - line(at): warm-up over the time since power-on, with flat cells (cells, 3, 2) of value and slope
     for k in range(np.uint64(at.size)):
         i, f = cell(grid, at[k])
         for axis in range(THREE):
@@ -280,7 +280,7 @@ def without_line(
 
 
 # ---- while the device turns: segments.py has the rule. rate flat (3 N,) rad/s, NaN in gaps; time (N,) s; out (N,) 1 or 0;
-# state (5,): low-passed rate, time of the last reading, last time at which it was above; written back
+# state (5,): low-passed rate, time of the last reading, last time at which it was above (updated in place)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")

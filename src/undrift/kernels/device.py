@@ -1,7 +1,8 @@
 """Kernels of simulated hardware: offsets that drift from dwell to dwell, and the servo of a table, sample by sample.
 
-Dwells: normals (U, 3, 2 K + 2 or more) normal numbers, row (N,) which of them a dwell has; start, duration (N,) s; first (S + 1,)
-where each session begins; constants (K,) s, sd (K, 3) and walk (3,) the last per sqrt(s); out (N, 3).
+Dwells: normals (U, 3, 2 K + 2 or more) are normal random numbers, and row (N,) selects those of a dwell. start and duration (N,)
+are in s. first (S + 1,) contains the first dwell of each session. constants (K,) are in s, sd is (K, 3), and walk (3,) is per
+sqrt(s). out is (N, 3).
 """
 
 import math
@@ -20,8 +21,8 @@ def add_drift(
     normals: FloatArray, row: IntArray, start: FloatArray, duration: FloatArray, first: IntArray,
     constants: FloatArray, sd: FloatArray, walk: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    # out += mean over each dwell of Gauss-Markov processes and of a random walk that is 0 at the first dwell. Of a dwell the start
-    # given the dwell before, then the mean given the start, take a normal number each: exact for any gap and length.
+    # out += mean over each dwell of Gauss-Markov processes and of a random walk that is 0 at the first dwell. One normal number
+    # gives the start for the previous dwell, another gives the mean for the start. This is exact for any gap and length.
     count = constants.size
     ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # the end of the dwell before: mean, variance about it
     phi, root, pull, step_sd, fade = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
@@ -65,8 +66,8 @@ def add_drift(
 def mean_codes(
     level: FloatArray, normals: FloatArray, row: IntArray, kind: IntArray, bias: FloatArray, sd: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip
-    # out (N, 3): means of rounded noisy readings about a level (N, 3), codes; bias and sd (U, 3, M) of U kinds of dwells,
-    # kind (N,), over the fraction of a code, straight between; the last of the normal numbers is that of the mean
+    # out (N, 3): means of rounded noisy readings about a level (N, 3), in codes. bias and sd (U, 3, M) of U kinds of dwells,
+    # kind (N,), are linear over the fraction of a code. The last normal number is the error of the mean.
     cells = bias.shape[2] - 1
     for j in range(level.shape[0]):
         for i in range(3):
@@ -82,7 +83,7 @@ def mean_codes(
 def add_process(
     draws: FloatArray, keep: float, fresh: float, stationary: bool, sd: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
-    # out (N, 3) += sd y, y_k = keep y_(k-1) + fresh draws_k, y_(-1) = state (3,), which moves on; stationary: y_0 = draws_0
+    # out (N, 3) += sd y, y_k = keep y_(k-1) + fresh draws_k, y_(-1) = state (3,), updated in place (stationary: y_0 = draws_0)
     for k in range(draws.shape[0]):
         for i in range(3):
             state[i] = (1.0 if k == 0 and stationary else fresh) * draws[k, i] + keep * state[i]
@@ -91,7 +92,7 @@ def add_process(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def follow_with_play(temp: FloatArray, half_width: float, at: float, out: FloatArray) -> None:
-    # out (N,): what follows a temperature with play, from where it was
+    # out (N,): output of a play operator for a temperature, from its current state
     for k in range(temp.size):
         at = min(max(at, temp[k] - half_width), temp[k] + half_width)
         out[k] = at
@@ -103,7 +104,7 @@ ANGLE, RATE, ERROR, SAMPLES = 0, 1, 2, 3  # state: rad, rad/s, counts, samples s
 
 
 class Loop(NamedTuple):
-    """Coefficients of a servo's loop; see sim/servo.py for their meaning."""
+    """Coefficients of a servo's loop, as defined in sim/servo.py."""
 
     period_s: float
     proportional: float  # 4 KP
@@ -121,8 +122,8 @@ class Loop(NamedTuple):
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def servo(state: FloatArray, loop: Loop, powered: bool, profile: FloatArray, stride: int, out: FloatArray) -> None:
-    # out (n,): angle after each `stride` samples; profile (K, 4): start s, position, speed and acceleration in counts, in the order
-    # of time; the last row is a rest
+    # out (n,): angle after each `stride` samples. profile (K, 4) contains start in s, position, speed and acceleration in counts,
+    # in the order of time. Its last row is a rest.
     row = 0
     for k in range(out.size):
         for _ in range(stride):

@@ -1,9 +1,9 @@
 """Rotation kernels: integrate rates into quaternions, and their sensitivity to the parameters of a triad.
 
-Shapes and units: gyro or rate flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,); regressors flat (C N,), at (L,) s
-increasing within the record, q_out flat (4 L,), sum_out flat (9 C L,): [a, b, c] holds the sum of R_mid[a, b] regressor_c dt from
-the start on. force flat (3 N,) m/s2; first (K,) and weight (W,), the first samples of K windows, ascending, and what each of its
-W samples weighs; out of carried_means flat (21 K,): of each window <R f>, then <[R f]x J> and <R> row by row.
+Shapes and units: gyro or rate flat (3 N,) rad/s, time (N,) s, q (4,) w-x-y-z, out flat (4 N,), regressors flat (C N,).
+at (L,) contains increasing times within the record, s. q_out is flat (4 L,), and sum_out flat (9 C L,): [a, b, c] is the sum of
+R_mid[a, b] regressor_c dt from the start. force is flat (3 N,) m/s2. first (K,) contains the first samples of K windows, ascending,
+and weight (W,) the weights of their W samples. out of carried_means is flat (21 K,): <R f>, <[R f]x J> and <R> row by row.
 """
 
 import math
@@ -59,7 +59,7 @@ def accumulate(
     q_out: FloatArray,
     sum_out: FloatArray,
 ) -> None:
-    # The rate of sample k holds on (t_(k-1), t_k]; the rotation at the middle of each step carries the sensitivity.
+    # The rate of sample k applies to (t_(k-1), t_k]. The rotation at the middle of each step determines the sensitivity.
     n, points = time.size, at.size
     channels = regressors.size // n
     width = 9 * channels
@@ -102,7 +102,7 @@ def accumulate(
 # ---- strapdown
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
-BLOCK = 32  # samples whose increments are made together; the series below runs on vector units, the product cannot
+BLOCK = 32  # samples per block (the series below runs on vector units, the product cannot)
 SERIES_LIMIT = 0.01  # square of a half angle of 0.1 rad: the first term left out is under 3e-17
 
 
@@ -123,7 +123,7 @@ def large_increments(gyro: FloatArray, time: FloatArray, out: FloatArray, start:
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray) -> None:
-    # q_k = q_(k-1) exp(w_k (t_k - t_(k-1))): the rate of sample k holds on (k-1, k]; exact for a constant rate.
+    # q_k = q_(k-1) exp(w_k (t_k - t_(k-1))): the rate of sample k applies to (k-1, k], which is exact for a constant rate.
     qw, qx, qy, qz = q[0], q[1], q[2], q[3]
     out[0], out[1], out[2], out[3] = qw, qx, qy, qz
     for start in range(1, time.size, BLOCK):
@@ -168,8 +168,8 @@ def carried_means(
     weight: FloatArray,
     out: FloatArray,
 ) -> None:
-    # Weighted sums over windows, in the frame of the first sample, R by strapdown from there: R f; what a rate x_c e_b adds to
-    # them, [a, b, c] of (the integral of R[:, b] x_c dt) x R f; what a force y_c e_b adds, R[a, b] y_c. Regressors as above.
+    # Weighted sums over windows, in the frame of the first sample, R by strapdown from there: R f, the effect of a rate x_c e_b as
+    # [a, b, c] of (the integral of R[:, b] x_c dt) x R f, and the effect of a force y_c e_b as R[a, b] y_c. Regressors as above.
     n = time.size
     x, y = rate_regressors.size // n, force_regressors.size // n
     width = 3 + 9 * x + 9 * y
