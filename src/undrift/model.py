@@ -123,7 +123,7 @@ class TriadModel:
     budget: Annotated[Budget | None, LATER] = None  # None if the fit does not separate sources
     # offset while the device turns minus offset at rest, unit_out, axes of the result, or None if not fitted
     moving_offset: Annotated[Vector, LATER] = None
-    # added to a reading with the sign of the reading, unit_in, for codes truncated toward zero; if None, ``adc`` applies
+    # added to a reading with the sign of the reading, unit_in, for codes truncated toward zero (if None, ``adc`` applies)
     code_offset: Annotated[Vector, LATER] = None
 
     def __post_init__(self) -> None:
@@ -173,7 +173,7 @@ class TriadModel:
         return np.asarray(np.linalg.norm(self.forward_matrix, axis=1))
 
     def si_per_reading(self, quantity: Quantity) -> FloatArray:
-        """Return the SI value of one raw unit of each sensor, shape (3,)."""
+        """Return the SI value of a raw unit of each sensor, shape (3,)."""
         return np.asarray(si_factor(self.unit_out, quantity) / self.scale_factor)
 
     @property
@@ -192,10 +192,10 @@ class TriadModel:
 class Magnetometer:
     """Inverse model of a magnetometer: field = x - lag_s (w x x), with x = matrix (raw - offset) and w the rate.
 
-    Axes are those of the gyroscopes.
+    It has the axes of the gyroscopes.
     """
 
-    model: TriadModel  # uT to uT; the matrix has determinant 1, so it does not scale the field
+    model: TriadModel  # uT to uT (the matrix has determinant 1, so it does not scale the field)
     lag_s: float  # lag of the readings behind the gyroscopes, s
     lag_uncertainty_s: float  # standard uncertainty of the lag, s
 
@@ -211,7 +211,7 @@ class WarmUp:
     """Additional offset of a device after power-on, which decays to zero."""
 
     power_on_s: Nodes  # time since power-on, s, starting at 0
-    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # added to the settled offset, raw unit; the last row is zero
+    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # added to the settled offset, raw unit (the last row is zero)
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -230,7 +230,7 @@ def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OverTemperature:
-    """Table over temperature of one sensor, n nodes."""
+    """Table over temperature of a sensor, n nodes."""
 
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n, 3) offsets or (n, 3, 3) matrices
@@ -251,9 +251,9 @@ class StaticDrift:
     accel_uncertainty: Annotated[Rows3, LATER] = None
     gyro_extrapolated: Annotated[Marks, LATER] = None  # true if no data were near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
-    # half the difference of the offsets while cooling and while warming, raw unit; the table is the mean of both
+    # half the difference of the offsets while cooling and while warming, raw unit (the table is the mean of both)
     gyro_hysteresis: Annotated[Vector, LATER] = None
-    # standard deviation of the offset from visit to visit at the same temperature, raw unit; included in the uncertainty
+    # standard deviation of the offset from visit to visit at the same temperature, raw unit, included in the uncertainty
     gyro_visit: Annotated[Vector, LATER] = None
     accel_visit: Annotated[Vector, LATER] = None
     warm_up: Annotated[WarmUp | None, LATER] = None
@@ -299,13 +299,13 @@ class DynamicDrift:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftTables:
-    """Tuning tables of one device: offsets, matrices and rate-dependent error over the temperature of the sensors."""
+    """Tuning tables of a device: offsets, matrices and rate-dependent error over the temperature of the sensors."""
 
     static: StaticDrift | None = None
     scale: ScaleDrift | None = None
     dynamic: DynamicDrift | None = None
     lag_s: Annotated[float, Ge(0.0), LATER] = 0.0  # time constant of the lag of the thermometer behind the sensors, s
-    # time constant of the smoothing applied when the lag is removed, s; above 0 if there is a lag
+    # time constant of the smoothing applied when the lag is removed, s (above 0 if there is a lag)
     lag_smooth_s: Annotated[float, Ge(0.0), LATER] = 0.0
 
     def __post_init__(self) -> None:
@@ -412,7 +412,7 @@ def versions_used() -> tuple[tuple[str, str], ...]:
 @stored(kind="undrift.calibration", whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibration(Shown):
-    """Everything that is needed to convert the readings of one device to rad/s and m/s2.
+    """Everything that is needed to convert the readings of a device to rad/s and m/s2.
 
     Parameters
     ----------
@@ -459,7 +459,7 @@ class Calibration(Shown):
     mounting: Annotated[BodyMounting | None, LATER] = None
 
     def triad(self, sensor: Sensor) -> "Triad":
-        """Return model, tables and code properties of one sensor."""
+        """Return model, tables and code properties of a sensor."""
         drift, adc, gyro = self.drift or NO_TABLES, self.adc or _NO_CODES, sensor == "gyro"
         static = drift.static
         return Triad(
@@ -531,7 +531,7 @@ def _summarize_tables(drift: DriftTables) -> str:
 
 
 def _select_table(table: StaticDrift | ScaleDrift | None, sensor: Sensor, what: str) -> OverTemperature | None:
-    """Return the table of one sensor, or None if there is none."""
+    """Return the table of a sensor, or None without a table."""
     if table is None:
         return None
     value, uncertainty, marks = (getattr(table, f"{sensor}_{name}") for name in (what, "uncertainty", "extrapolated"))

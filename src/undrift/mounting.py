@@ -1,14 +1,14 @@
-"""Mounting: how a device is worn, from its case axes b to the axes a of the segment that wears it.
+"""Mounting of a device on the body, from its case axes b to the axes a of the segment that wears it.
 
-Axes a: x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a: its rows are forward, left and up, in b.
+Axes a are x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a. Its rows are forward, left and up, in b.
 
 ``up``       the vertical in b during the longest upright posture
-``forward``  by walks from one posture to the next: the horizontal acceleration, integrated from rest to rest, is the velocity, and
-             its mean points forward. Or by a named movement: the vertical in b leaves ``up`` towards the back of a segment that
-             leans forward.
+``forward``  from walks between postures: the horizontal acceleration, integrated from rest to rest, is the velocity, and its mean
+             points forward. Or from a named movement: the vertical in b leaves ``up`` towards the back of a segment that leans
+             forward.
 
-The scatter of the pieces (walks, repetitions) gives the uncertainty of their mean. An error that all pieces share, because people
-are no machines, is added (``STANCE``, ``WALKS``, ``REPETITIONS``).
+The scatter of the pieces (walks, repetitions) determines the uncertainty of their mean. An error that all pieces share, because
+human movement varies, is added (``STANCE``, ``WALKS``, ``REPETITIONS``).
 """
 
 from collections.abc import Sequence
@@ -41,18 +41,18 @@ LEANS: dict[Movement, dict[Worn, float]] = {
     "squat": {"lower-back": 1.0, "thigh": -1.0, "shank": 1.0},
     "raise": {"thigh": -1.0, "shank": -1.0, "foot": -1.0, "wrist": -1.0},
 }
-# standard uncertainty of an upright posture about x and y, rad: sway of older people in quiet stance; sitting assumed
+# standard uncertainty of an upright posture about x and y, rad: sway of older people in quiet stance (sitting assumed)
 STANCE = {"standing": (0.6 * DEG, 0.9 * DEG), "sitting": (3.0 * DEG, 3.0 * DEG)}
-# usual scatter of the pieces and error that all of them share, rad, of simulated people, rounded up; and the fewest pieces
+# usual scatter of the pieces and their common error, rad, of simulated people, rounded up, and the fewest pieces
 WALKS, REPETITIONS = (1.5 * DEG, 0.7 * DEG, 1), (3.0 * DEG, 2.0 * DEG, 2)
 WARN = 5.0 * DEG  # of a whole mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
-POSTURE_S, EDGE_S = 3.0, 0.3  # shortest posture; its ends, in which the body still moves or already moves, s
-WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated; its first and last part, which may turn, s
+POSTURE_S, EDGE_S = 3.0, 0.3  # shortest posture, and its ends, in which the body still moves, s
+WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first and last part, which may turn, s
 BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # of steps, and of their size
 QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in postures and in steps, m/s2
 SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in a posture, and about it in a straight walk, rad/s
-LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # of a movement at least; of an upright posture from the mean over walking
+LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a movement, and largest tilt of an upright posture
 CLEAR = 4.0  # a direction in its uncertainties
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # of a recording: steps come twice a second
 USUAL_PIECES = 4  # that the usual scatter counts for
@@ -60,7 +60,7 @@ USUAL_PIECES = 4  # that the usual scatter counts for
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MountFit:
-    """How a device is worn, as far as the recordings determine it."""
+    """Mounting of a device, as far as the recordings determine it."""
 
     mounting: BodyMounting | None  # None if an axis is not determined
     basis: tuple[str, ...]  # what determined up, and forward
@@ -69,7 +69,7 @@ class MountFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Track:
-    """Postures and steps of one recording, N samples in b."""
+    """Postures and steps of a recording, N samples in b."""
 
     record: Record  # in SI units
     gyro: FloatArray  # (N, 3), rad/s
@@ -112,7 +112,7 @@ def find_mounting(
     movement: Movement = "walk",
     posture_s: Span | None = None,
 ) -> MountFit:
-    """Find how a device is worn from recordings of one wearing; ``posture_s`` is the posture in the first, by default searched."""
+    """Determine the mounting of a device from recordings without a change of mounting. ``posture_s`` is in the first."""
     if movement != "walk" and place not in LEANS[movement]:
         allowed = " or ".join(("walk", *(name for name in LEANS if place in LEANS[name])))
         raise InputError(f"mount: {movement} does not move the {place}. Choose {allowed}.")
@@ -153,7 +153,7 @@ def find_mounting(
 
 
 def _up(tracks: Sequence[_Track], posture: Posture, posture_s: Span | None) -> tuple[FloatArray, Span, str] | None:
-    """Return the vertical of the upright segment in b, the variances about its x and y, and its posture; None without one."""
+    """Return the vertical of the upright segment in b, the variances about its x and y, and its posture, or None without one."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
     mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > POSTURE_S else None
@@ -181,7 +181,7 @@ def _up(tracks: Sequence[_Track], posture: Posture, posture_s: Span | None) -> t
 def _pieces(
     tracks: Sequence[_Track], up: FloatArray, place: Worn, movement: Movement
 ) -> tuple[FloatArray, tuple[float, float, int]]:
-    """Return vectors (K, 3) in b, level, that point forward on average; their usual scatter, shared error and fewest number."""
+    """Return horizontal vectors (K, 3) in b that point forward on average, with usual scatter, common error and fewest number."""
     if movement == "walk":
         ways = [way for track in tracks for way in _bouts(track)]
     else:
@@ -193,7 +193,7 @@ def _pieces(
 
 
 def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float] | None:
-    """Return the direction of the robust mean of pieces (K, 3) and its standard uncertainty, rad; None if it is not clear."""
+    """Return the direction of the robust mean of pieces (K, 3) and its standard uncertainty, rad, or None if it is not clear."""
     middle, weight, count = pieces.mean(axis=0), np.ones(len(pieces)), len(pieces)
     for _ in range(50):
         distance = np.linalg.norm(pieces - middle, axis=1)
@@ -215,7 +215,7 @@ def _bouts(track: _Track) -> list[FloatArray]:
     rests = [(int(a) + edge, int(b) - edge) for a, b in runs(track.quiet) if b - a > rate]
     if not rests:
         return []
-    # gravity at both ends of the rests shows how the body swayed there: what else gyroscopes read there is their offset
+    # gravity at both ends of the rests measures the sway, and the gyroscopes' readings beyond it are their offset
     ups = {k: track.force[k - edge : k + edge].mean(axis=0) for rest in rests for k in rest}
     size = float(np.mean([np.linalg.norm(up) for up in ups.values()]))
     sway = np.sum([np.cross(ups[b], ups[a]) for a, b in rests], axis=0) / size**2

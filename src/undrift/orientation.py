@@ -1,27 +1,27 @@
 """Orientation q_nb of the device case: initial tilt at rest, strapdown from there, and the angles of the result.
 
-Tilt: the specific force f in b points up at rest (without one, correction/motion.py finds its vertical part in motion), and the
-shortest rotation that takes f to n's z is, for f of length one::
+The specific force f in b points up at rest. Without a rest, correction/motion.py determines its vertical part in motion. The
+shortest rotation that turns f to the z axis of n is, for f of length one::
 
-    q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about n's z to the wanted heading
+    q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about the z axis of n to the heading
 
-Its error is, to first order, the level part of the error of f over |f|, whose sources are those of correction/rest.py. It has two
-components, so that 95 % of errors lie within a circle of 1.73 (equal components) to 1.96 (one component) standard uncertainties.
+To first order, its error is the horizontal part of the error of f over |f|, with the sources in correction/rest.py. It has two
+components. 95 % of errors are therefore within a circle of 1.73 (equal components) to 1.96 (one component) standard uncertainties.
 Strapdown (frames.py) starts there. Angles of q_nb = (w, x, y, z)::
 
-    inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z from the vertical
+    inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z axis from the vertical
     heading     = 2 atan(z / w)                  turn about the vertical
-    pitch       = atan2(-u . forward, u . up)    u the vertical seen in b: forward lean is positive
+    pitch       = atan2(-u . forward, u . up)    vertical u seen in b, forward lean is positive
 
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
 
-Strapdown drifts by the offset's uncertainty times the time since the rest; the uncertainty is the largest rate left at a rest (the
-calibration's own where that is more), the scatter of the mean, and the change from rest to motion. A filter (VQF [1]_) takes the
-inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias; its heading is that of
-the rest (6D), or relative to magnetic east where it takes the magnetometer (9D).
+Strapdown drifts by the uncertainty of the offset times the time since the rest. This uncertainty combines the largest remaining
+rate at a rest (or the calibration's uncertainty, if larger), the scatter of the mean, and the change from rest to motion. A filter
+(VQF [1]_) gets the inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias. Its
+heading starts at the rest (6D), or is relative to magnetic east with a magnetometer (9D).
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
-   rejection", Information Fusion 91, 187-204, 2023; the package ``vqf``.
+   rejection", Information Fusion 91, 187-204, 2023, and the package ``vqf``.
 """
 
 import math
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 # ---- Initial tilt
 
-GRAVITY_WITHIN = 0.2  # of standard gravity: beyond it the readings are no specific force at rest in m/s2
+GRAVITY_WITHIN = 0.2  # relative to standard gravity (beyond it the readings are not specific force at rest in m/s2)
 NOT_CALIBRATED = "scatter only, because the accelerometer is not calibrated: typically 0.3 deg"
 NOT_STATED = "scatter only, because the file does not contain the uncertainty of its accelerometer. Correct the raw recording again"
 
@@ -73,7 +73,7 @@ class Tilt:
     specific_force: Annotated[FloatArray, Shape(3)]  # mean over the still phase, m/s2, frame b
     inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
     expanded_uncertainty: float  # 95 % of directions err by less, rad
-    parts: tuple[tuple[str, float], ...]  # Its share by source, rad: squares sum to that of the whole
+    parts: tuple[tuple[str, float], ...]  # share of each source, rad, with a sum of squares equal to the total
     basis: str  # "calibration", or why the accelerometers' own part is missing
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class Tilt:
 
     @property
     def statement(self) -> str:
-        """How well it is known, in words."""
+        """Uncertainty of the tilt in words."""
         total_deg, most = (
             angle / RADIAN_PER_DEGREE for angle in (self.inclination_uncertainty, self.expanded_uncertainty)
         )
@@ -185,7 +185,7 @@ def heading_of(q_nb: FloatArray) -> FloatArray:
 
 
 def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -> FloatArray:
-    """Return the direction of gravity in the segment's sagittal plane, rad; forward lean is positive."""
+    """Return the direction of gravity in the segment's sagittal plane, rad, positive for forward lean."""
     if forward not in FACES or up not in FACES or forward[1] == up[1]:
         raise InputError(
             f"pitch: expected two different axes of {', '.join(FACES)}, got forward {forward} and up {up}. "
@@ -202,7 +202,7 @@ FAR_UP_DEG = 60.0  # of the axis for up from the vertical at rest: the device is
 def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
     """Return a finding if the axis for up is far from the vertical at rest, or on average without a rest.
 
-    It names the axis nearest to the vertical, and for forward the axis along which the vertical leans most.
+    The finding names the axis nearest to the vertical, and for forward the axis along which the vertical leans most.
     """
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     mean = np.nanmean(vertical if rest is None else vertical[rest], axis=0)
@@ -227,30 +227,30 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
 # ---- A whole record
 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
-# In a stretch taken as rest, a person who stands sways by 1 deg/s rms and by 0.5 deg from its first third to its last
+# During a rest, a standing person sways by 1 deg/s rms and by 0.5 deg from its first third to its last
 MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
 WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # of strapdown over the record: what optics show on a trial of two minutes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrientSettings:
-    """How a record is oriented.
+    """Settings of the orientation of a record.
 
     Parameters
     ----------
     offset : str
-        "none"; "rest": the mean rate of the still phase is subtracted, and with it any true slow turn;
-        "motion": what gravity shows of it while the device moves, from that rest.
+        "none". "rest" subtracts the mean rate of the still phase, including any true slow turn. "motion" also subtracts the
+        offset that gravity determines in motion, starting from that rest.
     method : str
-        "strapdown", or "vqf": a filter with accelerometers, over the whole record.
+        "strapdown", or "vqf", a filter with accelerometers over the whole record.
     magnetometer : bool
-        Whether the filter takes the magnetic field too: n is then magnetic east, magnetic north and up.
+        If True, the filter also uses the magnetic field. The axes of n are then magnetic east, magnetic north and up.
     heading : float
-        Heading at the still phase, rad; with a magnetometer it is that of the field.
+        Heading at the still phase, rad. With a magnetometer, the field determines the heading.
     forward, up : str
-        Device axes that point forward and up on the upright segment; they define the pitch.
+        Device axes that point forward and up on the upright segment. They define the pitch.
     mounting : BodyMounting or None
-        How the device is worn: orientation and angles are then those of the segment, and the axes above are the segment's.
+        Mounting of the device on the body. Orientation, angles and the axes above then refer to the segment.
     """
 
     offset: Literal["none", "rest", "motion"] = "none"
@@ -275,12 +275,12 @@ class Orientation(Shown):
     heading: Annotated[FloatArray, Shape("n")]  # turn about the vertical, rad
     pitch: Annotated[FloatArray, Shape("n")]  # of gravity in the sagittal plane, forward lean positive, rad
     tilt: Tilt  # at the still phase, or at the first sample without one
-    still: Still | None  # that phase; None if the device never rests
+    still: Still | None  # still phase of the initial tilt, or None if the device never rests
     offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
     rests: tuple[Still, ...]  # the still phases, by which the uncertainty of the offset is judged
     rest_offsets: Annotated[FloatArray, Shape("k", 3)]  # mean rate of each before anything was subtracted, rad/s
     offset_uncertainty: float  # standard, all axes together, rad/s
-    findings: tuple[Finding, ...] = ()  # the drift to expect of strapdown; axes of the pitch that do not fit
+    findings: tuple[Finding, ...] = ()  # expected drift of strapdown, and unsuitable axes of the pitch
 
     def __post_init__(self) -> None:
         freeze(self, k=len(self.rests))
@@ -315,24 +315,25 @@ def orient(
     *,
     gyro_model: TriadModel | None = None,
 ) -> Orientation:
-    """Find the orientation of the device at every sample.
+    """Determine the orientation of the device at every sample.
 
     Parameters
     ----------
     record : Record
-        Rate and specific force in physical units, best corrected: the uncertainty of the tilt then counts the calibration's.
+        Rate and specific force in physical units. For a corrected record the uncertainty of the tilt includes the calibration.
     still : Still, optional
-        Where the device stood still, by default the first still phase. Without one, gravity in motion shows tilt and offset.
+        A still phase, by default the first detected one. Without any, gravity in motion determines tilt and offset.
     settings : OrientSettings
         Method, offset, heading and axes.
     gyro_model : TriadModel, optional
-        The gyroscope's model, whose covariance then counts in the uncertainty of the offset.
+        Model of the gyroscopes. Its covariance then counts in the uncertainty of the offset.
 
     Raises
     ------
-    InputError, Implausible
-        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis or counts;
-        columns, units or a sample rate that clearly are others than stated.
+    InputError
+        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis or counts.
+    Implausible
+        Columns, units or the sample rate clearly differ from their declaration.
 
     Examples
     --------
@@ -370,7 +371,7 @@ def orient_unchecked(
     means = np.reshape([rates[rest.start : rest.stop].mean(axis=0) for rest in rests], (-1, 3))
     findings = padding(full_record, record)
     if settings.offset == "motion" or still is None:
-        from undrift.correction.motion import find_motion_offset  # scipy and a kernel, for this alone
+        from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel
 
         moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
@@ -414,7 +415,7 @@ def orient_unchecked(
 
 
 def _rotate_to_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> FloatArray:
-    """Return the orientations of the segment that wears the device, where a mounting is stated, at the stated heading."""
+    """Return the orientations of the segment that wears the device, at the given heading, if there is a mounting."""
     if settings.mounting is None:
         return q_nb
     q = settings.mounting.of_body(q_nb)
@@ -423,7 +424,7 @@ def _rotate_to_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) 
 
 
 def _rests(record: Record, still: Still | None, offset: str) -> tuple[Still, ...]:
-    """Return the named still phase, or those found; none in motion."""
+    """Return the given still phase, or the detected still phases, or none in motion."""
     if still is not None:
         return (still,)
     try:
@@ -495,10 +496,10 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str
 def filtered(
     record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool, acc_s: float = 3.0
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return the orientation by VQF over the whole record, offline, (N, 4), and what it says of the field.
+    """Return the orientation (N, 4) by VQF over the whole record, offline, with findings about the field.
 
-    Heading from its start, or where it takes a magnetometer from magnetic east, x of n; ``acc_s`` is the time constant by which the
-    inclination follows the accelerometers.
+    The heading is relative to its start, or with a magnetometer to magnetic east, the x axis of n. ``acc_s`` is the time constant,
+    s, with which the inclination follows the accelerometers.
     """
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
@@ -519,7 +520,7 @@ def filtered(
 
 
 def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
-    """Return the orientations turned about the vertical, so that the heading at one sample is the wanted one's."""
+    """Return the orientations turned about the vertical, so that the heading at a sample equals the heading of ``wanted``."""
     w, _, _, z = quaternion_product(wanted, quaternion_conjugate(q_nb[anchor]))
     return quaternion_product(np.array([w, 0.0, 0.0, z]) / math.hypot(w, z), q_nb)
 

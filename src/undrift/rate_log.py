@@ -1,12 +1,12 @@
 """Rates of a table that undrift does not drive, from the log of its own controller.
 
-The log contains time and rate, or time and angle, on a clock of its own. A moment t of the log is, on the clock of the recording::
+The log contains time and rate, or time and angle, on its own clock. A time t of the log is, on the clock of the recording::
 
-    t + lag + skew (t - tm)          tm: the middle of the moments that were aligned
+    t + lag + skew (t - tm)          tm: middle of the aligned times
 
 Rates and readings are correlated at every shift, and the lags of parts of the log give a straight line (``sync.lag_line``). Steady
-stretches of the log become dwells. Their rate is taken from the log, over the readings within the dwell minus the settling and
-three times the uncertainty of the lag.
+stretches of the log become dwells. The log gives their rate. The readings of a dwell exclude the settling and three times the
+uncertainty of the lag.
 """
 
 from collections.abc import Sequence
@@ -34,11 +34,11 @@ LEAST_S = 1.0  # shortest dwell that is left
 RAMP_S = 3.0  # before and after a dwell: the rate changes in it
 STEADY = 0.02  # largest departure of a steady rate from its median, relative
 LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
-LARGEST_UNCERTAINTY = 0.01  # of a rate, relative; a dwell of more is left out
-PARTS, PART_S = 12, 30.0  # of the log at most, each at least so long; each has a lag
-REACH_S = 5.0  # of the lag of a part from that of the whole
-FLOOR_S, JUMP_S = 1e-3, 0.3  # of a lag: what the shape of a ramp hides; off the line: a clock jumped
-UNKNOWN_SKEW = 1e-4  # of two quartz clocks that one part cannot compare
+LARGEST_UNCERTAINTY = 0.01  # relative, of a rate (a dwell with a larger uncertainty is omitted)
+PARTS, PART_S = 12, 30.0  # of the log: largest number of parts and their shortest length, each with a lag
+REACH_S = 5.0  # largest difference between the lags of a part and of the whole log
+FLOOR_S, JUMP_S = 1e-3, 0.3  # uncertainty of a lag on a ramp, and deviation from the line if a clock jumped
+UNKNOWN_SKEW = 1e-4  # relative, of two quartz clocks that a single part cannot compare
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,8 +47,8 @@ class RateLog:
 
     name: str
     time: FloatArray  # (M,), controller s
-    angle: FloatArray  # (M,), rad; the integral of the rate if the log has rates
-    resolution: float  # of one angle, rad, or of one rate, rad/s
+    angle: FloatArray  # (M,), rad, the integral of the rate if the log has rates
+    resolution: float  # resolution of an angle, rad, or of a rate, rad/s
     has_angle: bool
 
 
@@ -61,7 +61,7 @@ class LoggedTurn:
 
 
 def read_rate_log(path: str | Path) -> RateLog:
-    """Read a log: a header, a column of TIMES, and one of RATES or ANGLES; comma, semicolon or tab between them."""
+    """Read a log with a header, a column of TIMES, and one of RATES or ANGLES, separated by comma, semicolon or tab."""
     first, *rows = open_text(path).head.splitlines()
     delimiter = max(",;\t", key=first.decode("utf-8", "replace").count)
     decimal = "," if delimiter == ";" and b"," in rows[0] else "."
@@ -181,7 +181,7 @@ def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
 
 
 def _recorded(record: Record, line: LagLine, start: float, stop: float) -> slice | None:
-    """Return the samples of a dwell without its settling; None if the recording does not contain it."""
+    """Return the samples of a dwell without its settling, or None if the recording does not contain it."""
     first, last = (
         line.later(t) + side * (SETTLE_S + 3.0 * line.uncertainty_s(t)) for t, side in ((start, 1), (stop, -1))
     )

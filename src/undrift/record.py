@@ -58,7 +58,7 @@ class ArrowTable(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Record(Shown):
-    """Readings of one device.
+    """Readings of a device.
 
     Parameters
     ----------
@@ -508,7 +508,7 @@ class SetPointMeans:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
-    """The recordings of one device, with labels for rests and turns.
+    """Recordings of a device, with labels for rests and turns.
 
     Parameters
     ----------
@@ -600,7 +600,7 @@ def check_local_gravity(gravity_m_s2: float, what: str) -> None:
 
 
 def joined(records: Sequence[Record]) -> Record:
-    """Return consecutive records of one device as one record. A channel that is missing in one of them is dropped."""
+    """Return consecutive records of a device as a single record. A channel that is missing in any record is dropped."""
     first, *later = records
     if not later:
         return first

@@ -1,15 +1,15 @@
-"""Segments: where in a record the device stood still, turned at a steady rate, or was moved from one pose to the next.
+"""Find the segments of a record: still phases, turns at a steady rate, and moves from one pose to the next.
 
 Ranges are [start, stop). Stillness of a triad at sample k is the sliding standard deviation of its reading y, smoothed over
-``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages white noise out and keeps what a
-hand or a body does. The threshold comes from the data: at rest log d has one narrow peak at the noise floor, motion lies
-decades above, and the threshold is the emptiest place between the two. Without such a gap there is no still phase. A steady
-turn is a stretch where the smoothed rate r, less the offset at rest, is far from zero and steady::
+``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages white noise out and keeps the motion
+of a hand or a body. The threshold comes from the data. At rest log d has one narrow peak at the noise floor, motion is decades
+above, and the threshold is the emptiest value between the two. Without such a gap there is no still phase. In a steady turn the
+smoothed rate r minus the offset at rest is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
 
-If that search finds too few poses, ``find_poses`` tries windows of 0.25 to 2 s with thresholds of 3 to 64 noise floors, and takes
-the count of poses on which most of them agree: a pose is found with many windows and thresholds, a slow moment of a move is not.
+If that search finds too few poses, ``find_poses`` tests windows of 0.25 to 2 s with thresholds of 3 to 64 noise floors, and uses
+the most frequent count of poses. Many windows and thresholds find a pose, but few find a slow moment of a move.
 """
 
 import itertools
@@ -29,13 +29,13 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 # ---- still phases
 
 # A device at rest varies less than this within a window, in physical units: rms of three axes after smoothing. Benches and
-# hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2; a person who stands or sits gives more.
+# hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2. A person who stands or sits gives more.
 BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
 BENCH_ACCEL_LIMIT = 0.1  # m/s2
-# A hand that holds a pose keeps below this: tremor and slow sway.
+# limits for a pose in the hand: tremor and slow sway
 HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
 HAND_ACCEL_LIMIT = 0.6  # m/s2
-LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s; no gyroscope of this class is off by more at rest
+LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, largest offset of gyroscopes of this class at rest
 
 FLOOR_QUANTILE = 0.005  # of d: the level of the quietest windows
 _PEAK = 4.0  # a noise peak spans at most this factor above its floor
@@ -45,24 +45,24 @@ _GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its n
 _MOTION = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
 _ALL_NOISE = 1.5  # a floor within this factor of the white noise contains no motion
 _NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
-_MOST_NOISE = 12.0  # limits; readings with more noise than that determine nothing
+_MOST_NOISE = 12.0  # limits (readings with more noise determine nothing)
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillSettings:
-    """How still phases are found.
+    """Settings of the search for still phases.
 
     Parameters
     ----------
     window_s : float
-        Length of the sliding window, s. Longer is more certain and loses short pauses.
+        Length of the sliding window, s. A longer window is more reliable but misses short pauses.
     smooth_s : float
-        Averaging before the spread is taken, s. Longer tolerates noise and vibration.
+        Averaging time before the spread is computed, s. A longer time tolerates more noise and vibration.
     min_duration_s : float
-        Shortest still phase kept, s; the stretch around it is one window longer.
+        Shortest still phase, s. The stretch around it is one window longer.
     threshold_floors : float or None
-        Threshold on d of both triads as a multiple of their noise floors; None to find it in the data.
+        Threshold on d of both triads as a multiple of their noise floors. None determines it from the data.
 
     Examples
     --------
@@ -85,13 +85,13 @@ class StillSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillThreshold:
-    """The threshold of one triad and where it came from."""
+    """Threshold of a triad and its basis."""
 
     channel: Literal["gyro", "accel"]
-    value: float  # largest spread d of a still window, in ``unit``; NaN if none was found
+    value: float  # largest spread d of a still window, in ``unit``, or NaN without a threshold
     unit: str  # unit of the record's channel
     noise_floor: float  # spread of the quietest windows, in ``unit``
-    # gap (between two peaks), all still, limit (what a bench allows), floors (a multiple of the noise floor), or none
+    # gap (between two peaks), all still, limit (of a bench), floors (a multiple of the noise floor), or none
     basis: Literal["gap", "all still", "limit", "floors", "none"]
 
 
@@ -102,7 +102,7 @@ class StillSearch:
     stills: tuple[Still, ...]  # in order of time, without faces
     thresholds: tuple[StillThreshold, ...]  # one for each triad of the record
     settings: StillSettings
-    reason: str = ""  # why there is none; "" if there is one or more
+    reason: str = ""  # why there are no stills, or ""
 
 
 def find_still(
@@ -110,30 +110,30 @@ def find_still(
 ) -> StillSearch:
     """Find the stretches in which the device did not move.
 
-    A sample is still when the window centred at it is quiet in every triad and the mean rate reading is that of the
-    quietest windows (a steady turn is not a still phase). Half a window is lost at each end of a phase, on purpose.
+    A sample is still if the window centred at it is quiet in every triad and the mean rate equals the mean rate of the quietest
+    windows (a steady turn is not a still phase). Half a window at each end of a phase is not included, on purpose.
 
     Parameters
     ----------
     record : Record
-        Any units, either triad may be missing.
+        Readings in any unit. Either triad may be missing.
     settings : StillSettings
-        Window and thresholds; by default a window of 1 s, and the threshold that the data show.
+        Window and thresholds, by default a window of 1 s and a threshold from the data.
     recording : int
-        Number of the record in its session, written into each Still.
+        Number of the record in its session, stored in each Still.
     over_noise : bool
-        If no gap separates rest from motion and the quietest windows contain white noise alone, take what varies less than on a
-        bench. A rest of a second shows an offset less well than it seems.
+        If no gap separates rest from motion and the quietest windows contain white noise only, use stretches that vary less
+        than on a bench. A rest of a second determines an offset less well than it seems.
 
     Returns
     -------
     StillSearch
-        Phases, thresholds with unit and basis, and a reason if there is none.
+        Phases, thresholds with unit and basis, and the reason if there are no phases.
 
     Raises
     ------
     InputError
-        The record is shorter than one window.
+        The record is shorter than a window.
 
     Examples
     --------
@@ -149,14 +149,14 @@ def find_still(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
-    """Mean and spread of the windows of one triad."""
+    """Mean and spread of the windows of a triad."""
 
     is_gyro: bool
     unit: str
     values: FloatArray  # (N, 3)
     mean: FloatArray  # (M, 3)
     spread: FloatArray  # (M,)
-    floor: float  # spread of the quietest windows; infinite without readings
+    floor: float  # spread of the quietest windows, or infinity without readings
     window: int  # samples
     smooth: int  # samples
 
@@ -180,7 +180,7 @@ class _Moments:
         return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(self.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
 
     def limit(self, rate: float, accel: float) -> float:
-        """Return a limit, rad/s or m/s2, in the unit of the readings, with their white noise; infinite in other units."""
+        """Return a limit, rad/s or m/s2, in the unit of the readings, with their white noise, or infinity in other units."""
         if not is_physical(self.unit):
             return np.inf
         limit = rate / si_factor(self.unit, "rate") if self.is_gyro else accel / si_factor(self.unit, "accel")
@@ -287,7 +287,7 @@ def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) ->
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
     """Return the emptiest place between two peaks of log d, or None."""
-    # density of log10(d / floor), smoothed; the threshold is its emptiest place with a peak on either side.
+    # density of log10(d / floor), smoothed (the threshold is its emptiest value with a peak on either side)
     positive = spread[spread > 0.0]
     if floor <= 0.0 or not len(positive):
         return None
@@ -318,7 +318,7 @@ def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) ->
         quiet &= small
     if not quiet.any():
         return np.zeros(len(mean), bool)
-    # A steady turn is off the offset throughout; the slow drift of a warm-up meets the offset somewhere in its stretch.
+    # A steady turn differs from the offset throughout. The slow drift of a warm-up crosses the offset within its stretch.
     x, y, z = np.abs(mean - np.median(mean[quiet], axis=0)).T
     far = np.maximum(np.maximum(x, y), z) > max(_TURNING * threshold.noise_floor, threshold.value)
     turning = np.zeros(len(mean), bool)
@@ -329,9 +329,9 @@ def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) ->
 
 # ---- rows that fill a file up: they repeat the first or the last reading, and nothing rests there
 
-_PADDED_S, _PADDED = 0.2, 10  # shorter runs of one reading are chance
-# The step from it and the changes of step beside it, over the steps there: a device that leaves its rest begins with smaller
-# steps, and one without noise has smooth ones
+_PADDED_S, _PADDED = 0.2, 10  # shorter runs of equal readings are chance
+# First step after the run, and changes of step around it, relative to the steps there. A device that starts to move begins with
+# smaller steps, and a device without noise has smooth steps
 _BREAKS = 0.1
 
 
@@ -358,7 +358,7 @@ def unpadded(record: Record) -> Record:
     return record if last - first == len(record) else record.part(first, last)
 
 
-# Rates above this turn, rad/s, low-passed over 0.1 s and held for 0.5 s: noise and sway of a body stay below. 1 to 8 deg/s, 0.05 to
+# Rates above this turn, rad/s, low-passed over 0.1 s and kept for 0.5 s: noise and sway of a body stay below. 1 to 8 deg/s, 0.05 to
 # 0.25 s and 0.2 to 1 s leave end errors of BROAD within 0.01 deg
 TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S = 2.0 * RADIAN_PER_DEGREE, 0.1, 0.5
 NOT_TURNING = (0.0, 0.0, 0.0, np.nan, -np.inf)  # state before the first sample
@@ -367,10 +367,10 @@ NOT_TURNING = (0.0, 0.0, 0.0, np.nan, -np.inf)  # state before the first sample
 def find_turning(
     rate: FloatArray, time: FloatArray, state: tuple[float, ...] = NOT_TURNING
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return 1 while a device turns, else 0, (N,), for rates (N, 3), rad/s; it looks back only, with a state from chunk to chunk.
+    """Return 1 while a device turns, else 0, (N,), for rates (N, 3), rad/s, from a causal filter with state.
 
-    A turn shows once its low-passed rate is above: 0.02 s after the onset of 10 deg/s, 0.1 s of 3.2 deg/s; the end lags by the hold
-    and 0.2 s after 20 deg/s, 0.5 s after 200 deg/s.
+    A turn starts when its low-passed rate is above the limit: 0.02 s after the onset of 10 deg/s, 0.1 s for 3.2 deg/s. Its end lags
+    by the hold time, plus 0.2 s after 20 deg/s or 0.5 s after 200 deg/s.
     """
     from undrift.kernels.correct import follow_turning
 
@@ -400,7 +400,7 @@ def _why_none(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeftOut:
-    """A quiet stretch that is no still phase."""
+    """A quiet stretch that does not count as a still phase."""
 
     start: int
     stop: int
@@ -408,7 +408,7 @@ class LeftOut:
 
 
 def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
-    """Return the quiet stretches, up to four thresholds, that touch no still phase, and why they are none."""
+    """Return the quiet stretches, up to four thresholds, that touch no still phase, with the reason for each."""
     pairs = [
         (triad, threshold)
         for triad, threshold in zip(_moments(record, search.settings), search.thresholds, strict=True)
@@ -446,19 +446,19 @@ WINDOWS_S = (2.0, 1.0, 0.5, 0.25)
 FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 LEAST_POSES = 9  # free poses of a fit of nine parameters
 _SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
-_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart tell a fit something new
+_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart give a fit new information
 _SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
 _NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
 _ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
-_MOST_SAMPLES = 2_000_000  # a hand holds no poses for longer
+_MOST_SAMPLES = 2_000_000  # nobody poses a device in the hand for longer
 
 
 def find_poses(records: Sequence[Record], settings: StillSettings = StillSettings()) -> tuple[StillSearch, ...]:
     """Find the stills of recordings that together contain a device in many poses.
 
-    First with the settings. If these state no threshold, and the stills are neither six faces nor nine poses all around, windows
-    and multiples of the noise floor are tried. Of the searches that find poses all around, those with the most frequent count of
-    poses are taken, and of these the one with the fewest interruptions and the lowest threshold.
+    The given settings are tested first. If they contain no threshold, and the stills are neither six faces nor nine poses in all
+    directions, windows and multiples of the noise floor are tested. Of the searches with poses in all directions, those with the
+    most frequent count of poses are selected, and of these the search with the fewest interruptions and the lowest threshold.
     """
     first = tuple(find_still(record, settings, recording=number) for number, record in enumerate(records))
     samples = sum(len(record) for record in records)
@@ -542,7 +542,7 @@ def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
 
 
 def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
-    """Name the axis that points up for each mean reading (P, 3); None where none is near the vertical."""
+    """Name the axis that points up for each mean reading (P, 3), or None if no axis is near the vertical."""
     if not centred and len(means) < 5:
         raise InputError(
             f"faces: expected five poses or more to find the zero of readings in counts, got {len(means)}. "
@@ -557,7 +557,7 @@ def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
 
 
 def sphere_of(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the sphere |p - c| = R: linear in c and R^2 - |c|^2; in the plane of flat poses."""
+    """Return centre and radius of the sphere |p - c| = R, linear in c and R^2 - |c|^2, within the plane of flat poses."""
     mean = points.mean(axis=0)
     spread = float(np.abs(points - mean).max())
     p = (points - mean) / spread
@@ -578,13 +578,13 @@ _LEAST_FLOORS = 10.0  # a plateau or rotation must exceed this many noise floors
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnSearch:
-    """Steady turns and rotations found in a record, as the gyroscope read them; their true rates only the rig knows."""
+    """Steady turns and rotations detected in a record, as read by the gyroscope. Only the rig knows their true rates."""
 
-    # Stretches of constant rate; ``axis`` is the sensor axis that reads most, ``turn_rate`` is left open
+    # stretches of constant rate (``axis`` is the sensor axis with the largest reading, ``turn_rate`` is not set)
     plateaus: tuple[Turn, ...]
-    plateau_rate: FloatArray  # (P, 3), mean reading of each less the offset at rest, gyro unit
-    rotations: tuple[Turn, ...]  # Motions between one still phase and the next; ``angle`` is left open
-    rotation_angle: FloatArray  # (R, 3), integral of each reading less the offset at rest, gyro unit times s
+    plateau_rate: FloatArray  # (P, 3), mean reading of each plateau minus the offset at rest, gyro unit
+    rotations: tuple[Turn, ...]  # motions between consecutive still phases (``angle`` is not set)
+    rotation_angle: FloatArray  # (R, 3), integral of each reading minus the offset at rest, gyro unit times s
 
 
 def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
@@ -593,14 +593,14 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     Parameters
     ----------
     record : Record
-        With gyroscope, any unit.
+        Record with gyroscope readings in any unit.
     stills : sequence of Still
-        Still phases of this record, in order of time; they give the offset and bound the rotations.
+        Still phases of this record, in order of time. They determine the offset and the limits of the rotations.
 
     Returns
     -------
     TurnSearch
-        Plateaus and rotations with what the gyroscope read.
+        Plateaus and rotations with the readings of the gyroscope.
 
     Raises
     ------
@@ -614,8 +614,8 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     >>> device = undrift.random_device(rng)
     >>> session = undrift.simulate_session("ferraris", device, rng=rng, labelled=False)
     >>> record = session.records[0]
-    >>> found = undrift.find_turns(record, undrift.find_still(record).stills)
-    >>> len(found.rotations)
+    >>> turns = undrift.find_turns(record, undrift.find_still(record).stills)
+    >>> len(turns.rotations)
     11
     """
     if record.gyro is None:
