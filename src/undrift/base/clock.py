@@ -63,7 +63,7 @@ class Clock:
     def __init__(self, speed: float = 1.0, *, zero_s: float = 0.0) -> None:
         if not 0.0 < speed < 1e6:
             raise InputError(f"clock: expected a speed above 0, got {speed:g}. Use 1 for hardware.")
-        self.speed = speed  # seconds of this clock per second of the host; 1 for hardware
+        self.speed = speed  # seconds of this clock per second of the host (1 for hardware)
         self._zero_s = zero_s
 
     @classmethod

@@ -12,9 +12,10 @@
     write(loop, "loop.json")      {"kind": "undrift.loop", "format": 1, "temp_c": [20.0, 30.0], "table": {"turn_rate_dps": 5.0}}
     read(Loop, "loop.json")       the same value, to the last bit
 
-value -> tree (plain dicts and lists) -> text is written here. text -> tree -> value goes through pydantic: for each class a table
-of its keys (``_table_of``), strict and closed, then the class itself, whose ``__post_init__`` has the last word. A key is required
-where its field has no default, and in a ``whole`` class also where it has one, unless its mark says otherwise.
+This module converts value -> tree (plain dicts and lists) -> text. Reading, text -> tree -> value, uses pydantic. For
+each class it checks a strict and closed table of keys (``_table_of``), then calls the class with its ``__post_init__``.
+A key is required if its field has no default. In a ``whole`` class every key is required unless its mark makes it
+optional.
 """
 
 import difflib
@@ -47,9 +48,9 @@ class Stored:
 
     kind: str = ""  # first key of a file of this class, "" if the file has no such key
     format: int = 1  # second key of such a file
-    whole: bool = False  # True if every key is required, except later ones
+    whole: bool = False  # True if all keys are required, except later keys
     keys: tuple[str, ...] = ()  # fields and properties in the order of the file, all fields if empty
-    form: Any = None  # type in the file that replaces the class; requires ``read`` and ``write``
+    form: Any = None  # type that replaces the class in the file, used with ``read`` and ``write``
     read: Callable[[Any], Any] | None = None  # converts the checked keys, or the form, to the value
     write: Callable[[Any], Any] | None = None  # converts the value to its tree
     complete: Callable[[Tree], Tree] | None = None  # adds the implied keys to the tree of a file
@@ -60,7 +61,7 @@ class Key:
     """Mark of an annotated field: the key and the type of the field in a file."""
 
     path: str = ""  # key with its tables, as in "units.gyro", or "" for the name of the field
-    unit: float = 1.0  # SI value of one unit of the file
+    unit: float = 1.0  # SI value of a unit of the file
     optional: bool = False  # True if the key is optional even in a whole class
     needed: bool = False  # True if the key is required when its table is present
     later: bool = False  # True if the key is optional and written only if it differs from the default
@@ -153,8 +154,8 @@ class Slot:
     hint: Any  # type in the file
     key: Key
     required: bool
-    default: Any = MISSING  # default of the field, MISSING if there is none
-    given: bool = True  # True if passed to the class; a property is only written
+    default: Any = MISSING  # default of the field, or MISSING
+    given: bool = True  # True if passed to the class (a property is only written)
 
 
 @_cached
@@ -233,7 +234,9 @@ def _table_of(cls: type, handler: Any) -> Any:
         )
         for depth in range(1, len(slot.path)):
             tables.setdefault(slot.path[:depth], {})
-            tables[slot.path[: depth - 1]].setdefault(slot.path[depth - 1], None)  # keeps the order; filled in below
+            tables[slot.path[: depth - 1]].setdefault(
+                slot.path[depth - 1], None
+            )  # keeps the order until it is filled in below
         tables[slot.path[:-1]][slot.path[-1]] = field
     for path in sorted(tables, key=len, reverse=True):
         made = cs.typed_dict_schema(tables[path], extra_behavior="forbid", config=_STRICT)
@@ -298,7 +301,7 @@ class Refused(ValueError):
     """Validation error of pydantic: locations, kinds of problem, and the names of the known keys."""
 
     def __init__(self, problems: list[Any], known: frozenset[str] = frozenset()) -> None:
-        # a list without its bad item is not too short; unknown keys first: they explain the rest
+        # a list without its bad item is not too short, and unknown keys come first because they explain the rest
         places = [problem["loc"] for problem in problems]
         real = [
             p for p in problems if p["type"] != "too_short" or not any(_within(place, p["loc"]) for place in places)
@@ -506,7 +509,7 @@ def json_text(value: Any, name: str) -> str:
         called = _called(_STORED[type(value)])
         raise InputError(f"{name}: expected {called} that reads back, got {refused}. Correct the value.") from refused
     text = json.dumps(tree, indent=2, allow_nan=False)
-    # put lists of plain values on one line; a JSON string cannot contain a raw line break
+    # put lists of plain values on one line, because a JSON string cannot contain a raw line break
     lists = re.compile(r"\[\n\s*([^\[\]{}]*?)\n\s*\]")
     return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text) + "\n"
 

@@ -1,7 +1,8 @@
-"""Options: what the command line, forms and docs need to know of a parameter beside its name, type and default.
+"""Options: data about a parameter, in addition to its name, type and default, for the command line, forms and docs.
 
-A command is a function: its parameters, and the fields of its settings (dataclasses marked ``@options``), are the options of the
-command line under their own names, the keyword arguments of Python, and the fields of a form. Their help is the docstring.
+A command is a function. Its options are its parameters and the fields of its settings (dataclasses marked
+``@options``). They are options of the command line, keyword arguments in Python, and fields of a form, all with the
+same name. The docstring is their help.
 """
 
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from cyclopts import Parameter
 
 Value = TypeVar("Value")
 options = Parameter(name="*")  # of a dataclass: each field is an option
-WRITTEN = "written"  # marks a parameter that names a file to write, which is no input
+WRITTEN = "written"  # marks a parameter that names a file to write
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
@@ -35,7 +36,7 @@ Report: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(help="Report page 
 
 
 def verb(function: Callable[..., Value]) -> Callable[..., Value]:
-    """Let Python call a command as the command line does: files by their names, fields of settings as keywords."""
+    """Make a command callable from Python like from the command line: files by name, fields of settings as keywords."""
 
     @wraps(function)
     def called(*given: Any, **stated: Any) -> Value:
@@ -45,7 +46,9 @@ def verb(function: Callable[..., Value]) -> Callable[..., Value]:
                 kinds = get_type_hints(hint)
                 own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
                 stated |= {name: cast(Any, hint)(**own)} if own else {}
-        each = (one if isinstance(one, list | tuple) else (one,) for one in given)  # of one list as of several names
+        each = (
+            one if isinstance(one, list | tuple) else (one,) for one in given
+        )  # accept a list as well as several names
         call = signature(function).bind(*chain.from_iterable(each), **stated)
         call.arguments.update({name: _as(hints[name], value) for name, value in call.arguments.items()})
         return function(*call.args, **call.kwargs)
@@ -61,7 +64,7 @@ def _as(hint: Any, value: Any) -> Any:
 
 
 def stated(**values: object) -> tuple[object, ...]:
-    """Return options as the words of a command; those that are None or "" are not stated."""
+    """Return options as arguments of a command, without options that are None or ""."""
     known = {name: value for name, value in values.items() if value not in (None, "")}
     return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
 

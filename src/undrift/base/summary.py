@@ -1,8 +1,10 @@
-"""What a command has to say, once: the terminal, a page, JSON and a notebook are made of the same ``Summary``.
+"""The result of a command as a ``Summary``, from which the terminal output, a page, JSON and the notebook view are
+made.
 
-A command returns its result; the result's ``summary()`` holds one answer in a sentence, sections with text, tables and figures,
-verdict and findings, and ``data``, which is what ``--json`` prints. A renderer decides how, never what: tables bring text cells,
-figures are drawn by their place when a renderer asks for them (``at``), so that nothing here imports matplotlib.
+A command returns its result. The result's ``summary()`` contains an answer in a sentence, sections with text, tables
+and figures, verdict and findings, and ``data`` for ``--json``. A renderer chooses the appearance, never the content.
+Tables have text cells. Figures are referenced by module and function (``at``) and drawn when a renderer needs them, so
+that nothing here imports matplotlib.
 
 ::
 
@@ -143,9 +145,9 @@ class Summary(Result):
     brief: bool = (
         False  # A terminal shows findings, and a verdict that is not bad, on request: the sections have what matters
     )
-    after: tuple[str, ...] = ()  # Lines of a terminal, below the names of what was written
+    after: tuple[str, ...] = ()  # lines for the terminal, below the names of the written files
     next: tuple[object, ...] = ()  # Words of the command that follows
-    failed: bool = False  # A script must stop, whatever the verdict: a file of a folder could not be read
+    failed: bool = False  # a script must stop, independent of the verdict, because a file of a folder could not be read
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "answer", without_signed_zeros(self.answer))

@@ -1,8 +1,9 @@
-"""``undrift``: the commands, and what becomes of errors.
+"""The program ``undrift``: its commands and the handling of errors.
 
-Exit codes: 0 done; 1 done but the verdict is bad; 2 the input or the call is wrong (one line on stderr); 3 a rig or device
-failed. An unforeseen error is one line too, with code 2; UNDRIFT_TRACEBACK=1 in the environment shows where it arose.
-``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is called.
+Exit codes are 0 (done), 1 (done, but the verdict is bad), 2 (wrong input or call, with a line on stderr) and 3 (a rig
+or device failed). An unexpected error also prints a line and returns code 2. Set UNDRIFT_TRACEBACK=1 in the environment
+for its traceback. ``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is
+called.
 """
 
 import os
@@ -52,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _stop_on_signals()
     words = sys.argv[1:] if arguments is None else arguments
     try:
-        code = copy_context().run(_called, words)  # the words of this call are known in it alone
+        code = copy_context().run(_called, words)  # the arguments of this call are visible only in this context
     except KeyboardInterrupt as error:
         with suppress(KeyboardInterrupt):  # a second one
             _ignore_signals()
@@ -68,20 +69,20 @@ def _ignore_signals() -> None:
 
 
 def _stop_on_signals() -> None:
-    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, with all that it cleans up; what is ignored stays so (nohup)."""
+    """Handle SIGTERM and SIGHUP like Ctrl-C, with all clean-up. Ignored signals stay ignored (nohup)."""
 
     def stop(number: int, _: object) -> None:
         signal.signal(number, signal.SIG_IGN)  # one is enough
         raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
 
     for name in STOPS[1:]:
-        with suppress(AttributeError, ValueError):  # a system without it; not the main thread
+        with suppress(AttributeError, ValueError):  # a system without this signal, or not the main thread
             if signal.getsignal(getattr(signal, name)) == signal.SIG_DFL:
                 signal.signal(getattr(signal, name), stop)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the command line and return its exit code: 0, 1, 2 or 3; 130 when interrupted."""
+    """Run the command line and return its exit code: 0, 1, 2 or 3, or 130 if it was interrupted."""
     try:
         return copy_context().run(_called, arguments)
     except KeyboardInterrupt as error:
@@ -130,7 +131,7 @@ def _check_names(arguments: Sequence[str]) -> None:
 
 
 def _formatter() -> "HelpFormatter":
-    """Return what prints help with sentences that fill the terminal's lines; docstrings break theirs elsewhere."""
+    """Return a help formatter that fills the lines of the terminal, because docstrings have other line breaks."""
     from cyclopts.help import DefaultFormatter
     from rich.text import Text
 
@@ -182,20 +183,20 @@ def app(arguments: Sequence[str]) -> object:
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
-    """Complain on stderr; with --json the envelope with the error stands on stdout too."""
+    """Print an error to stderr. With --json, also print the envelope with the error to stdout."""
     if "--json" in arguments:
         from undrift.base.spoken import spoken
         from undrift.cli.common import write_json
 
         words = [word for word in arguments[:2] if word.isidentifier()]
         command = " ".join(words if words[:1] in ([group] for group in commands.GROUPS) else words[:1])
-        with suppress(OSError):  # nobody reads it, or it is what is full
+        with suppress(OSError):  # the output is closed, or its disk is full
             write_json({}, command, error={"kind": type(error).__name__, "text": spoken(" ".join(text.split()))})
     return complain(text, code=code)
 
 
 def complain(message: str, *, code: int) -> int:
-    """Write one line to stderr (what was wanted, what came, what to do) and return the exit code."""
+    """Write one line to stderr (what was expected, what came, what to do) and return the exit code."""
     from undrift.base.spoken import spoken
 
     sys.stderr.write("undrift: " + spoken(" ".join(message.split())) + "\n")

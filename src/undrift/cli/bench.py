@@ -20,7 +20,7 @@ def bench(
     no_browser: Flag = False,
     json: Json = False,
 ) -> int:
-    """Calibrate a device step by step in a browser: six faces, turns by hand, recordings; then correct and orient.
+    """Calibrate a device step by step in a browser: six faces, turns by hand, recordings. Then correct and orient.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Commands on the command line: parse, call, show a summary as lines and tables (``show``) or as one JSON object (``write_json``).
+"""Commands on the command line: parse and call them, and show a summary as text (``show``) or as JSON (``write_json``).
 
-``command_of`` takes a function of ``undrift.commands``, adds --report, --details and --json, and shows the summary of what it
-returns: ``undrift.cli.common:orient`` is the command ``orient``.
+``command_of`` makes a command from a function of ``undrift.commands``. It adds --report, --details and --json, and
+shows the summary of the result. For example, ``undrift.cli.common:orient`` is the command ``orient``.
 
 Messages and progress go to stderr. Nothing here imports numpy or rich before a command runs: ``--help`` answers at once.
 """
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def group(name: str, text: str) -> App:
-    """Return a command whose commands are still to come."""
+    """Return a command group without commands."""
     return App(
         name=name,
         help=text,
@@ -68,7 +68,9 @@ def console(*, err: bool = False) -> "Console":
 
 
 def say(*lines: str, err: bool = False, style: str = "") -> None:
-    """Print lines as they are, brackets in names are not markup; a terminal's width breaks them at spaces and nowhere else."""
+    """Print lines unchanged. Brackets in names are not markup, and lines are broken only at spaces, to the terminal's
+    width.
+    """
     _print(*map(spoken, lines), err=err, style=style)
 
 
@@ -80,10 +82,12 @@ def _print(*lines: str, err: bool = False, style: str = "") -> None:
 
 
 class Terminal(Screen):
-    """Shows on stderr: on a terminal what fits of each line, elsewhere the lines above a blank one, once a step; asks on stdin."""
+    """Progress and questions on stderr and stdin. Lines are cut to the terminal's width. Elsewhere each step is printed
+    once.
+    """
 
     _step: int | None = None  # That has its line
-    _lines = 1  # Shown last, over which the next ones are written
+    _lines = 1  # number of lines shown last, which the next lines overwrite
 
     def say(self, *lines: str) -> None:
         say(*lines, err=True)
@@ -109,7 +113,7 @@ class Terminal(Screen):
 
 
 def _wrapped(line: str, width: int, **options: Any) -> list[str]:
-    """Return a line as lines that fit, none of its words broken; a word that is wider than all stands alone."""
+    """Return a line split to the width, without broken words. A word wider than the terminal gets its own line."""
     from rich.cells import cell_len
 
     indent = line[: len(line) - len(line.lstrip())]
@@ -117,11 +121,11 @@ def _wrapped(line: str, width: int, **options: Any) -> list[str]:
     return textwrap.wrap(line, max(1, width - max(0, cell_len(line) - len(line))), **options) or [""]
 
 
-SAID_EVERY, SAID_EVERY_S = "UNDRIFT_PROGRESS_S", 8.0  # where stderr is not a terminal; the variable states another
+SAID_EVERY, SAID_EVERY_S = "UNDRIFT_PROGRESS_S", 8.0  # if stderr is not a terminal; the variable sets another interval
 
 
 class ProgressBar:
-    """Shows how far a long command is: a bar on a terminal; elsewhere a line on stderr every 8 s, with the time left."""
+    """Progress of a long command: a bar on a terminal, otherwise a line on stderr every 8 s, with the remaining time."""
 
     def __init__(self, command: str) -> None:
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -150,8 +154,8 @@ class ProgressBar:
         self._bar.stop()
 
     def __call__(self, what: str, share: float) -> None:
-        """Take what is being done, and the share of the whole that is done, 0 to 1; lines above the last are shown and stay."""
-        if not self._begun:  # what is shown on a screen before is not disturbed
+        """Show the current task and the completed share, 0 to 1. Lines above the last line stay visible."""
+        if not self._begun:  # do not disturb the earlier content of the screen
             self._begun = True
             self._bar.start()
             if not sys.stderr.isatty():
@@ -173,9 +177,10 @@ class ProgressBar:
 
 
 def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table; where it does not fit with close columns and heads of one word a line, print a line for each cell.
+    """Print a table. If it does not fit with narrow columns and headings, print a line for each cell.
 
-    Columns after the first are right-aligned, a unit in brackets goes on a line of its own. Nothing is cropped or broken.
+    Columns after the first are right-aligned, and a unit in brackets is on a separate line. Text is never cropped or
+    broken.
     """
     from rich.cells import cell_len, set_cell_size
 
@@ -200,7 +205,7 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
 
 
 def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
-    """Return a row with a line for each cell; a cell without a head stands behind the one before it."""
+    """Return a row with a line for each cell. A cell without a heading follows the cell before it."""
     cells = [(head, cell.strip()) for head, cell in zip(heads, row, strict=True) if cell.strip()]
     return "".join(f"\n  {head}: {cell}" if head else f" {cell}" for head, cell in cells).strip()
 
@@ -208,7 +213,7 @@ def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
 ENVELOPE = ("kind", "format", "version", "verdict", "findings", "result", "error")  # of every answer in JSON
 
 
-KINDS = {  # of answers, where it is not the command's name
+KINDS = {  # kinds of answers that differ from the command's name
     **dict.fromkeys(("calibrate", "drift"), "undrift.calibration"),
     "correct": "undrift.correction",
     "orient": "undrift.orientation",
@@ -218,9 +223,9 @@ KINDS = {  # of answers, where it is not the command's name
 
 
 def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str, str] | None = None) -> None:
-    """Write one JSON object to stdout: the envelope, and the command's own values, which stand in ``result`` too.
+    """Write a JSON object to stdout: the envelope and the command's own values, which are also in ``result``.
 
-    A command's own kind, format, verdict and findings are those of the envelope; NaN is written as null.
+    The envelope contains kind, format, verdict and findings of the command. NaN is written as null.
     """
     kind = KINDS.get(command, "undrift." + (command.replace(" ", "_") or "call"))
     verdict = value.get("verdict")
@@ -233,14 +238,14 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
 
 
 def show_verdict(verdict: "Verdict", heading: str, *, details: bool) -> None:
-    """Show a verdict under its heading with its most consequential findings; all of them with details."""
+    """Show a verdict under its heading with its three most consequential findings, or all of them with details."""
     colour = {"good": "green", "marginal": "yellow", "bad": "red"}[verdict.status]
     say(heading[:1].lower() + heading[1:], style=f"bold {colour}")
     show_findings(verdict.findings, details=details)
 
 
 def show_findings(findings: Iterable[Finding], *, details: bool) -> None:
-    """Show the three most consequential findings; all of them with details."""
+    """Show the three most consequential findings, or all of them with details."""
     texts = [(item.headline, item.detail, item.action) for item in most_consequential_first(findings)]
     shown = texts if details else texts[:SHOWN_FIRST]
     for headline, detail, action in shown:
@@ -250,7 +255,7 @@ def show_findings(findings: Iterable[Finding], *, details: bool) -> None:
 
 
 def show(summary: "Summary", *, details: bool) -> None:
-    """Show a summary on a terminal: answer, sections, verdict or warnings, notes, what was written and what comes next."""
+    """Show a summary on a terminal: answer, sections, verdict or warnings, notes, written files and next steps."""
     say(summary.answer)
     for section in summary.sections:
         if details or (section.on != "page" and section.folded is not True):
@@ -295,13 +300,15 @@ def __getattr__(name: str) -> Callable[..., int] | App:
 
 
 def _fields(hint: Any) -> "tuple[Field[Any], ...]":
-    """Return the fields of settings, each an option; none of another parameter."""
+    """Return the fields of settings, each an option. Other parameters have none."""
     settings = getattr(hint, "__origin__", hint)  # of Annotated[...]
     return fields(settings) if is_dataclass(settings) else ()
 
 
 def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
-    """Return a command of the command line: the parameters of the verb, then those of showing; it returns the exit code."""
+    """Return a command of the command line with the parameters of the verb and of the display. It returns the exit
+    code.
+    """
     hints, given = get_type_hints(verb, include_extras=True), inspect.signature(verb).parameters
     own = {key for key in given if hints[key] in (Progress, Screen)}
     names = {name for key in given for name in (key, *(one.name for one in _fields(hints[key])))}
@@ -312,7 +319,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         NAMED.set(frozenset(names) | {"reference_map"})  # info also sends people to validate
         files = tuple(dict.fromkeys(files_in((*words, *(more.get(key) for key in read)))))
         check_report(report, reads=files)
-        origin = None if report is None else origin_of(*files)  # before the work, which may write over what it reads
+        origin = None if report is None else origin_of(*files)  # before the command, which may overwrite its input
         with ExitStack() as stack:
             result = verb(*words, **more, **{key: stack.enter_context(SHOWN_BY[hints[key]](name)) for key in own})
         with ExitStack() as stack:
