@@ -1,17 +1,18 @@
-"""One file, one verb: options in, result and summary out. Command line, Python and the bench call the same function.
+"""One file per verb: a function from options to a result with a summary. Command line, Python and the bench call the
+same function.
 
-A verb reads its inputs (``inputs``), checks the files that it will write before the work begins (``outputs``), computes by calling
-the stages, writes the files that were asked for, and returns its result. It prints nothing and draws nothing: the result's
-``summary()`` (``base/summary``) says what came out, and each renderer shows that::
+A verb reads its inputs (``inputs``) and checks its output files before the work begins (``outputs``). It calls the
+stages, writes the requested files, and returns its result. It prints and draws nothing. Each renderer shows the
+``summary()`` of the result (``base/summary``)::
 
     orient(record, output=..., opening=Opening()) -> Oriented          a dataclass of values, with summary() and a short repr
 
-Parameters are the options of the command line (``base/options``): ``power_on_s`` is ``--power-on-s``, its help is the docstring.
-Settings that several verbs share are dataclasses marked ``@options``. A verb that takes long has a parameter ``progress``, which
-it calls with what is being done and the share of the whole that is done. Angles and rates of options are in the units that their
-names state; results hold SI.
+Parameters are the options of the command line (``base/options``): ``power_on_s`` is ``--power-on-s``, and its help is
+the docstring. Settings that several verbs share are dataclasses marked ``@options``. A long verb has a parameter
+``progress``, which it calls with the current task and the completed share. Angles and rates of options are in the units
+of their names. Results are in SI.
 
-Open ``orient.py`` first: it is the shortest complete one. Nothing here imports numpy before a verb is called.
+Open ``orient.py`` first, the shortest complete verb. Nothing here imports numpy before a verb is called.
 """
 
 import sys
@@ -33,7 +34,7 @@ GROUPS = {  # of commands in one module: the function of each
 
 
 class Commands(ModuleType):
-    """A package that makes each module that has the name of a command one that is called, as the import system binds it."""
+    """A package in which each module with the name of a command is callable. The import system creates these modules."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         home = self.__name__.rpartition(".")[2]
@@ -59,35 +60,37 @@ class Command(Commands):
 
 
 sys.modules[__name__].__class__ = Commands
-Progress: TypeAlias = Callable[[str, float], None]  # what is being done, and the share of the whole that is done
+Progress: TypeAlias = Callable[[str, float], None]  # current task, and share of the whole that is done
 
 
 class Screen:
-    """Where a command that goes on shows what it does, and who answers its questions: nowhere, and Python's ``input``."""
+    """Progress display and questions of a long command. This default shows nothing and asks with Python's ``input``."""
 
     def say(self, *lines: str) -> None:
         """Show lines that stay."""
 
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
-        """Show lines over those before; a log has those of each step above a blank one, and none that has no number."""
+        """Show lines over the previous lines. In a log, only the lines above a blank line appear, once per numbered
+        step.
+        """
 
     def ask(self, line: str) -> str:
-        """Return the answer to a question; EOFError where there is nobody."""
+        """Return the answer to a question. Raise EOFError if nobody can answer."""
         return input(line)
 
 
 def silent(_what: str, _share: float) -> None:
-    """Take how far a verb is, and say nothing."""
+    """Ignore the progress of a verb."""
 
 
 def part_of(progress: Progress, start: float, stop: float) -> Progress:
-    """Return how a part of a verb, from one share of the whole to another, says how far it is."""
+    """Return the progress function of a part of a verb, from one share of the whole to another."""
     return lambda what, share: progress(what, start + share * (stop - start))
 
 
 @contextmanager
 def reading(progress: Progress, stop: float, *files: Path) -> Iterator[None]:
-    """Say how far files are read while a block reads them, from nothing to a share of the whole."""
+    """Report progress while a block reads files, from 0 to a share of the whole."""
     from undrift.files import WATCH, bytes_in
 
     whole, shares = sum(map(bytes_in, files)), dict[Path, float]()

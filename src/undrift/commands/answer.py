@@ -1,4 +1,4 @@
-"""How good a calibration is, in sentences that several commands print."""
+"""Uncertainty of a calibration in sentences that several commands print."""
 
 import math
 
@@ -11,7 +11,7 @@ from undrift.correction.rest import IN_MOTION, moved_by
 from undrift.model import Calibration, TriadModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
-ANSWERED_S, MG_PER_PERCENT = 60.0, 10.0  # of the answer; of a scale factor at one g
+ANSWERED_S, MG_PER_PERCENT = 60.0, 10.0  # time of the answer, s; mg per per cent of scale factor at 1 g
 ANSWERED = (
     "The pitch error after 60 s includes the tilt from gravity, the offset, and the change of the offset from rest "
     "to motion "
@@ -30,7 +30,9 @@ BLOCKS = {
 
 
 def answer_sentence(calibration: Calibration) -> str:
-    """Return what the calibration is worth in a sentence, at 95 % on the worst axis: pitch after a minute, offset and gravity."""
+    """Return the uncertainty of the calibration in a sentence, at 95 % on the worst axis: pitch after a minute, offset
+    and gravity.
+    """
     worst = dict[tuple[str, str], float]()  # expanded uncertainty by triad and block: mg or deg/s, and per cent
     for name in ("accel", "gyro"):
         if (triad := getattr(calibration, name)) is not None:
@@ -58,7 +60,7 @@ def answer_sentence(calibration: Calibration) -> str:
 
 
 def uncertainty_section(calibration: Calibration) -> Section:
-    """Return the expanded uncertainty of each kind of parameter, and what the answer is made of."""
+    """Return the expanded uncertainty of each kind of parameter, and the components of the answer."""
     return Section(title="Expanded uncertainty", text=(uncertainty_sentence(calibration), ANSWERED))
 
 
@@ -70,7 +72,7 @@ def uncertainty_sentence(calibration: Calibration) -> str:
 
 
 def expanded_words(name: str, triad: TriadModel, gravity: float = 0.0) -> str:
-    """Return the largest expanded uncertainty of each block in words: what a user of the calibration gets."""
+    """Return the largest expanded uncertainty of each block in words."""
     made, (per, units) = expand(triad, gravity), budget_units(name, triad)
     largest = {block: np.abs(per[block] * made.expanded[made.of_block(block)]).max(initial=0.0) for block in units}
     if not 0.0 < sum(largest.values()) < math.inf:

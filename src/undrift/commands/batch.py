@@ -1,10 +1,10 @@
-"""A folder given to a command that takes a recording: the command on each of its files, and one table at the end.
+"""Apply a command to each recording of a folder, with a table of the results at the end.
 
-A file that fails is a row with its error, and the others go on; what is wrong with a file that all share, as the calibration, ends
-the call. Folders in the folder are looked into, and outputs lie in folders of the same names. The folder of output holds
-``summary.json``, written anew after each file, and at the end ``summary.csv``, ``summary.parquet`` and ``summary.html``. A second
-call does what is missing: a row stands as long as its recording, the values and files of the options and the version are the same,
-and its output is there.
+If a file fails, its row contains the error and the other files continue. An error in a shared file, such as the
+calibration, ends the call. Subfolders are included, and outputs are written to subfolders of the same names. The output
+folder contains ``summary.json``, updated after each file, and at the end ``summary.csv``, ``summary.parquet`` and
+``summary.html``. A second call processes only missing rows. A row remains valid while its recording, the values and
+files of the options and the version are unchanged, and its output exists.
 """
 
 import csv
@@ -44,7 +44,7 @@ EMPTY: Row = dict.fromkeys(("name", "kind", "summary", "verdict", "worst_finding
 
 @dataclass(frozen=True, kw_only=True)
 class CountedOpening(Opening):
-    """How to read a recording, and what has been read of it."""
+    """Settings for reading a recording, with the number of files read."""
 
     seen: Row = field(default_factory=dict)
 
@@ -68,17 +68,17 @@ class CountedOpening(Opening):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FolderTable(Result):
-    """What a command came to on each file of a folder."""
+    """The results of a command for each file of a folder."""
 
     command: str
     folder: Path
     rows: tuple[Row, ...]
     standing: int  # Rows of an earlier call
     output: Path | None
-    others: tuple[str, ...]  # Entries that are no recordings
+    others: tuple[str, ...]  # entries that are not recordings
 
     def summary(self) -> Summary:
-        """Return the table: a row a file, and what is worst of each."""
+        """Return the table: a row per file, with the worst finding of each."""
         errors = [row["error"] for row in self.rows if row["error"]]
         kinds = sorted(Counter(row["kind"] for row in self.rows).items())
         named = f"{len(self.rows)} entries: " + ", ".join(f"{number} {kind}" for kind, number in kinds)
@@ -119,10 +119,11 @@ def of_folder(
     alone: tuple[str, ...] = (),
     whole: tuple[str, ...] = (),
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Let a command take a folder of recordings in place of one: what it writes is NAME and the ending there; None writes nothing.
+    """Let a command accept a folder of recordings instead of a recording. Outputs are NAME and the ending. With None,
+    nothing is written.
 
-    ``settle`` returns what is stated of one file, by its place in the folder, of what is stated of all; ``alone`` names options of
-    one recording, ``whole`` options with which the command takes the folder itself.
+    ``settle`` returns the options of a file from its path in the folder and the options for all. ``alone`` names
+    options that apply to a single recording only. With an option in ``whole``, the command processes the folder itself.
     """
 
     def are_given(names: tuple[str, ...], stated: dict[str, Any]) -> list[str]:
@@ -148,7 +149,7 @@ def of_folder(
 
 
 def is_plain_folder(path: Path) -> bool:
-    """Tell whether a folder is neither a session nor a recording."""
+    """Return True if a folder is neither a session nor a recording."""
     from undrift.io.formats import detect
 
     with suppress(InputError):
@@ -157,7 +158,9 @@ def is_plain_folder(path: Path) -> bool:
 
 
 def _entries(folder: Path, output: Path | None) -> Iterator[Path]:
-    """Yield the entries of a folder and of those in it, but for hidden ones, what such a call wrote, and links that lead back."""
+    """Yield the entries of a folder and its subfolders, except hidden entries, outputs of such a call, and links that
+    lead back.
+    """
     tables = {f"summary.{ending}" for ending in ENDS} if _has_table(folder) else set()
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith(".") or entry.name in tables or entry.resolve() == output:
@@ -175,7 +178,7 @@ def _has_table(folder: Path) -> bool:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Job:
-    """A command, and what is stated of all files."""
+    """A command, and its options for all files."""
 
     function: Callable[..., Any]
     ending: str | None
@@ -224,7 +227,7 @@ class _Job:
         return table
 
     def row(self, folder: Path, place: Path, name: Path, earlier: Row, progress: Progress) -> Row:
-        """Return what the command comes to on a file of a folder, written by a name there; its error, where it fails."""
+        """Return the result of the command for a file of a folder, written under a name there, or its error."""
         file, row, command = (
             folder / place,
             EMPTY | {"name": place.as_posix(), "kind": "recording"},
@@ -254,7 +257,7 @@ class _Job:
 
 
 def _key(command: str, file: Path, stated: Row) -> str:
-    """Return the hash of what a row follows from: recording, options and their files, version."""
+    """Return the hash of all inputs of a row: recording, options and their files, version."""
     values = {
         name: asdict(one) if is_dataclass(one) and not isinstance(one, type) else one for name, one in stated.items()
     }
@@ -263,7 +266,9 @@ def _key(command: str, file: Path, stated: Row) -> str:
 
 
 def _judged(summary: Summary) -> Row:
-    """Return verdict, worst finding and answer of a summary; the verdict is the worse one of the file and of its calibration."""
+    """Return verdict, worst finding and answer of a summary. The verdict is the worse of the verdicts of file and
+    calibration.
+    """
     verdict = Verdict.of(*summary.findings).also(summary.verdict or Verdict())
     worst = next((one.text for level in ("fail", "warn") for one in verdict.findings if one.level == level), "")
     answer = str(summary.data.get("summary") or summary.answer)

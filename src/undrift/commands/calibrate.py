@@ -1,9 +1,9 @@
-"""``undrift calibrate``: fit what a session, or bare recordings, allow.
+"""``undrift calibrate``: calibrate from a session or from recordings without a session.
 
-The summary judges a calibration by its own recordings: readings of every piece are corrected as any recording is, so that
+The summary judges a calibration with its own recordings. The readings of every phase are corrected like any recording:
 
     residual of a pose      |a| - g                              of a dwell   w - rate * axis
-    leverage of piece i     x_i' (sum x x')^+ x_i / rank,        x = (a, 1) or (w, 1); of norms alone (a_j a_k, a_j) / |a|
+    leverage of piece i     x_i' (sum x x')^+ x_i / rank,        x = (a, 1) or (w, 1), for norms only (a_j a_k, a_j) / |a|
 
 """
 
@@ -52,9 +52,9 @@ class Calibrated(Result):
     files: tuple[Path, ...]
     calibration: "Calibration"
     session: "Session"
-    seen: "Observed | None"  # None of motion alone
+    seen: "Observed | None"  # None for calibration from motion only
     settings: "CalibrateSettings"
-    in_motion: "InMotion | None"  # Offsets of each recording, of a fit to motion alone
+    in_motion: "InMotion | None"  # offsets of each recording, for a calibration from motion only
     output: Path | None
     log: dict[str, Any] | None = None  # clocks and dwells of the log of a rate table
 
@@ -67,7 +67,7 @@ class Calibrated(Result):
 
     @cached_property
     def pieces(self) -> "tuple[Piece, ...]":
-        """What was found in the session; what was not used says why."""
+        """Return the phases of the session, with the reason for each unused phase."""
         from undrift.calibration.pieces import pieces_of
 
         if self.seen is None:
@@ -75,7 +75,7 @@ class Calibrated(Result):
         return pieces_of(self.session, self.settings, self.calibration, self.seen)[0]
 
     def summary(self) -> Summary:
-        """Return matrices and offsets with their uncertainty, what was used, and how the fit reproduces it."""
+        """Return matrices and offsets with their uncertainty, the data used, and the residuals."""
         from undrift.io.store import calibration_json
 
         made, output, lacking = self.calibration, self.output, self.lacking
@@ -130,7 +130,7 @@ def calibrate(
     adc: Literal["auto", "none"] = "auto",
     progress: Progress = silent,
 ) -> Calibrated:
-    """Fit what a session, or bare recordings, allow, with verdict and findings.
+    """Calibrate from a session or from recordings without a session, with verdict and findings.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _check_idle(named: Mapping[str, object]) -> None:
-    """Refuse options that motion alone has no use for."""
+    """Refuse options that do not apply to a calibration from motion."""
     stated = [name for name, value in named.items() if value is not None]
     if stated:
         raise InputError(
@@ -301,7 +301,7 @@ def _motion_section(figures: list[dict[str, Any]]) -> Section:
 
 
 def _field_section(figures: list[dict[str, Any]]) -> Section:
-    """Return the magnetic field of each recording that has one; no rows, no section."""
+    """Return the magnetic field of each recording. Without magnetometers, the section is empty."""
     there = [one for one in figures if FIELD[0] in one]
     rows = tuple((str(one["recording"]), *(number(float(one[key]), ".2f") for key in FIELD)) for one in there)
     heads = ("recording", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
@@ -312,7 +312,7 @@ def _field_section(figures: list[dict[str, Any]]) -> Section:
 
 
 def calibration_summary(made: "Calibration") -> Summary:
-    """Return what a calibration holds, however it was made: uncertainty, origin, matrices and offsets."""
+    """Return the content of a calibration: uncertainty, origin, matrices and offsets."""
     pictures = (figure_of("calibration:draw_calibration", made),)
     ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
     return Summary(
@@ -377,7 +377,7 @@ def _triad_rows(triad: "TriadModel") -> tuple[tuple[str, ...], ...]:
 
 
 def _triad_notes(triad: "TriadModel") -> "Iterator[str]":
-    """Yield what goes with the rows: residual, rank, condition, range, g-sensitivity."""
+    """Yield the notes below the rows: residual, rank, condition, range, g-sensitivity."""
     low, high = triad.valid_range
     yield (
         f"residual {triad.rms_residual:.3g} {triad.unit_out} rms over {triad.count} equations; rank {triad.rank}, "
@@ -398,7 +398,7 @@ def _each(triad: "TriadModel", kind: str) -> str:
 
 
 def _origin(made: "Calibration") -> Iterator[str]:
-    """Yield device and gravity, what was found and used, what was not calibrated, steps of the codes."""
+    """Yield device and gravity, phases found and used, sensors without calibration, and steps of the codes."""
     known, settings = math.isfinite(made.reference_temp_c), dict(made.provenance.settings)
     where = f" at {made.reference_temp_c:.1f} degC" if known else ""
     source = settings.get("gravity", "stated")
@@ -418,18 +418,18 @@ def _origin(made: "Calibration") -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CorrectedPiece:
-    """A piece that a calibration used, with what it reads when corrected."""
+    """A phase that a calibration used, with its corrected readings."""
 
     piece: "Piece"
-    accel: "FloatArray"  # (3,), mean, m/s2; NaN without accelerometers
-    gyro: "FloatArray"  # (3,), mean, rad/s; NaN without gyroscopes
-    stated: "FloatArray"  # (3,), turn rate that the table had, rad/s; NaN where none is stated
+    accel: "FloatArray"  # (3,), mean, m/s2, NaN without accelerometers
+    gyro: "FloatArray"  # (3,), mean, rad/s, NaN without gyroscopes
+    stated: "FloatArray"  # (3,), turn rate of the table, rad/s, NaN if unknown
 
 
 def judge_pieces(
     session: "Session", pieces: "Sequence[Piece]", settings: "CalibrateSettings", made: "Calibration"
 ) -> tuple[list["Record"], list[CorrectedPiece]]:
-    """Return the corrected records of a session, and those of its pieces that the calibration used."""
+    """Return the corrected records of a session, and the corrected phases that the calibration used."""
     import numpy as np
 
     from undrift.calibration.quality import settling
@@ -453,7 +453,7 @@ def judge_pieces(
 
 
 def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatArray":
-    """Return the share of each piece in what is known: its leverage over the rank, mean over the triads; (n,)."""
+    """Return the information of each phase: its leverage over the rank, mean over the triads, (n,)."""
     import numpy as np
 
     shares = []
@@ -489,9 +489,11 @@ def rests_of(calibrated: Calibrated) -> "tuple[FloatArray, FloatArray]":
 
 
 def raw_and_corrected(triad: "TriadModel | None", unit: str, raw: Any, corrected: Any) -> "FloatArray":
-    """Return the length of mean readings, (n, 3) each, raw and corrected: (n, 2), m/s2 or deg/s; none without a model.
+    """Return the length of mean readings, (n, 3) each, raw and corrected: (n, 2), m/s2 or deg/s. Without a model it is
+    empty.
 
-    Raw: in the unit of the readings; counts and volts by the mean scale factor and the mean offset of the three axes.
+    Raw readings keep their unit. Counts and volts are converted with the mean scale factor and the mean offset of the
+    three axes.
     """
     import numpy as np
 
@@ -505,7 +507,7 @@ def raw_and_corrected(triad: "TriadModel | None", unit: str, raw: Any, corrected
 
 
 def draw_rests(calibrated: Calibrated) -> Any:
-    """Draw each rest that was used, raw beside corrected."""
+    """Draw each rest that was used, raw next to corrected."""
     return at("undrift.report.calibration:draw_rests")(*rests_of(calibrated), calibrated.calibration.gravity_m_s2)
 
 

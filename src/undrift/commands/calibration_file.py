@@ -1,7 +1,7 @@
-"""The calibration that a command applies: the file that was named, or the newest one of the recording's device in a folder.
+"""The calibration for a command: a named file, or the newest file in a folder for the recording's device.
 
-A folder of calibrations, with folders in it, is what a laboratory keeps of its devices. The serial number that a recording states
-selects the files of its device, and the date that each calibration states selects the newest of them.
+A laboratory keeps the calibrations of its devices in a folder with subfolders. The serial number in a recording selects
+the files of its device. The date in each calibration selects the newest file.
 """
 
 import json
@@ -28,7 +28,7 @@ class ChosenCalibration:
 
 
 def choose_calibration(named: Path | None, recordings: Sequence[Path], opening: Opening) -> ChosenCalibration:
-    """Return the calibration of a file, or the newest one in a folder whose serial number is that of the recordings."""
+    """Return the calibration in a file, or the newest calibration in a folder with the recordings' serial number."""
     from undrift.io.store import read_calibration
 
     if named is None:
@@ -69,7 +69,7 @@ def choose_calibration(named: Path | None, recordings: Sequence[Path], opening: 
 
 
 def calibration_files(folder: Path) -> Iterator[Path]:
-    """Yield the calibrations of a folder and of the folders in it; a JSON file that cannot be read is refused."""
+    """Yield the calibrations of a folder and its subfolders. An unreadable JSON file raises an error."""
     from undrift.io.store import KIND
 
     for path in sorted(folder.rglob("*.json")):
@@ -84,7 +84,7 @@ def calibration_files(folder: Path) -> Iterator[Path]:
 
 
 def serial_of(recording: Path, opening: Opening) -> str:
-    """Return the serial number that a recording or session states; a recording that states none is refused."""
+    """Return the serial number of a recording or session. Raise an error if it has none."""
     from undrift.files import checked_file
     from undrift.io.formats import detect
     from undrift.io.inspect import needs_map
@@ -107,7 +107,7 @@ def serial_of(recording: Path, opening: Opening) -> str:
 
 
 def _created(model: "Calibration") -> datetime:
-    """Return the date that a calibration states; the earliest of all if it states none."""
+    """Return the date of a calibration, or the earliest possible date if it has none."""
     try:
         date = datetime.fromisoformat(model.provenance.created)
     except ValueError:

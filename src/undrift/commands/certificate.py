@@ -1,8 +1,9 @@
 """Calibration certificate: results with expanded uncertainty, budget by source, reference values, limits, as one HTML page.
 
-Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean diagonal.
-Limits judge the readings before correction by simple acceptance (ILAC-G8:09/2019): within, if the largest departure from nominal
-over the axes is at most the limit, whatever its uncertainty; otherwise outside.
+Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean
+diagonal. Limits apply to the readings before correction, with simple acceptance (ILAC-G8:09/2019). The result is
+"within" if the largest departure from nominal over the axes is at most the limit, independent of its uncertainty.
+Otherwise it is "outside".
 """
 
 import math
@@ -56,7 +57,7 @@ SOURCE_ROWS = {
     "prior": ("Fit: not determined by the session", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
-LONGEST = 200  # characters of what is stated
+LONGEST = 200  # characters of an entry
 BLANK = (
     "Customer",
     "Ambient temperature",
@@ -116,7 +117,8 @@ class Certified(Result):
 @options
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Statements of the laboratory, as ISO/IEC 17025 asks for; the certificate has a line to fill in by hand for the rest.
+    """Entries of the laboratory required by ISO/IEC 17025. For missing entries, the certificate has lines to fill in by
+    hand.
 
     Parameters
     ----------
@@ -146,7 +148,10 @@ class Statement:
 def certificate(
     calibration: Path, /, *, output: Output, statement: Statement = Statement(), limits: Path | None = None
 ) -> Certified:
-    """Write a calibration certificate: results with expanded uncertainty, budget by source, reference values, limits.
+    """Write a calibration certificate with results, expanded uncertainty, budget by source, reference values and
+    limits.
+
+    The page prints on A4. The same calibration and entries give the same file, byte for byte.
 
     The page prints on A4. The same calibration and statements give the same file, byte for byte.
 
@@ -225,7 +230,9 @@ def certificate_content(
 
 
 def departures(name: str, triad: "TriadModel", gravity: float = 0.0) -> "dict[str, tuple[float, float]]":
-    """Return the largest departure of the readings from nominal and its U, in the units of the budget; NaN if not known."""
+    """Return the largest departure of the readings from nominal and its U, in the units of the budget, or NaN if
+    unknown.
+    """
     table, (per, _) = expand(triad, gravity), budget_units(name, triad)
     nominal = (
         1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel")
@@ -350,7 +357,9 @@ def rounded(value: float, uncertainty: float) -> tuple[str, str]:
 
 
 def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
-    """Yield a row for each source: how it is evaluated, rms over the parameters of each block; then combined and expanded."""
+    """Yield a row for each source: evaluation, rms over the parameters of each block. The last rows are combined and
+    expanded.
+    """
     places = {block: made.of_block(block) for block in blocks}
     for source, (label, kind, only) in SOURCE_ROWS.items():
         if source == "gravity" and name == "accel" and source not in made.shares:

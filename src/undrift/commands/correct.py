@@ -43,15 +43,16 @@ NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tunin
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CorrectedFile:
-    """A recording that was corrected, and what a reader of it should know."""
+    """A corrected recording, with information for its users."""
 
     record: Path
     output: Path
     state: "CorrectorState"
     notes: tuple[str, ...]
-    findings: "tuple[Finding, ...]"  # Where the calibration did not cover it, and signs that it was not read rightly
-    rest: "OffsetLeft | None"  # What was subtracted of the offset; in the notes too
-    # Of each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2); and the rms of |a| - g and of |w|
+    findings: "tuple[Finding, ...]"  # ranges that the calibration does not cover, and symptoms of a wrong reading
+    rest: "OffsetLeft | None"  # subtracted offset, also in the notes
+    # for each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2), and the rms of |a| - g and
+    # of |w|
     rests: "list[FloatArray]"
     at_rest: dict[str, float]
 
@@ -83,7 +84,7 @@ class CorrectedFiles(Result):
 
     @property
     def _next(self) -> tuple[object, ...]:
-        """What a corrected recording is for, where its beginning is whole."""
+        """Return the next commands for a corrected recording, if its beginning is complete."""
         from undrift.io.formats import iter_record
         from undrift.orientation import check_whole
 
@@ -162,7 +163,8 @@ def correct(
     scheduler: str | None = None,
     progress: Progress = silent,
 ) -> CorrectedFiles:
-    """Turn raw recordings into rad/s and m/s2; the ending of the output names the format. Parquet streams in constant memory.
+    """Convert raw recordings to rad/s and m/s2. The ending of the output selects the format. Parquet needs constant
+    memory.
 
     Parameters
     ----------
@@ -214,7 +216,7 @@ def _correct_all(
     scheduler: str | None,
     progress: Progress,
 ) -> tuple[CorrectedFile, ...]:
-    """Correct into a hidden folder beside the targets; they appear when all are whole."""
+    """Correct into a hidden folder next to the targets. The targets appear when all are complete."""
     from undrift.files import hidden_folder, take_names
 
     with hidden_folder(targets[0].parent) as hidden:
@@ -225,7 +227,7 @@ def _correct_all(
         if scheduler is not None:
             from undrift.study.run import executor
 
-            there = [(record.resolve(), part.resolve()) for record, part in jobs]  # workers stand in other folders
+            there = [(record.resolve(), part.resolve()) for record, part in jobs]  # workers run in other folders
             with executor(None, scheduler) as spread:
                 for place, one in enumerate(spread(correct_one, there)):
                     done[place] = one
@@ -233,7 +235,7 @@ def _correct_all(
         else:
             for k, job in enumerate(jobs):
                 done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))
-        take_names({hidden.parent / part.name: part for part in sorted(hidden.iterdir())})  # and what is beside them
+        take_names({hidden.parent / part.name: part for part in sorted(hidden.iterdir())})  # and their sidecar files
     return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 
@@ -291,7 +293,7 @@ def _correct_one(
     with (
         reading(progress, READ, record),
         nullcontext() if whole else ParquetWriter(part) as writer,
-        ThreadPoolExecutor(1) as pool,  # writes a chunk while the next one is corrected
+        ThreadPoolExecutor(1) as pool,  # writes a chunk while the next chunk is corrected
     ):
         write = writer.write if writer else partial(write_record_as, path=part, made_by=made_by(record))
         written: Future[Any] = pool.submit(bool)
@@ -324,7 +326,9 @@ def _gravity(model: "Calibration") -> float:
 
 
 def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[list[FloatArray], dict[str, float]]":
-    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest, raw and corrected, (n, 2); and their rms from g, mg, and 0."""
+    """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest, raw and corrected, (n, 2). Also return their rms from
+    g, mg, and 0.
+    """
     import numpy as np
 
     from undrift.commands.calibrate import raw_and_corrected
@@ -345,7 +349,7 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
 
 
 def _rests_row(file: CorrectedFile) -> dict[str, str]:
-    """Return what the rests of a recording read, raw -> corrected; dashes where there are none."""
+    """Return the readings of a recording at its rests, raw -> corrected, or dashes without rests."""
     cells = {"recording": file.record.name, "rests": str(file.at_rest["rests"])}
     for head, key in (("|a| - g (mg)", "accel_mg"), ("rate (deg/s)", "rate_dps")):
         cells[head] = " -> ".join(number(file.at_rest[name], ".3g") for name in (f"raw_{key}", key))
@@ -361,7 +365,7 @@ def _offset_left(
     offset: Literal["rest", "motion"],
     stretch: "Stretch",
 ) -> "OffsetLeft":
-    """Return what the calibration leaves of the offset in a recording; at a rest no more of it is read than needed."""
+    """Return the remaining offset of a corrected recording. At a rest, only as many readings are read as needed."""
     from undrift.correction.correct import offset_left
     from undrift.correction.rest import find_rest_offset_in, known_rest_offset, moved_by
     from undrift.io.columns import naming
@@ -379,7 +383,7 @@ def _offset_left(
 def _provenance(
     record: Path, *, calibration: Path, model: "Calibration", settings: dict[str, object]
 ) -> dict[str, object]:
-    """Return what a corrected recording was made from and by, for the files that state it."""
+    """Return the provenance of a corrected recording, for the files that store it."""
     from undrift import __version__
     from undrift.files import sha256_of
     from undrift.io.store import content_hash

@@ -1,7 +1,7 @@
-"""``undrift demo``: the note's method on a simulated bench, a page and a summary.
+"""``undrift demo``: the note's method on a simulated bench, with a page and a summary.
 
-Table, chamber and device are simulated, the rest is not: what they say goes into run folders and is read back, and nothing
-that fits or corrects knows the truth. The truth serves the checks at the end alone.
+Only table, chamber and device are simulated. Their data are written to run folders and read back. Fits and corrections
+never use the true parameters. Only the checks at the end use them.
 """
 
 import json
@@ -32,12 +32,12 @@ SEED = 2007
 RUNS = ("bench", "thermal")  # folders of an earlier demo
 PAGES = ("report.html", "tables.html")  # the report, and the tables over temperature behind it
 FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", *PAGES)
-REST_HOST_S = {False: 6.0, True: 3.0}  # forecast of what follows the runs, host s
+REST_HOST_S = {False: 6.0, True: 3.0}  # forecast of the steps after the runs, host s
 
 
 @verb
 def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, progress: Progress = silent) -> Summary:
-    """Calibrate a device on a simulated bench, correct a worn sit-to-stand.
+    """Calibrate a device on a simulated bench, and correct a sit-to-stand recording.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
 
 
 def _check_fresh(out: Path) -> None:
-    """Refuse a folder that holds somebody's own files; take away the runs of an earlier demo."""
+    """Refuse a folder with other files, and delete the runs of an earlier demo."""
     check_folder(out)
     if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
         raise InputError(
@@ -112,7 +112,7 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
     made = worn_trial(device, seed=SEED)
     write_record(made[0], out / "trial.parquet")
     write_reference(made[1], out / "reference.parquet")
-    record = read_record(out / "trial.parquet")  # what is judged is read from the disk
+    record = read_record(out / "trial.parquet")  # judge the data that are on the disk
     corrected = correct_checked(record, read_calibration(out / "calibration.json"))
     write_record(corrected.record, out / "corrected.parquet")
     return fit, judge_levels(fit, record, read_reference(out / "reference.parquet"))
@@ -133,7 +133,7 @@ def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", ch
         },
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
-        findings=trials[-1].findings,  # of the recommended level; what constants alone lack, the tables mend
+        findings=trials[-1].findings,  # of the recommended level: tables remove the remaining errors of constants
         sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more()),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),
@@ -180,7 +180,7 @@ def _checks(checks: tuple["Check", ...]) -> Section:
 
 
 def _worn(trials: tuple["Trial", ...]) -> Section:
-    """Say what the worn trial shows."""
+    """Return the text about the worn trial."""
     import numpy as np
 
     from undrift.commands.study_note import NOTE, SLOPE_OF_THE_NOTE
@@ -207,7 +207,7 @@ def _worn(trials: tuple["Trial", ...]) -> Section:
 
 
 def _bench(run: "BenchRun") -> Section:
-    """Show what was simulated, and how it differs from a real bench."""
+    """Return the text about the simulated bench and its differences from a real bench."""
     from undrift.study.virtual_bench import SOAK
 
     plan = run.plan

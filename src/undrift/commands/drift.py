@@ -1,6 +1,7 @@
-"""``undrift drift``: tuning tables over temperature from thermal sessions, or from a mere warm-up log.
+"""``undrift drift``: fit tables over temperature from thermal sessions, or from a warm-up log.
 
-The summary opens with the largest error of a stated motion, without tables and with these tables (``validation/table_worth``).
+The summary begins with the largest error of a standard motion, without and with these tables
+(``validation/table_worth``).
 """
 
 import math
@@ -107,7 +108,7 @@ def _fitted(
     settings: "DriftSettings",
     progress: Progress,
 ) -> "tuple[DriftFit, Session]":
-    """Read the sessions and fit; return the fit and the first session."""
+    """Read the sessions and fit. Return the fit and the first session."""
     from undrift.drift.fit import fit_drift
     from undrift.drift.observe import one_power_on
     from undrift.io.formats import detect
@@ -118,7 +119,7 @@ def _fitted(
         with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
         (stated if detect(path) == "session" else bare).append(read[-1])
-    together = [*stated, *one_power_on(bare)]  # bare recordings are one where their clock runs on
+    together = [*stated, *one_power_on(bare)]  # recordings without a session form one session if their clock continues
     return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
 
 
@@ -133,7 +134,9 @@ def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> I
 
 
 def _next(recording: Path | None, session: "Session", fit: "DriftFit", output: Path) -> tuple[object, ...]:
-    """Return how a recording is corrected by the tables: from power-on where a warm-up is known, held where it is outside."""
+    """Return how to correct a recording with the tables: from power-on with a warm-up model, and held outside the
+    range.
+    """
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
     how, temp_c = list[str](), session.records[0].temp_c
     if static is not None and static.warm_up is not None:
@@ -148,7 +151,7 @@ def _next(recording: Path | None, session: "Session", fit: "DriftFit", output: P
 
 
 def drift_summary(fit: "DriftFit") -> Summary:
-    """Return what a thermal fit holds, and what it is worth over a stated motion: the largest error before and after."""
+    """Return the content of a thermal fit, and its benefit for a standard motion: the largest error before and after."""
     worth, count, dwells = _worth(fit), len(fit.rests), len(fit.steps)
     answer = f"{count} blocks of rest and {dwells} dwells give no tuning table of gyroscope offsets."
     lead = f"The fit uses {count} blocks of rest and {dwells} dwells at known rates. Values after +- are standard uncertainties."
@@ -169,7 +172,7 @@ def drift_summary(fit: "DriftFit") -> Summary:
 
 
 def _worth(fit: "DriftFit") -> "TableWorth | None":
-    """Return what the tables are worth; None without a table of the gyroscopes."""
+    """Return the benefit of the tables, or None without a table of the gyroscopes."""
     import numpy as np
 
     from undrift.validation.table_worth import expected_errors
@@ -180,7 +183,7 @@ def _worth(fit: "DriftFit") -> "TableWorth | None":
 
 
 def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
-    """Return the sections of a thermal fit; without the picture that was drawn before."""
+    """Return the sections of a thermal fit, without the picture that was drawn before."""
     import numpy as np
 
     first = fit.gyro_summary or fit.accel_summary
@@ -230,7 +233,7 @@ def offset_rows(summary: "TriadSummary") -> list[dict[str, str]]:
 
 
 def offset_title(name: str, summary: "TriadSummary") -> str:
-    """Return what an offset table covers, in one line."""
+    """Return the range of an offset table as a line of text."""
     low, high = summary.seen_c
     nodes = summary.temp_c
     step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)

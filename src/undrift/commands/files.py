@@ -1,7 +1,7 @@
-"""What commands read and write: recordings by their map or by the one that a calibration keeps, sessions, references, devices.
+"""Inputs and outputs of commands: recordings with their map or a stored map, sessions, references, devices.
 
-Settings of reading are dataclasses marked ``@options``: the command line makes an option of each field. Nothing here imports numpy
-before a command runs: ``--help`` answers at once.
+Settings for reading are dataclasses marked ``@options``. Each field is an option of the command line. Nothing here
+imports numpy before a command runs, so that ``--help`` is quick.
 """
 
 import json
@@ -42,7 +42,7 @@ class Kept:
 @options
 @dataclass(frozen=True, kw_only=True)
 class Opening:
-    """How to read a foreign recording.
+    """Settings for reading a foreign recording.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Opening:
         return replace(self, kept=Kept(path, model.file_map))
 
     def file_map(self) -> "FileMap | None":
-        """Return the map with the options over it; None where neither states anything."""
+        """Return the map modified by the options, or None if both are empty."""
         from undrift.io.session import read_file_map
 
         return read_file_map(self.column_map, **self._options())
@@ -130,7 +130,7 @@ class Opening:
             yield from iter_record(path, columns, settings=settings)
 
     def read(self, path: Path) -> "Record":
-        """Read a recording; a session folder gives its only recording."""
+        """Read a recording. For a session folder, read its only recording."""
         from undrift.io.formats import detect
         from undrift.io.session import read_session
 
@@ -164,7 +164,7 @@ class NamedRest:
 @options
 @dataclass(frozen=True, kw_only=True)
 class TableUse:
-    """How the tables of a calibration are applied.
+    """Use of the tables of a calibration.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class TableUse:
 @options
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where recordings were made, and of which device, as far as no session.toml states it.
+    """Place and device of recordings without a session.toml.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class Place:
     serial: str = ""
 
     def gravity(self, *, of_session: bool = False) -> "tuple[float, GravitySource]":
-        """Return local gravity and where it comes from; beside a session a latitude alone is that of its rate table."""
+        """Return local gravity and its source. With a session, a latitude without gravity applies to its rate table."""
         from undrift.io.session import gravity_of
 
         alone = of_session and self.height_m is None
@@ -217,7 +217,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
     stated = [file for file in files if (file / NAME).is_file() or file.name == NAME]
     if not stated:
         bare = [file for file in files if file.is_dir() and not is_recording(file)]
-        if bare:  # says what a folder must hold
+        if bare:  # raises a message about the content of a session folder
             read_session(bare[0])
         return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
@@ -241,7 +241,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
 
 
 def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
-    """Read a session; a recording by itself is a session of one."""
+    """Read a session. A single recording becomes a session."""
     from undrift.files import sha256_of
     from undrift.io.formats import detect
     from undrift.io.session import entry_of, file_map_of, read_session
@@ -260,7 +260,7 @@ def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -
 
 
 def is_recording(path: Path) -> bool:
-    """Tell whether a file, or a folder of a device that records into one, is a recording, or a damaged file."""
+    """Return True if a file or folder is a recording, possibly damaged."""
     from undrift.io.formats import format_of
 
     with suppress(InputError):
@@ -269,7 +269,7 @@ def is_recording(path: Path) -> bool:
 
 
 def _files_of(folder: Path) -> list[list[str]]:
-    """Return the files of each recording that a session states."""
+    """Return the files of each recording in a session."""
     from undrift.base.codec import read
     from undrift.io.session import NAME, SessionFile
 
@@ -278,7 +278,7 @@ def _files_of(folder: Path) -> list[list[str]]:
 
 
 def recording_of(files: tuple[Path, ...]) -> Path | None:
-    """Return a recording to name in the next command: a bare one, or the first of a session; None where it has two files."""
+    """Return a recording for the next command: the first one. Return None if it consists of two files."""
     from undrift.io.session import NAME
 
     folder = files[0] if files[0].is_dir() else files[0].parent
@@ -291,7 +291,7 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
 def recordings_of(
     files: tuple[Path, ...], opening: Opening, place: Place = Place()
 ) -> "tuple[tuple[Path, ...], Session | None]":
-    """Return the recordings that are named, or those of the session that is named, and that session."""
+    """Return the named recordings, or the recordings of the named session and the session."""
     from undrift.io.session import NAME
 
     folder = files[0] if files[0].is_dir() else files[0].parent
@@ -327,7 +327,7 @@ def corrected(
 
 
 def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":
-    """Return the mounting that a calibration keeps; None where sides of the device are stated in its place."""
+    """Return the mounting in a calibration, or None if the sides of the device are given instead."""
     return None if model is None or forward or up else model.mounting
 
 
@@ -351,7 +351,7 @@ def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tu
 
 @contextmanager
 def named_columns(path: Path) -> Iterator[None]:
-    """Name the file, and the option that mends it, where its columns, units or sample rate cannot be those stated."""
+    """Add the file and the remedial option to errors about columns, units or sample rate."""
     from undrift.errors import Implausible
 
     try:
@@ -389,7 +389,7 @@ class Optics:
     def pairs(
         self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
     ) -> list[tuple["Record", "Reference"]]:
-        """Read recordings, unless a session holds them, and the reference of each."""
+        """Read recordings, or use the recordings of a session, and read the reference of each."""
         from undrift.io.formats import holds_poses
 
         paths = self.reference
@@ -404,13 +404,13 @@ class Optics:
         return list(zip(read, self.read(paths), strict=True))
 
     def of_cluster(self) -> bool:
-        """Tell whether the poses are those of a cluster of markers, whose axes mean nothing."""
+        """Return True if the poses belong to a cluster of markers, whose axes are arbitrary."""
         from undrift.io.formats import format_of
 
         return self.markers is not None and any(format_of(path)[1].markers for path in self.reference)
 
     def read(self, paths: tuple[Path, ...]) -> "list[Reference]":
-        """Read references as the options say."""
+        """Read references with these options."""
         from undrift.io.reference import read_reference_map
 
         labels = labels_of(self.markers)
@@ -423,7 +423,7 @@ class Optics:
 
 
 def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] | None, up: Up) -> "Reference":
-    """Read a reference; errors name the options that a file of markers needs."""
+    """Read a reference. Errors name the options that a file of markers needs."""
     from undrift.io.formats import format_of, read_markers, read_reference
     from undrift.io.mocap import pose_from_cluster
 
@@ -483,7 +483,7 @@ def ends_of(option: str, text: str, unit: str = "degC") -> tuple[float, float]:
 def check_output(
     path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = (), beside: Iterable[Path] = ()
 ) -> None:
-    """Refuse a file whose ending does not fit, whose folder does not exist, or that is one of those read, as any beside it."""
+    """Refuse an output with an unsuitable ending, in a missing folder, or equal to an input or its sidecar file."""
     if path is None:
         return
     if not path.name.lower().endswith(endings):
@@ -524,7 +524,7 @@ def name_of(path: Path) -> str:
 
 
 def _holds(read: Path, target: Path) -> bool:
-    """Tell whether a file is the one read, or one of the folder read."""
+    """Return True if a file is the input, or inside the input folder."""
     from undrift.io.session import NAME
 
     if not read.is_dir():
@@ -537,7 +537,7 @@ def _holds(read: Path, target: Path) -> bool:
 
 
 def files_in(value: object) -> Iterator[Path]:
-    """Yield the files among the values of options, those of settings too."""
+    """Yield the files among the values of options, including the fields of settings."""
     if isinstance(value, Path):
         yield value
     elif isinstance(value, tuple):
@@ -550,14 +550,16 @@ def files_in(value: object) -> Iterator[Path]:
 
 
 def save_json(path: Path, value: object) -> None:
-    """Write one JSON object to a file; NaN is written as null."""
+    """Write a JSON object to a file, with NaN as null."""
     from undrift.files import write_whole
 
     write_whole(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
 
 
 def origin_of(*read: Path | None) -> Origin:
-    """Return what a page was made from and by: files with their sha256, those of a folder one by one, and the command."""
+    """Return the origin of a page: the command, and its files with their sha256. Files in folders are listed
+    separately.
+    """
     from undrift.files import sha256_of
 
     paths = [path for path in read if path is not None and path.exists()]

@@ -1,4 +1,4 @@
-"""``undrift info``: what a file or folder holds: rates, units, spans, gaps, stills, problems, and the map it needs."""
+"""``undrift info``: the content of a file or folder: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -56,7 +56,7 @@ class Proposal:
     accel_unit: str | None = None
 
     def check(self, *, reads: Sequence[Path | None]) -> None:
-        """Raise where a unit has no map to stand in."""
+        """Raise an error if a unit is given without a map."""
         check_output(self.write_map, endings=(".toml",), reads=reads)
         option = next((one.name for one in fields(self)[1:] if getattr(self, one.name) is not None), "")
         if option and self.write_map is None:
@@ -80,7 +80,7 @@ def info(
     output: OptionalOutput = None,
     progress: Progress = silent,
 ) -> Summary:
-    """What a recording, session, calibration, reference or device holds: rates, units, spans, gaps, stills found.
+    """Describe a recording, session, calibration, reference or device: rates, units, spans, gaps, stills found.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def info(
 
 
 def _described(file: Path, opening: Opening, up: Up) -> "tuple[Description, Opening]":
-    """Return what a file holds, by a map of readings or one of orientations, which is then done with."""
+    """Return the content of a file, read with a map of readings or of orientations."""
     from undrift.io.inspect import describe, describe_poses
     from undrift.io.reference import read_reference_map
 
@@ -230,7 +230,7 @@ def _write_session(
 
 
 def _parts(held: "Calibration") -> "tuple[dict[str, list[str]], tuple[float, float] | None]":
-    """Return what a calibration holds of each part, and the span of all its tables, degC."""
+    """Return the content of each part of a calibration, and the range of all its tables, degC."""
     lines: dict[str, list[str]] = {}
     for name, model in (("gyro", held.gyro), ("accel", held.accel)):
         lines[name] = ["no model"] if model is None else [f"{model.method}, {model.unit_in} to {model.unit_out}"]
@@ -276,7 +276,7 @@ def _tables(drift: "DriftTables") -> "tuple[list[str], list[FloatArray]]":
 
 
 def _effects(file: Path) -> dict[str, list[str]]:
-    """Return what a device model holds: the effects of each triad that are switched on, the thermometer, the source."""
+    """Return the content of a device model: the active effects of each triad, the thermometer, the source."""
     from undrift.sim.device.effects import effects_of
     from undrift.sim.device.model import read_device
 
@@ -290,7 +290,7 @@ def _effects(file: Path) -> dict[str, list[str]]:
 
 
 def _look(session: "Session | None") -> "tuple[Observed | None, str]":
-    """Return what is seen of still phases, and why there is none; too short a recording is no error."""
+    """Return the still phases, or the reason why there are none. A recording that is too short is not an error."""
     from undrift.calibration.session import look
     from undrift.calibration.settings import CalibrateSettings
 
@@ -311,7 +311,7 @@ def _span(record: "Record", piece: "Still | Piece") -> tuple[float, float]:
 
 
 def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
-    """Draw a recording or session with what was found in it."""
+    """Draw a recording or session with its phases."""
     from undrift.calibration.pieces import pieces_of
 
     pieces, _ = pieces_of(session, observed=seen)
@@ -319,7 +319,7 @@ def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
 
 
 def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:
-    """Return what a person sees of a file."""
+    """Return the lines about a file for the terminal."""
     lines = [found.summary.partition(", for example")[0] if found.example else found.summary]
     lines += [f"{name}: {unit}" for name, unit in found.units]
     if found.kind in ("recording", "session"):
@@ -340,7 +340,7 @@ def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still
 
 
 def of_poses(found: "Description") -> bool:
-    """Tell whether the map that a table needs is one of orientations."""
+    """Return True if a table needs a map of orientations."""
     return bool(found.example) and "quaternion = " in found.example[0]
 
 
@@ -358,7 +358,7 @@ def _hints(found: "Description") -> list[str]:
 
 
 def _next(found: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
-    """Return the command to type next; none where nothing follows from what is known."""
+    """Return the next command, if one can be suggested."""
     if found.example:
         ready = "sample_rate_hz = ?" not in found.example
         return ("info", found.path, "--write-map", "map.toml") if ready else ()

@@ -1,8 +1,8 @@
-"""Levels of correction as ``undrift validate --compare`` and ``undrift validate FOLDER --trials trials.csv`` show them.
+"""Levels of correction for ``undrift validate --compare`` and ``undrift validate FOLDER --trials trials.csv``.
 
-The table of trials has a row per recording. Columns: recording, person, task and device; reference, if the recording does not
-contain its own; and as needed calibration, map, sensor, reference_map, reference_up and markers, as the options have them. Files
-are relative to the table.
+The table of trials has a row per recording. Columns: recording, person, task and device; reference, if the recording
+does not contain a reference. Optional columns: calibration, map, sensor, reference_map, reference_up and markers, with
+the values of the options. Paths are relative to the table.
 """
 
 import csv
@@ -39,7 +39,7 @@ def label_of(table: "LevelTable", level: str, method: str) -> str:
 
 
 def levels_sections(table: "LevelTable") -> tuple[Section, ...]:
-    """Return the errors at each level of correction over all trials, and what stands behind them."""
+    """Return the errors at each level of correction over all trials, and their details."""
     groups = list(dict.fromkeys(summary.group for summary in table.summaries))
     sections = [_errors_section(table, "all"), _warnings(table), _agreement(table), _simulated(table)]
     sections += [replace(_errors_section(table, group), on="page") for group in groups[1:]]
@@ -218,7 +218,7 @@ class PeopleValidated(Result):
         )
 
     def methods(self) -> str:
-        """Return a paragraph that states what was done, for a paper."""
+        """Return a paragraph about the methods, for a paper."""
         table = self.table
         people, tasks, devices = (len({getattr(trial, name) for trial in table.trials}) for name in NEEDED[1:])
         others = sum(trial.left_out or trial.calibration is None for trial in table.trials)

@@ -120,7 +120,7 @@ def sides_of(worn: "BodyMounting") -> str:
 
 
 def mounting_of(calibration: Path | None) -> str:
-    """Return in a sentence the mounting that a calibration keeps; empty where it keeps none."""
+    """Return a sentence about the mounting in a calibration, or "" without a mounting."""
     from undrift.io.store import read_calibration
 
     worn = None if calibration is None else read_calibration(calibration).mounting

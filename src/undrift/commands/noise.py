@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from undrift.record import Record
 
 _DEG_PER_H, _UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
-# As data sheets have them, by term and SI unit: key in JSON, unit, factor; 60 sqrt(s) make a sqrt(h)
+# units of data sheets, by term and SI unit: key in JSON, unit, factor (60 sqrt(s) are 1 sqrt(h))
 _WALK, _FLOOR, _RISE = "angle_random_walk", "bias_instability", "rate_random_walk"
 DATA_SHEET = {
     (_WALK, "rad/s/sqrt(Hz)"): ("angle_random_walk_deg_per_sqrt_h", "deg/sqrt(h)", 60.0 / RADIAN_PER_DEGREE),
@@ -44,7 +44,7 @@ class Noise(Result):
     notes: tuple[str, ...]
 
     def summary(self) -> Summary:
-        """Return what the noise means for an angle, and the coefficients of each axis with their intervals."""
+        """Return the effect of the noise on an angle, and the coefficients of each axis with their intervals."""
         from undrift.calibration.noise import TERMS
         from undrift.io.store import verdict_json
 
@@ -125,10 +125,10 @@ def noise(
 
 
 def angle_after(axis: "AxisNoise") -> dict[str, float]:
-    """Return U of an angle after 60 s, deg, by term; its offset is the mean of 60 s at rest just before.
+    """Return U of an angle after 60 s, deg, by term. The offset is the mean of 60 s at rest just before.
 
-    The two means differ by sqrt(2) sigma(tau), which is what the Allan deviation is: U = k tau sqrt(2) sigma(tau). A term that the
-    recording does not show counts by its upper limit.
+    The two means differ by sqrt(2) sigma(tau) by definition of the Allan deviation, so U = k tau sqrt(2) sigma(tau).
+    Terms that the recording does not determine count with their upper limit.
     """
     from undrift.calibration.noise import FLICKER
 
@@ -141,7 +141,9 @@ def angle_after(axis: "AxisNoise") -> dict[str, float]:
 
 
 def _meaning(fit: "NoiseFit") -> str:
-    """Return what white noise and instability mean for an angle, at 95 % on the worst axis; "" for counts or volts."""
+    """Return the effect of white noise and instability on an angle, at 95 % on the worst axis, or "" for counts or
+    volts.
+    """
     parts = []
     if fit.gyro and is_physical(fit.gyro_unit):
         axis = max(fit.gyro, key=lambda one: angle_after(one)["angle"])
@@ -162,7 +164,7 @@ def _meaning(fit: "NoiseFit") -> str:
 
 
 def _corrected(readings: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
-    """Return corrected readings and what to say of them."""
+    """Return corrected readings and notes about them."""
     from undrift.correction.correct import correct_checked
 
     readings, left_out = calibrated_part(readings, model)

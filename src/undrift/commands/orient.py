@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from undrift.orientation import Orientation
     from undrift.record import Still
 
-NORMAL_95 = 1.96  # standard uncertainties that hold 95 % of errors of one angle
+NORMAL_95 = 1.96  # coverage factor for 95 % of the errors of an angle
 _SHOWN = ("correct.offset_subtracted", "orient.north")  # on a terminal, though no warnings
 
 
@@ -43,8 +43,9 @@ class Oriented(Result):
 
     @cached_property
     def band(self) -> "FloatArray | None":
-        """What 95 % of errors of the pitch are within at each sample, rad: tilt, offset since the rest, scale.
-        None of a filter, and where nothing is known of the accelerometers."""
+        """Return the 95 % limit of the pitch error at each sample, rad: tilt, offset since the rest, scale. Return None
+        for a filter, or if the uncertainty of the accelerometers is unknown.
+        """
         import numpy as np
 
         angles, gyro = self.orientation, None if self.calibration is None else self.calibration.gyro
@@ -62,7 +63,7 @@ class Oriented(Result):
 
     @property
     def answer(self) -> str:
-        """How far the pitch goes, and how good it is at the end that is known least."""
+        """Return the range of the sagittal pitch, and its uncertainty at the less certain end."""
         import numpy as np
 
         angles, (low, _, high) = self.orientation, _spread(self.orientation.pitch)
@@ -227,7 +228,7 @@ def _data(found: "Orientation") -> dict[str, Any]:
 
 
 def _spread(angle: "FloatArray") -> list[float]:
-    """Return least, median and greatest, deg; pitch has gaps where the body's axis leaves its plane."""
+    """Return least, median and greatest, deg. Pitch has gaps if the body's axis leaves its plane."""
     import numpy as np
 
     return [math.degrees(float(f(angle))) for f in (np.nanmin, np.nanmedian, np.nanmax)]

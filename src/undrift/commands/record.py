@@ -1,7 +1,8 @@
-"""``undrift record``: what a device sends, to a file; with a guide through the poses of a calibration, which follows.
+"""``undrift record``: record a device to a file, optionally with a guide through the poses of a calibration.
 
-Readings are appended to a CSV that is whole after each second, whatever ends the recording: Ctrl-C, a cable, a full disk, a power
-cut. The file that was asked for is made of it at the end. What a device prints is found by listening (``live/log.py``).
+Readings are appended to a CSV. It is complete after each second, even if a cable, a full disk or a power cut ends the
+recording. At the end, it is converted to the requested file. The format of a device's output is determined by listening
+(``live/log.py``).
 """
 
 import math
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
     from undrift.record import Record
 
 LOOK_S = 0.2  # between two looks at the device, host s
-LOG_S = 5.0  # of the recording between two lines where there is no terminal
-FIRST_S, LOST_S = 6.0, 10.0  # host s for the first reading (a board may start anew), and for a device that was lost
+LOG_S = 5.0  # of the recording between two lines if there is no terminal
+FIRST_S, LOST_S = 6.0, 10.0  # host s for the first reading (a board may restart), and for a lost device
 CLOCK_S = 10.0  # of a recording that shows the rate of a device without time better than listening did
 PAUSE_S = 1.0  # host s without readings that are not mentioned
 RATE_S = 2.0  # of a recording after which its rate is shown
-NOW_S, MOST_S = 0.5, 100.0  # of readings whose mean is shown; of those that a guide takes at once
+NOW_S, MOST_S = 0.5, 100.0  # of readings for the displayed mean, and of readings in one step of a guide
 LINES = (".log", ".txt")  # as they come
 FORMATS = (".parquet", ".csv", ".csv.gz", *LINES)
 HOW = {
@@ -39,7 +40,7 @@ HOW = {
     "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
     "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
 }
-LISTED = {  # what is looked for: in words, and what names one
+LISTED = {  # possible sources: in words, and the option to name a source
     "serial_ports": ("Serial ports", "port"),
     "lsl_streams": ("LSL streams", "name"),
 }
@@ -60,7 +61,7 @@ def record(
     place: Place = Place(),
     screen: Screen = Screen(),
 ) -> Summary:
-    """Record what a device sends until Ctrl-C; without device and file, list serial ports and LSL streams.
+    """Record a device until Ctrl-C. Without device and file, list serial ports and LSL streams.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def address_of(named: list[str]) -> str:
 
 
 def _senders(screen: Screen) -> Summary:
-    """List what can be recorded, and why a way could not be looked at."""
+    """List the available devices, and the reasons why some kinds could not be searched."""
     from undrift.live import transports
 
     screen.over("Looking for serial ports and LSL streams ...")
@@ -206,7 +207,7 @@ def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -
 
 
 class _CtrlC:
-    """The first Ctrl-C ends a recording; a second one, in haste, or one while the file is made, is not heard."""
+    """The first Ctrl-C ends a recording. Further signals shortly after, or while the file is written, are ignored."""
 
     def __init__(self) -> None:
         self.deaf, self._before = False, signal.getsignal(signal.SIGINT)
@@ -249,7 +250,7 @@ class _Recording:
         screen.say(f"Recording {source.name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
 
     def run(self, guides: Guides, duration_s: float) -> "tuple[Record, Status]":
-        """Record until it ends, and make the file; what ends it early is raised, and says what there is."""
+        """Record until the end, and write the file. Errors that end it early are raised with the state of the file."""
         with _CtrlC() as ctrl_c:
             return self._run(guides, duration_s, ctrl_c)
 
@@ -300,7 +301,7 @@ class _Recording:
         )
 
     def _made(self, full: str) -> "tuple[Record, Path, str]":
-        """Return all readings, the file that holds them, and why it is not the one that was asked for."""
+        """Return all readings, their file, and the reason if it is not the requested file."""
         from undrift.io.columns import ReadSettings
         from undrift.io.formats import read_record
         from undrift.io.write import write_record_as
@@ -327,7 +328,7 @@ class _Recording:
         return whole, self.output, ""
 
     def _watch(self, guides: Guides, duration_s: float) -> str:
-        """Show what comes, and what a guide asks for, until the end; return what ended it."""
+        """Show the readings and the instructions of a guide until the end. Return the reason of the end."""
         source, heard, texts = self.source, time.monotonic(), list[str]()
         while True:
             time.sleep(LOOK_S)
@@ -375,7 +376,7 @@ def _line(status: "Status", newest: "Record | None") -> str:
 
 
 def _guides(name: str | None, folder: Path, place: Place) -> Guides:
-    """Return the guides of a calibration by hand, which share what they capture."""
+    """Return the guides of a calibration by hand, which share their captures."""
     from undrift.commands.bench.capture import Capture
     from undrift.commands.bench.guides import Poses, SixFaces, Turns
 

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
 
-HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # that a table is asked for where nothing else is stated
+HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # default limits for a table without other limits
 
 
 @options
 @dataclass(frozen=True, kw_only=True)
 class Shaft:
-    """How far a table may turn.
+    """Angular range of a table.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Ran(Result):
     others: tuple[Path, ...] = ()  # Folders of the other devices on the table
 
     def summary(self) -> Summary:
-        """Return how many dwells there are, and how far achieved rates are off the nominal ones."""
+        """Return the number of dwells, and the largest difference of achieved rates from nominal rates."""
         result, dps = self.result, RADIAN_PER_DEGREE
         turns = [piece for piece in result.pieces if piece.purpose == "rate"]
         missing = sum(piece.missing for piece in result.pieces)
@@ -126,7 +126,7 @@ def run(
     yes: bool = False,
     screen: Screen = Screen(),
 ) -> Ran:
-    """Run a protocol; the folder is a session for calibrate and drift, after every dwell.
+    """Run a protocol. After every dwell, the folder is a session for calibrate and drift.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def run(
 
 
 def forecast(protocol: Path, rig: str) -> "Forecast":
-    """Return what `run` takes for a protocol, within the limits of a table for which nothing is stated; nothing is opened."""
+    """Return the duration of `run` for a protocol, within the default limits of a table. Nothing is opened."""
     from undrift.programme import ProgrammeSettings, forecast_of, programme_of, read_protocol
     from undrift.rig.rig import check_programme, parse_address
 
@@ -206,7 +206,7 @@ def forecast(protocol: Path, rig: str) -> "Forecast":
 
 
 def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[str, Path]:
-    """Return the folder of each device by its address; from Python one may be a text."""
+    """Return the folder of each device by its address. In Python, a single text is accepted."""
     sources = (device,) if isinstance(device, str) else device
     if len(sources) > 1 and (serial or len({*sources}) < len(sources)):
         raise InputError(
@@ -219,7 +219,7 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
 def _simulated(
     device: str | tuple[str, ...], addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
 ) -> "SimulatedBench | None":
-    """Make a simulated bench, where the table is simulated; all of a bench is, or nothing."""
+    """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
     import numpy as np
 
     from undrift.plugins import split_address
@@ -259,7 +259,7 @@ def _simulated(
 def _on_simulated(
     made: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
 ) -> "tuple[RigBench, list[Mounted]]":
-    """Return what a run works with on a simulated bench, and its devices with their folders."""
+    """Return the parts of a simulated bench for a run, and its devices with their folders."""
     from undrift.rig.run import Mounted, RigBench
 
     chamber = made.chamber if with_chamber else None
@@ -339,7 +339,7 @@ class _Shown:
             raise InputError("rig run: the start was not confirmed, and nothing moved. Answer y, or use `yes`.")
 
     def __call__(self, progress: "Progress") -> None:
-        """Take where the run is; in a log a step is one line, once there are readings of it."""
+        """Update the position of the run. In a log, a step is a single line, printed when it has readings."""
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         logged = bool(progress.live) or progress.phase in ("mounting", "closing")
         step = progress.number if logged else None
@@ -358,7 +358,7 @@ def stop(*, rig: TableAddress) -> Summary:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Accepted(Result):
-    """A table checked; whether it was accepted is in its verdict."""
+    """A checked table. The verdict contains the result."""
 
     rig: str  # Its address
     settings: "CheckSettings"

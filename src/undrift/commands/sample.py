@@ -8,7 +8,8 @@ from undrift.base.summary import Summary
 
 @verb
 def sample(folder: Path = Path("sample"), /) -> Summary:
-    """Write the recordings that come with the package: six faces, rate table, soaks, a rest, a sit-to-stand with optics.
+    """Write the sample recordings of the package: six faces, rate table, soaks, a rest, a sit-to-stand task with
+    optics.
 
     Parameters
     ----------

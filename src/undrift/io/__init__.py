@@ -9,11 +9,11 @@ asks for them. A note reports units from a manual.
 Open ``formats`` first: a table of all formats, and ``read_record``.
 
     formats     which reader a file takes, by its content            columns    from named columns and a map to a Record
-    text, parquet, libraries, mocap               tables, binary recordings, markers labelled    tables that state their
-    units                        dialects   text exports of makers, a map of TOML each phone       the folder or zip of
-    a phone                         log        lines of a serial port reference   poses and anatomical bodies
-    clock      a regular clock for stamps of a host session     session.toml and maps
-    proposal   maps and sessions that a person may edit inspect     content of a file, and symptoms              store
-    calibration.json write       recordings and orientations by ending                isolated   the process in which
-    libraries run
+    text, parquet, libraries, mocap               tables, binary recordings, markers
+    labelled    tables that contain their units                      dialects   text exports of makers, a map of TOML each
+    phone       the folder or zip of a phone                         log        lines of a serial port
+    reference   poses and anatomical bodies                          clock      a regular clock for stamps of a host
+    session     session.toml and maps                                proposal   maps and sessions that a person may edit
+    inspect     content of a file, and symptoms                      store      calibration.json
+    write       recordings and orientations by ending                isolated   the process in which libraries run
 """

@@ -1,11 +1,11 @@
 """Recordings read with maintained libraries (extra ``formats``). The library runs in a separate process and its result
 becomes a Record.
 
-XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered ROS
-(rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent
-channel ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the
-autopilot NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time Axivity, GENEActiv,
-ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
+XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered
+ROS (rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent channel
+ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the autopilot
+NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time
+Axivity, GENEActiv, ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
 """
 
 import contextlib

@@ -5,7 +5,7 @@ All axes of a body are x forward, y left, z up, as a device worn at the back wou
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
     trunk    the line from mid(PSIS) or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
-    trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
+             trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
 
 A cluster is fitted to all of its markers (io/mocap.py). The anatomical axes belong to its mean shape. A frame without
 all markers of the body is a gap, because a fit to fewer markers would jump with skin movement.

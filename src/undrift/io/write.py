@@ -2,11 +2,12 @@
 programs.
 
 =================  ==================================  ==============================================================
-ending             record                              orientation =================  ==================================
-============================================================== .parquet           every bit, frame, state, device
-time, quaternion, angles .csv, .csv.gz      plain table, and NAME.csv.json      the same .sto
-OpenSense [1]_: a column for a sensor, cells w,x,y,z =================  ==================================
-==============================================================
+ending             record                              orientation
+=================  ==================================  ==============================================================
+.parquet           every bit, frame, state, device     time, quaternion, angles
+.csv, .csv.gz      plain table, and NAME.csv.json      the same
+.sto                                                   OpenSense [1]_: a column for a sensor, cells w,x,y,z
+=================  ==================================  ==============================================================
 
 .. [1] "OpenSense - Kinematics with IMU Data", OpenSim documentation: opensimconfluence.atlassian.net
 """

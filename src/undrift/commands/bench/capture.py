@@ -1,11 +1,11 @@
-"""Capture: the readings of a guided session, whether the device rests now and which face is up, and the session's folder.
+"""Capture the readings of a guided session. Detect rests and the face that is up, and write the session's folder.
 
-A device rests when `find_still` finds its newest readings still twice: by the threshold that the readings show, and within four
-noise floors of the quietest window; in counts, what a bench allows is taken in parts of gravity. Which face is up is the axis
-of the accelerometers that reads most of the length of the mean reading. Readings in counts have a zero that nobody states. It
-is that of the sphere through five captured faces; before that it is 0 where rests are alike in length and in one of them one
-axis reads nearly all, as digital parts read; else that of the sphere through what the accelerometers read while the device was
-turned over all its sides. Lengths are relative throughout: no scale is needed.
+A device is at rest if `find_still` accepts its newest readings twice: with the threshold from the readings, and within
+four noise floors of the quietest window. In counts, the limits are shares of gravity. The face that is up is the axis
+with the largest share of the mean acceleration. Readings in counts have an unknown zero. With five captured faces, the
+zero is the centre of a sphere through them. Before that, it is 0 if all rests have similar lengths and in one of them a
+single axis reads nearly all, as for digital parts. Otherwise it is the centre of a sphere through the readings from
+turning the device over all its sides. Only relative lengths are used, so that no scale is needed.
 """
 
 import math
@@ -43,7 +43,7 @@ UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """What the device does now, for a person who looks."""
+    """The current state of the device, as shown to the user."""
 
     state: State
     text: str  # Why, and what to do
@@ -65,14 +65,14 @@ class CapturedFace(CapturedSpan):
     """A rest with a face up."""
 
     face: Face
-    mean: tuple[float, float, float]  # Of the accelerometers, raw
+    mean: tuple[float, float, float]  # mean of the accelerometers, raw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CapturedTurn(CapturedSpan):
     """A turn between two rests."""
 
-    turn: Turn  # Axis and angle; its samples are found anew when it is written
+    turn: Turn  # axis and angle; its samples are determined again when it is written
     before: CapturedSpan
     after: CapturedSpan
     reading: float  # Integral about the axis, raw unit times s
@@ -88,7 +88,7 @@ class Rest:
 
     @property
     def duration_s(self) -> float:
-        """How long it has lasted."""
+        """Return the duration, s."""
         return self.stop_s - self.start_s
 
 
@@ -105,25 +105,27 @@ class _Stretch:
 
 
 class Capture:
-    """What a guided session keeps: readings, faces, turns; and where it is written."""
+    """The data of a guided session: readings, faces, turns and the folder."""
 
     def __init__(self, folder: Path, serial: str = "", *, gravity_m_s2: float | None = None) -> None:
         self.folder, self.serial, self.gravity_m_s2 = folder, serial, gravity_m_s2
         self.faces: dict[Face, CapturedFace] = {}
         self.turns: list[CapturedTurn] = []
-        self.saved = False  # whether the folder holds all that was captured
+        self.saved = False  # True if the folder contains all captured data
         self._stretches: list[_Stretch] = []
         self._key: object = None
         self._heard_s = -math.inf  # host time of the newest reading
         self.newest_s = -math.inf  # its time on the device's clock
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
-        self._noise = self._extent = 0.0  # raw: of a reading of the accelerometers at rest; of the cloud's longest side
+        self._noise = self._extent = (
+            0.0  # raw: noise of the accelerometers at rest, and longest side of the cloud of readings
+        )
 
     # ---- Readings
 
     def take(self, record: Record | None, now_s: float, key: object = None) -> None:
-        """Take the newest readings, of which some may be known: now_s on the host's clock, key of the connection."""
+        """Add the newest readings, which may overlap earlier ones: now_s on the host's clock, key of the connection."""
         if record is None:
             return
         if record.accel is None or record.gyro is None:
@@ -140,7 +142,7 @@ class Capture:
         longest_s, first = _longest_s(record), int(np.searchsorted(record.time, self.newest_s, side="right"))
         ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
         for stop in ends:
-            if stop - first >= 2:  # one alone waits for the next
+            if stop - first >= 2:  # a single reading waits for the next
                 if record.time[first] - self.newest_s > longest_s:
                     self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
                 self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
@@ -181,7 +183,7 @@ class Capture:
         return self._stretches[-1].number if self._stretches else -1
 
     def tail(self, seconds: float) -> Record | None:
-        """Return the newest readings since the last gap; single ones that were lost on the way are left out."""
+        """Return the newest readings since the last gap. Single lost readings are left out."""
         return _without_lost(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
 
     def lost(self, start_s: float, stop_s: float) -> bool:
@@ -195,7 +197,7 @@ class Capture:
         return now_s - self._heard_s > SILENCE_S
 
     def rest(self, seconds: float | None = None) -> Rest | None:
-        """Return the rest that lasts until now; None while the device moves, or where there are too few readings."""
+        """Return the current rest. Return None while the device moves, or if there are too few readings."""
         record = self.tail(2.0 * (COUNTDOWN_S + SETTLE_S) if seconds is None else seconds)
         if record is None:
             return None
@@ -210,7 +212,8 @@ class Capture:
             return None
         within = np.asarray(record.accel)[start:stop]
         mean = within.mean(axis=0)
-        self._noise = float(np.linalg.norm(within.std(axis=0)))  # first: it tells a cloud of noise from a sphere
+        # computed first, because it distinguishes a cloud of noise from a sphere
+        self._noise = float(np.linalg.norm(within.std(axis=0)))
         if self._swaying(within, mean, record.sample_rate_hz):
             return None
         made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
@@ -220,7 +223,9 @@ class Capture:
         return made
 
     def _swaying(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
-        """Whether readings in counts vary by more than a bench allows, in parts of gravity; `find_still` judges physical ones."""
+        """Return True if readings in counts vary by more than a bench allows, as shares of gravity. `find_still` judges
+        physical readings.
+        """
         zero = None if is_physical(self._stretches[-1].parts[-1].accel_unit) else self._zero(mean)[0]
         if zero is None:
             return False
@@ -246,7 +251,7 @@ class Capture:
         return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
 
     def _zero(self, mean: FloatArray) -> tuple[FloatArray | None, float]:
-        """Return the reading of the accelerometers in free fall, (3,); None where nothing shows it."""
+        """Return the reading of the accelerometers in free fall, (3,), or None if it is not observable."""
         if is_physical(self._stretches[-1].parts[-1].accel_unit):
             return np.zeros(3), TILT_DEG
         if len(self.faces) >= 5:
@@ -268,13 +273,13 @@ class Capture:
         self.saved = False
 
     def add_turn(self, turn: CapturedTurn) -> None:
-        """Capture a turn in place of one about the same axis the same way."""
+        """Capture a turn, in place of an earlier turn about the same axis in the same direction."""
         same = [one for one in self.turns if way_of(one) == way_of(turn)]
         self.turns = [*(one for one in self.turns if one not in same), turn]
         self.saved = False
 
     def session(self) -> Session:
-        """Return what was captured, as a session."""
+        """Return the captured data as a session."""
         pieces = list(self._pieces())
         used = [each for each in self._stretches if any(piece.stretch == each.number for piece in pieces)]
         if not used:
@@ -300,7 +305,7 @@ class Capture:
         for piece in (rest for held in self.turns for rest in (held.before, held.after)):
             start, stop = samples(piece)
             at = number[piece.stretch]
-            for still in stills:  # a rest between two turns counts once, and what a face has is the face's
+            for still in stills:  # a rest between two turns counts once, and readings of a face belong to the face
                 if still.recording == at and still.start < stop and start < still.stop:
                     start, stop = (still.stop, stop) if stop > still.stop else (start, min(stop, still.start))
             if stop - start >= LEAST_REST_S * records[at].sample_rate_hz:
@@ -327,7 +332,7 @@ class Capture:
         )
 
     def save(self, session: Session | None = None) -> None:
-        """Write what was captured to the folder, which ``undrift calibrate`` reads."""
+        """Write the captured data to the folder, for ``undrift calibrate``."""
         made = self.session() if session is None else session
         write_session(made, self.folder)
         for path in self.folder.glob("recording_*.parquet"):
@@ -360,7 +365,7 @@ def _longest_s(record: Record) -> float:
 
 
 def _without_lost(record: Record) -> Record | None:
-    """Return a record without the rows that were lost, from the last longer loss on; None where all were."""
+    """Return a record without lost rows, from the last longer loss on, or None if all rows were lost."""
     at = np.flatnonzero(~np.isnan(np.column_stack((record.gyro, record.accel))).any(axis=1))  # type: ignore[arg-type]
     if len(at) == len(record) or len(at) < 2:
         return record if len(at) else None

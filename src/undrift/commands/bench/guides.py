@@ -1,15 +1,16 @@
-"""Guides: what a person is asked to do, step by step, in the captures by hand: six faces and whole turns, or poses of any kind.
+"""Guides lead a person through captures by hand, step by step: six faces and whole turns, or arbitrary poses.
 
-A guide is fed the newest readings. It says what to do next, judges what the device does, and captures a step that was done well.
-Any step may be done in any order, or again: what was captured stays until there is another. A gap in the readings over 0.1 s, a
-touch or a tilt spoils a step; a single reading that was lost does not.
+A guide receives the newest readings. It shows the next step, judges the motion of the device, and captures a step that
+is correct. Steps may be done in any order and repeated. A capture remains until it is replaced. A gap of more than 0.1
+s, a touch or a tilt invalidates a step. A single lost reading does not.
 
     faces: moving -> settling -> still, counting down -> captured -> the next
     turns: rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
 
-A turn counts where its axis is one of the device's, gravity reads the same before and after, and its angle is near a whole
-number of turns. In counts no scale is known: a turn then is one turn, and its length must be like that of the others. Its sign
-is that of the reading. The gyroscopes are calibrated by the stated angles, not by what is read here.
+A turn is valid if it is about an axis of the device, gravity is the same before and after, and its angle is near a
+whole number of turns. In counts the scale is unknown. A turn is then a single turn, and its integral must be similar to
+the other turns. Its sign is the sign of the reading. The gyroscopes are calibrated with the nominal angles, not with
+the angles read here.
 """
 
 import math
@@ -50,15 +51,15 @@ POSES, NEW_POSE = 15, math.cos(25.0 * RADIAN_PER_DEGREE)
 SHARP = StillSettings(
     window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
 )  # how near a rest comes to a turn
-LOST_S = 0.5  # of a rest beside a turn, by the usual window
+LOST_S = 0.5  # of a rest next to a turn, with the usual window
 LONGEST_S = 60.0  # of a turn with its rests
 GAP = "Gap in the readings: that turn does not count."
 
 
 class Guide(ABC):
-    """One kind of step; its state stays until all steps are captured."""
+    """A guide for a kind of step. Its state remains until all steps are captured."""
 
-    step: str  # what a step is
+    step: str  # name of a step
     order: tuple[str, ...]
 
     def __init__(self, capture: Capture) -> None:
@@ -69,11 +70,11 @@ class Guide(ABC):
     @property
     @abstractmethod
     def done(self) -> Mapping[str, CapturedSpan]:
-        """What is captured, by its step."""
+        """Return the captured steps."""
 
     @property
     def wanted(self) -> str | None:
-        """The step to do next; None when all are captured."""
+        """Return the next step, or None if all steps are captured."""
         return self.again or next((step for step in self.order if step not in self.done), None)
 
     @property
@@ -82,13 +83,13 @@ class Guide(ABC):
         return len(self.done) == len(self.order)
 
     def redo(self, step: str | None) -> None:
-        """Ask for a step once more; None takes that back. What was captured stays until it is there."""
+        """Request a step again, or cancel the request with None. The earlier capture remains until it is replaced."""
         if step is not None and step not in self.order:
             raise InputError(f"redo: expected one of {', '.join(FACES)}, got '{step}'. Name a {self.step}.")
         self.again = step
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
-        """Take the newest readings and return the light."""
+        """Process the newest readings and return the light."""
         self.capture.take(record, now_s, key)
         if self.capture.silent(now_s):
             self.light = Light(state="no readings", text="No readings. Check power and connection of the device.")
@@ -114,11 +115,11 @@ class SixFaces(Guide):
 
     @property
     def done(self) -> Mapping[str, CapturedFace]:
-        """What is captured, by the face that was up."""
+        """Return the captured faces."""
         return cast(Mapping[str, CapturedFace], self.capture.faces)
 
     def redo(self, step: str | None) -> None:
-        """Ask for a face once more; None takes that back."""
+        """Request a face again, or cancel the request with None."""
         super().redo(step)
         self._asked = (self.capture.stretch, self.capture.newest_s)
 
@@ -163,7 +164,7 @@ class Poses(Guide):
 
     @property
     def done(self) -> Mapping[str, CapturedSpan]:
-        """What is captured, by its number."""
+        """Return the captured poses by number."""
         return self._done
 
     def _judged(self, rest: Rest | None) -> Light:
@@ -204,7 +205,7 @@ class Turns(Guide):
 
     @property
     def done(self) -> Mapping[str, CapturedTurn]:
-        """What is captured, by its way."""
+        """Return the captured turns by direction."""
         return {way_of(turn): turn for turn in self.capture.turns}
 
     @property
@@ -213,7 +214,7 @@ class Turns(Guide):
         return {way[1] for way in self.done} == {"x", "y", "z"}
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
-        """Take the newest readings and return the light; after a silence a turn begins anew."""
+        """Process the newest readings and return the light. After a silence, a turn starts again."""
         light = super().update(record, now_s, key)
         self._before = None if light.state == "no readings" else self._before
         return light
@@ -244,7 +245,7 @@ class Turns(Guide):
         return f"Turn it once {_seen(way)}." if face == f"+{way[1]}" else f"Lay it with +{way[1]} up."
 
     def _take_turn(self, before: _Before, after: Rest) -> str:
-        """Capture the turn between two rests, and say what became of it."""
+        """Capture the turn between two rests, and return a message about the result."""
         start_s = max(before.rest.start_s, before.rest.stop_s - 2.0 * REST_S)
         if after.stop_s - start_s > LONGEST_S:
             return f"That took longer than {LONGEST_S:g} s."
@@ -288,7 +289,7 @@ class Turns(Guide):
         return f"Captured: {named(way)}{'' if abs(whole) == 1 else f', {abs(whole)} turns'}."
 
     def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
-        """Return how many turns a reading is, 0 with the reason where it is none."""
+        """Return the number of whole turns of a reading, or 0 and the reason."""
         if is_physical(unit):
             turns = along * si_factor(unit, "rate") / FULL_TURN
             whole = round(turns)
@@ -297,7 +298,7 @@ class Turns(Guide):
             return whole, ""
         others = [abs(held.reading) for held in self.capture.turns]
         if len(others) == 1 and _like(along, self._unlike) and not _like(along, others[0]):
-            self.capture.turns.clear()  # two that agree against one: that one was no whole turn
+            self.capture.turns.clear()  # two turns agree and contradict the first, which was not a whole turn
         elif others and not _like(along, float(np.median(others))):
             self._unlike = abs(along)
             return 0, "That was shorter or longer than the other turns. Turn once, back to the mark."

@@ -1,7 +1,8 @@
-"""What the folder of a bench holds: files that were sent, and jobs; newest first.
+"""Files and jobs in the folder of a bench, newest first.
 
-Each is stored in a folder of its own with a file ABOUT that describes it, written whole: a bench that is killed loses none of them.
-A folder has one bench at a time, which locks LOCK and writes its address there.
+Each is stored in a separate folder with a description in the file ABOUT. The description is written in a single step,
+so that a bench that is killed loses nothing. Only one bench can use a folder. It locks the file LOCK and writes its
+address there.
 """
 
 import json
@@ -27,25 +28,25 @@ class Remark:
 
     level: str  # fail, warn or info
     text: str
-    action: str = ""  # what to do about it; may be empty
+    action: str = ""  # suggested action, may be empty
 
 
 @dataclass(slots=True, kw_only=True)
 class Entry:
-    """A file or a job, with the folder that holds it."""
+    """A file or a job, with its folder."""
 
     SAVED: ClassVar[tuple[str, ...]] = ("serial",)
     folder: Path
-    serial: str = ""  # of the device; "" until somebody states it, or the file does
+    serial: str = ""  # serial number of the device, or "" until a person or the file provides it
     error: str = ""  # of the last command
 
     @property
     def name(self) -> str:
-        """Return what it is called."""
+        """Return the display name."""
         return self.folder.name
 
     def save(self) -> None:
-        """Write what is known of it into its folder, unless that was deleted."""
+        """Save the description into its folder, unless the folder was deleted."""
         if self.folder.is_dir():
             known = {name: getattr(self, name) for name in self.SAVED}
             write_whole(self.folder / ABOUT, json.dumps(known, default=self._plain) + "\n")
@@ -62,11 +63,11 @@ class StoredFile(Entry):
         *("serial", "error", "path", "about", "map", "sample_rate_hz"),
         *("made", "remarks", "mounting"),
     )
-    folder: Path = Path()  # that of the file, with what was made of it
+    folder: Path = Path()  # folder of the file and its results
     path: Path
-    about: dict[str, Any] = field(default_factory=dict)  # what `info` says of it
+    about: dict[str, Any] = field(default_factory=dict)  # data from `info` about the file
     map: Path | None = None
-    sample_rate_hz: float | None = None  # that a person stated, of a file without time
+    sample_rate_hz: float | None = None  # entered by a person, for a file without time
     made: dict[str, Path] = field(default_factory=dict)  # label -> file
     remarks: dict[str, list[Remark]] = field(default_factory=dict)  # what each command noticed
     mounting: str = ""  # that it showed, in a sentence
@@ -76,12 +77,12 @@ class StoredFile(Entry):
 
     @property
     def name(self) -> str:
-        """Return what it is called."""
+        """Return the display name."""
         return self.path.name
 
     @property
     def kind(self) -> str:
-        """Return what it is: recording, reference, calibration, table (that needs a map) ..."""
+        """Return the kind: recording, reference, calibration, table (that needs a map) ..."""
         return str(self.about.get("kind", ""))
 
     @property
@@ -96,7 +97,7 @@ class StoredFile(Entry):
 
     @property
     def summary(self) -> str:
-        """Return in one line what it holds."""
+        """Return a line about its content."""
         if self.needs_rate and self.kind != "recording":
             return "readings without time. Enter their sample rate."
         if self.error and not self.about:
@@ -112,7 +113,7 @@ class StoredFile(Entry):
 
 @dataclass(slots=True, kw_only=True)
 class Job(Entry):
-    """One device being calibrated: its folder, and what has been captured for it."""
+    """The calibration of a device: its folder, and the captured data."""
 
     SAVED = ("serial", "words", "later")
     capture: Any = None  # web.guided, while its faces and turns are captured
@@ -121,11 +122,11 @@ class Job(Entry):
     certificate: Path | None = None
     words: tuple[str, ...] = ()  # of the call of calibrate, for another try
     answer: dict[str, Any] = field(default_factory=dict)  # of calibrate
-    later: list[dict[str, Any]] = field(default_factory=list)  # what the commands after it answered
+    later: list[dict[str, Any]] = field(default_factory=list)  # answers of the later commands
 
     @property
     def summary(self) -> str:
-        """Return in one line what it holds."""
+        """Return a line about its content."""
         done = self.calibration is not None
         return "calibrated" if done else "readings" if any(self.folder.rglob("*.parquet")) else "no readings"
 
@@ -136,30 +137,30 @@ class Job(Entry):
 
     @property
     def lacks(self) -> tuple[str, ...]:
-        """Return the sensors that its calibration has no model of; those that were recorded, where the command says so."""
+        """Return the recorded sensors without a model in the calibration."""
         missing = [what for name, what in SENSORS.items() if self.answer.get(name) is None]
         return tuple(self.answer.get("lacking", missing))
 
     @property
     def gravity_assumed(self) -> bool:
-        """Whether the accelerometers' scale stands on a gravity that nobody stated."""
+        """Return True if the accelerometers' scale depends on an assumed gravity."""
         settings = (self.answer.get("provenance") or {}).get("settings") or {}
         return self.answer.get("accel") is not None and settings.get("gravity", "standard") == "standard"
 
     def look(self) -> "Job":
-        """Take up what its folder holds: calibration, report, certificate."""
+        """Load the content of its folder: calibration, report, certificate."""
         for name, file in FILES.items():
             setattr(self, name, self.folder / file if (self.folder / file).is_file() else None)
         return self
 
     def read(self) -> "Job":
-        """Read the calibration that its folder holds, unless it is known."""
+        """Read the calibration in its folder, unless it is loaded."""
         self.answer = self.answer or read_object(self.folder / "calibration.json")
         return self
 
 
 class Library:
-    """The files and jobs of one folder; made once, at the start of a bench."""
+    """The files and jobs of a folder, created once at the start of a bench."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -168,7 +169,7 @@ class Library:
         self.find_jobs()
 
     def find_jobs(self) -> None:
-        """Take up the jobs that the folder holds."""
+        """Add the jobs in the folder."""
         known = {job.folder: job for job in self.jobs}
         self.jobs = [known.get(place) or _job_in(place) for place in _newest(self.folder / "jobs")]
 
@@ -181,13 +182,13 @@ class Library:
         return stored
 
     def name_of(self, path: Path) -> str:
-        """Return what a calibration is called: by its job, or by the file that was sent."""
+        """Return the name of a calibration, from its job or from the uploaded file."""
         name = next((one.name for one in (*self.jobs, *self.files) if one.folder == path.parent), "")
         return name if name and path.name == "calibration.json" else f"{name}: {path.name}".removeprefix(": ")
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """Return what a file of JSON holds; nothing where it cannot be read."""
+    """Return the content of a JSON file, or nothing if it cannot be read."""
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -201,7 +202,7 @@ def came_words(entry: StoredFile | Job) -> str:
 
 
 def _newest(folder: Path) -> list[Path]:
-    """Return the folders in a folder, made where it is not there, the newest first; half a file that was being sent is deleted."""
+    """Return the subfolders of a folder, the newest first. Create the folder if needed, and delete incomplete uploads."""
     folder.mkdir(parents=True, exist_ok=True)
     for part in folder.glob("*/**/sent.part"):
         part.unlink()
@@ -235,7 +236,9 @@ def _job_in(folder: Path) -> Job:
 
 
 def lock_folder(folder: Path) -> IO[str]:
-    """Lock a folder until the file is closed, or its process killed; where another bench has it, its address is stated."""
+    """Lock a folder until the file is closed or its process ends. If another bench uses the folder, the error contains
+    its address.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     lock = (folder / LOCK).open("a+", encoding="utf-8")
     try:

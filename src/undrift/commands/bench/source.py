@@ -1,7 +1,7 @@
-"""Source: the device that the bench listens to, by address; it reconnects by itself, and any page may ask it.
+"""The device to which the bench is connected, by address. It reconnects automatically, and every page may read it.
 
-A thread takes what the recorder has brought, some fifteen times a second. Readings are kept for two minutes and written to a file
-while one is open. Time goes on over a lost connection, with a gap.
+A thread collects the readings of the recorder about fifteen times a second. Readings are kept for two minutes, and
+written to a file while a file is open. Time continues over a lost connection, with a gap.
 """
 
 import itertools
@@ -31,29 +31,29 @@ PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
 GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
-STALE_S = 1.0  # host time without readings after which the newest ones are no longer "now"
+STALE_S = 1.0  # host time without readings after which the device counts as silent, s
 RATE_OVER_S = 5.0  # host s over which the sample rate is counted
 STOP_S = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """How a source is doing."""
+    """State of a source."""
 
-    error: str  # One line; "" while readings come
+    error: str  # a message, or "" while readings come
     nominal_rate_hz: float
-    sample_rate_hz: float  # Achieved over the last seconds, device time; NaN before there are any
+    sample_rate_hz: float  # measured over the last seconds, device time; NaN before that
     readings: int  # Since the source was started
     lost: int  # Numbers that are missing
     garbled: int  # Left out because they were damaged
-    temp_c: float  # Newest; NaN where the device has none
-    file: Path | None  # What is being written
-    file_error: str  # Why the last file ended early; "" where it did not
-    file_s: float  # How much of it there is, device s
+    temp_c: float  # newest temperature; NaN without a thermometer
+    file: Path | None  # file that is being written
+    file_error: str  # reason why the last file ended early, or ""
+    file_s: float  # length of the file, device s
 
 
 def listened(address: str) -> str:
-    """Return an address that says what the device sends, found by listening where it does not."""
+    """Return an address with the format of the device's data, which is determined by listening if necessary."""
     return described_address(address)[0]
 
 
@@ -62,7 +62,7 @@ class LiveDevice:
 
     def __init__(self, address: str, silence_s: float = SILENCE_S) -> None:
         self.address, self._silence_s = address, silence_s  # the latter: longest host time without readings
-        self.recorder = self._fresh()  # of the present connection; refuses an address that is none
+        self.recorder = self._fresh()  # for the current connection; raises for an invalid address
         self.name = self.recorder.source.description.device or self.recorder.source.name
         self.error = ""
         self._thread: threading.Thread | None = None
@@ -88,7 +88,7 @@ class LiveDevice:
         return self.recorder.source.description.clock_speed
 
     def start(self) -> None:
-        """Connect and wait for a first reading; raises where none comes."""
+        """Connect and wait for a first reading. Raise an error if none comes."""
         if self._thread is not None:
             raise InputError("source: this source was started before. Create a new source.")
         self.recorder.start()
@@ -96,7 +96,7 @@ class LiveDevice:
         self._thread.start()
 
     def stop(self) -> Path | None:
-        """Let go of the device, finish the file that is open and return it; harmless when called again."""
+        """Disconnect the device, finish the open file and return it. Repeated calls have no effect."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
@@ -106,7 +106,7 @@ class LiveDevice:
         return self.stop_writing()
 
     def recent(self, seconds: float) -> Record | None:
-        """Return the newest readings in raw units; None while the device is silent."""
+        """Return the newest readings in raw units, or None while the device is silent."""
         with self._lock:
             if time.monotonic() - self._heard > STALE_S or not self._kept:
                 return None
@@ -146,7 +146,7 @@ class LiveDevice:
             self._file_start, self._file_error = max(self._last, 0.0), ""
 
     def stop_writing(self) -> Path | None:
-        """Finish the file and return it; None if nothing was written."""
+        """Finish the file and return it, or None if nothing was written."""
         with self._file_lock:
             path, log = self.file, self._log
             if path is None or log is None:
@@ -195,7 +195,7 @@ class LiveDevice:
             return
 
     def _take(self) -> None:
-        """Take what has come since the last look. The work is done outside the lock: a page never waits for it."""
+        """Process the readings since the last call. The work is done without the lock, so that pages never wait."""
         came = self.recorder.since(self._last - self._start)
         if came is None:
             return
@@ -222,7 +222,7 @@ class LiveDevice:
                 if raw.time[-1] - self._unwritten[0].time[0] >= log.write_every_s:
                     log.write(joined(self._unwritten))
                     self._unwritten.clear()
-            except UndriftError as error:  # a full disk: what was written is in the CSV
+            except UndriftError as error:  # if the disk is full, the readings so far are in the CSV
                 self._file_error = str(error)
                 log.__exit__(type(error), error, None)
                 self.file, self._log, self._unwritten = None, None, []
@@ -235,7 +235,7 @@ class PracticeDevice:
         self.device: HandHeld | None = None
 
     def start(self, seed: int | None, speed: float, gravity_m_s2: float) -> str:
-        """Start it, unless it is running; return its address."""
+        """Start the device unless it is running, and return its address."""
         from undrift.live.hands import start_hand_held
 
         if self.device is None:
@@ -243,7 +243,7 @@ class PracticeDevice:
         return self.device.address
 
     def close(self) -> None:
-        """End it; harmless when called again."""
+        """Stop the device. Repeated calls have no effect."""
         if self.device is not None:
             self.device.close()
         self.device = None

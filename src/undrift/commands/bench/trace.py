@@ -21,9 +21,10 @@ _SHOWN: tuple[tuple[str, Quantity, str, float], ...] = (
 
 
 def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
-    """Return what a page draws of a recording: time, readings, rests and turns, and the mean readings at rest.
+    """Return the data of a recording that a page draws: time, readings, rests and turns, and the mean readings at rest.
 
-    Times are s since the first sample; readings are [x, y, z] of each sensor, deg/s and g if the recording has physical units.
+    Times are in s since the first sample. Readings are [x, y, z] of each sensor, in deg/s and g if the recording has
+    physical units.
     """
     columns, settings = opening.how(recording)
     session = describe(recording, columns, settings=settings).session
@@ -47,7 +48,7 @@ def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
 
 
 def _envelope(values: FloatArray) -> list[list[float | None]]:
-    """Return the least and the greatest value of each block of samples, column by column; all samples of a short recording."""
+    """Return the least and greatest value of each block of samples per column, or all samples of a short recording."""
     width = -(-len(values) // MOST_BLOCKS)
     if width > 2:
         starts = np.arange(0, len(values), width)
