@@ -1,18 +1,19 @@
-"""undrift: calibrate a wearable inertial sensor, compensate its thermal drift, prove what that is worth in degrees.
+"""undrift: calibrate a wearable inertial sensor, compensate its thermal drift, and prove the benefit in degrees.
 
 Data flows left to right, one stage a file or folder::
 
     record -> segments -> calibration -> drift -> correction -> orientation -> validation -> report
 
-Frames: s sensor axes, b device case, m optical body, n level (z up). ``q_nb`` is scalar first and maps b to n. At rest the
-accelerometer axis that points up reads +g. Inside the package values are rad/s, m/s2, s and degC; raw readings keep the
-device's unit, named beside them. Time is axis 0: (N,), (N, 3), (N, 4). NaN means a gap and nothing else.
+Frames: s sensor axes, b device case, m optical body, n level (z up). ``q_nb`` is scalar first and maps b to n. At rest
+the accelerometer axis that points up reads +g. Inside the package values are rad/s, m/s2, s and degC. Raw readings keep
+the device's unit, which is stored with them. Time is axis 0: (N,), (N, 3), (N, 4). NaN means a gap and nothing else.
 
-    corrected = matrix @ (raw - offset)            ``correction/correct.py`` is the only place that says so in code
+    corrected = matrix @ (raw - offset)            ``correction/correct.py`` is the only implementation
 
-Stages are functions on values: ``correct(record, calibration)``. Commands are functions on files, with the names and options of
-the command line: ``undrift.info("walk.csv")``, ``undrift.info("walk.csv", write_session="session")``. Where a stage has the name
-of one, it is ``undrift.commands.correct``. Commands return what the command line shows.
+Stages are functions on values: ``correct(record, calibration)``. Commands are functions on files, with the names and
+options of the command line: ``undrift.info("walk.csv")``, ``undrift.info("walk.csv", write_session="session")``. If a
+stage and a command have the same name, the command is ``undrift.commands.correct``. Commands return the result that the
+command line shows.
 """
 
 import importlib
@@ -42,7 +43,7 @@ def __getattr__(name: str) -> Any:
 
     if name in _HOME:
         value = getattr(importlib.import_module(f"undrift.{_HOME[name]}"), name)
-    elif name in (*VERBS, *GROUPS):  # where a package has the name of a command, that package is called
+    elif name in (*VERBS, *GROUPS):  # if a package has the name of a command, that package is called
         home = name if find_spec(f"undrift.{name}") else f"commands.{name}"
         module = importlib.import_module(f"undrift.{home}")
         value = module if home == name or name in GROUPS else getattr(module, name)

@@ -23,7 +23,7 @@ _RATIO = 200  # a gzip file is refused if it unpacks to more than this many time
 _SMALL = 10**8  # ... and to more than this many bytes
 _BLOCK = 1 << 20
 MOST_BYTES = 8 * 10**9  # largest unpacked file, bytes
-MOST_TREE = 10**8  # largest JSON or TOML file, bytes; parsing needs up to 32 times as much memory
+MOST_TREE = 10**8  # largest JSON or TOML file, bytes, because parsing needs up to 32 times as much memory
 
 
 WATCH: ContextVar[Callable[[Path, float], None]] = ContextVar("WATCH")  # callback for reading progress
@@ -160,7 +160,7 @@ def sha256_of(path: str | Path) -> str:
 # ---- writing
 
 
-Content = bytes | str | Callable[[Path], object] | None  # content of a file, or its writer; None deletes the file
+Content = bytes | str | Callable[[Path], object] | None  # content of a file, or its writer, or None to delete the file
 
 
 def write_whole(path: Path | str, content: Content) -> None:

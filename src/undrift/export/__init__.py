@@ -8,9 +8,9 @@
 Input: a ``Calibration``, for readings in the device's unit and frame b. Output: the text of a file with numbers in the units of the
 receiving program, rad/s and m/s2 for C. Open c first.
 
-A target is a module with ``TARGET = Target(endings=(".bin",), write=write)`` and a row in ``TARGETS``. Another package can add a
-target through the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration, the options of the
-command line and the name of the file, and returns ``Exported``.
+A target is a module with ``TARGET = Target(endings=(".bin",), write=write)`` and a row in ``TARGETS``. Another package
+can add a target with the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration,
+the options of the command line and the name of the file, and returns ``Exported``.
 """
 
 from collections.abc import Callable

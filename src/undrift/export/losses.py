@@ -42,7 +42,7 @@ Part = Literal[
 
 
 def losses(calibration: Calibration, carried: frozenset[Part]) -> tuple[str, ...]:
-    """Return the parts of a calibration that are not among the carried ones, one sentence each."""
+    """Return the parts of a calibration that are not in ``carried``, as one sentence each."""
     return tuple(text for name, text in _parts(calibration) if name not in carried)
 
 

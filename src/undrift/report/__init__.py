@@ -1,1 +1,1 @@
-"""Views of results: pictures and pages. Nothing is computed here; every number shown is a field of a result."""
+"""Pictures and pages of results. Nothing is computed here. Every number is a field of a result."""

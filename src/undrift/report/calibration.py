@@ -44,7 +44,7 @@ def write_certificate(calibration: Calibration, path: Path, content: Mapping[str
 
 
 def _number(cell: str) -> Any:
-    """Return a number with a true minus sign and its power of ten; other words as they are."""
+    """Return a number with a true minus sign and its power of ten. Other text is unchanged."""
     from markupsafe import Markup
 
     parts = re.fullmatch(r"(-?)([\d.]+)(?:e([-+]?)(\d+))?", cell)
@@ -93,8 +93,9 @@ def draw_tables(drift: DriftTables) -> "Figure":
 
 
 def draw_calibration(calibration: Calibration) -> "Figure":
-    """Draw each matrix as departures from the ideal, and the offsets; bars are expanded uncertainties.
-    Ideal: no cross-axis terms, and the gain of the unit; the mean gain for readings in counts or volts."""
+    """Draw each matrix as departures from the ideal, and the offsets. Bars are expanded uncertainties. The ideal matrix
+    has no cross-axis terms, and the gain of the unit. For counts or volts, it has the mean gain.
+    """
     triads = [(name, triad) for name in ("gyro", "accel") if (triad := getattr(calibration, name)) is not None]
     if not triads:
         raise InputError("plot: expected a calibrated gyroscope or accelerometer, got neither. Calibrate first.")
@@ -120,7 +121,7 @@ def draw_calibration(calibration: Calibration) -> "Figure":
 
 
 def draw_rests(accel: FloatArray, rate: FloatArray, gravity_m_s2: float) -> "Figure":
-    """Draw |a|, m/s2, and |w|, deg/s, of each rest, raw beside corrected, (n, 2), with gravity and zero."""
+    """Draw |a|, m/s2, and |w|, deg/s, of each rest, raw next to corrected, (n, 2), with gravity and zero."""
     shown = [(accel, "|a| (m/s2)", "local gravity", gravity_m_s2), (rate, "|w| (deg/s)", "at rest", 0.0)]
     panels = [one for one in shown if len(one[0])]
     figure, axes = figures.new_figure(max(1, len(panels)), height=1.9, share_x=False)

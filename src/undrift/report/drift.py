@@ -1,6 +1,6 @@
 """Pictures of thermal fits: offset, scale and dynamic drift over temperature, choices.
 
-Warming is red and cooling blue; what no data were near is hatched.
+Warming is red and cooling blue. Ranges without data are hatched.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -33,8 +33,8 @@ _WARM, _COOL = "#c23b3b", "#2b62b3"
 
 
 def draw_offsets(summary: "TriadSummary") -> "Figure":
-    """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, what is
-    extrapolated.
+    """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, extrapolated
+    ranges.
     """
     figure, panels = figures.new_figure(3, height=1.7, columns=2)
     unit, factor = shown_unit(summary.unit)
@@ -86,7 +86,7 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
 
 
 def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
-    """Draw blocks and table about a level; they fill the panel, and a band that is wide where nothing was seen runs out of it."""
+    """Draw blocks and table about a level. They fill the panel. A band that is wide outside the data leaves the panel."""
     temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
     _shade(axes, temp, summary.extrapolated)
     held = _draw_blocks(axes, summary, k, factor, value)
@@ -116,7 +116,9 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
 
 
 def draw_scale(summary: "ScaleSummary") -> "Figure":
-    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, what is extrapolated; axes that turned."""
+    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes
+    that turned are drawn.
+    """
     turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
     figure, panels = figures.new_figure(len(turned), height=1.8)
     for k, axes in zip(turned, panels, strict=True):
@@ -139,7 +141,7 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
 
 
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
-    """Draw dynamic drift over the measured rate for a few temperatures; axes that turned."""
+    """Draw dynamic drift over the measured rate for a few temperatures. Only axes that turned are drawn."""
     turned = [k for k in range(3) if drift.error[:, :, k].any()]
     figure, panels = figures.new_figure(len(turned), height=1.7)
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))

@@ -1,8 +1,9 @@
-"""Pictures: each function draws one result as a matplotlib Figure; :func:`svg_of` turns it into text for a page or a file.
+"""Pictures: each function draws a result as a matplotlib Figure. :func:`svg_of` converts it to text for a page or a
+file.
 
-Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey. Axes x, y and z and
-levels of compensation have a dash or a marker besides, since colours alone are lost on some readers. Figures are 4.8 inches
-wide, so that their text keeps 9 pixels on a screen of 390.
+Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey. Axes x,
+y and z and levels of compensation also have a dash or a marker, because some readers cannot distinguish the colours.
+Figures are 4.8 inches wide, so that their text keeps 9 pixels on a screen of 390.
 """
 
 import io
@@ -45,8 +46,9 @@ COLUMNS_DRAWN = 1200  # more than a picture shows apart
 
 
 def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a course that its picture needs: the least and the largest of each column, in order of time.
-    time (N,) s, values (N,) -> (M,) s, (M,)."""
+    """Return the points of a curve that its picture needs: the least and the largest of each column, in order of time.
+    time (N,) s, values (N,) -> (M,) s, (M,).
+    """
     if len(values) <= 2 * columns:
         return time, values
     gaps = np.isnan(values)
@@ -68,8 +70,8 @@ SHADE = "#f1efe8"  # behind a stretch that the figures are taken over
 _UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes for the same figure
 AXIS_COLOURS = ("#cc3311", "#007d5e", "#2b62b3")  # x, y, z
 AXIS_DASHES, AXIS_MARKERS = ("-", "--", ":"), ("o", "s", "^")
-WIDTH, LEAST_SIZE = 4.8, 8.7  # inches; points of the smallest text
-_LABELS_PT = 56.0  # beside a panel: numbers and names of its axis
+WIDTH, LEAST_SIZE = 4.8, 8.7  # inches, and points of the smallest text
+_LABELS_PT = 56.0  # width of the labels of an axis next to a panel
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -98,13 +100,13 @@ def new_figure(
 
 @cache
 def _notebook_figure() -> type["Figure"]:
-    """Return matplotlib's Figure, as one that a notebook shows without pyplot."""
+    """Return matplotlib's Figure in a form that notebooks show without pyplot."""
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     class NotebookFigure(Figure):
         def draw(self, renderer: Any) -> None:
-            # what is saved is laid out, then drawn without a layout of its own: the first drawing would be thrown away
+            # the saved figure has a fixed layout, because a second layout would waste the first drawing
             if isinstance(layout := self.get_layout_engine(), ConstrainedLayoutEngine) and self.canvas.is_saving():
                 layout.execute(self)
             else:
@@ -117,7 +119,9 @@ def _notebook_figure() -> type["Figure"]:
 
 
 def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
-    """Return a figure as SVG text that says what it is, the same bytes for the same figure; letters as outlines without fonts."""
+    """Return a figure as SVG text with a description. The same figure gives the same bytes. Letters are outlines,
+    independent of fonts.
+    """
     from matplotlib.text import Text
 
     for part in figure.findobj(Text):
@@ -129,7 +133,7 @@ def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
 
 
 def _described(figure: "Figure") -> str:
-    """Return what a figure shows: its title, and the labels of its axes."""
+    """Return the description of a figure: its title, and the labels of its axes."""
     heads = [
         str(figure.get_label()),
         figure.get_suptitle(),
@@ -157,7 +161,7 @@ def entitle(figure: "Figure", title: str) -> None:
 
 
 def legend_above(axes: "Axes") -> None:
-    """Write a legend between the panel and what is above it, each name once, in as many columns as fit."""
+    """Write a legend between the panel and the content above it, each name once, in as many columns as fit."""
     handles, names = axes.get_legend_handles_labels()
     once = dict(zip(reversed(names), reversed(handles), strict=True))
     names = [*reversed(once)]
@@ -169,14 +173,14 @@ def legend_above(axes: "Axes") -> None:
 
 
 def legend_outside(figure: "Figure", handles: Sequence[Any], names: Sequence[str], where: str = "lower left") -> None:
-    """Write a legend beside all panels, in as many columns as fit."""
+    """Write a legend next to all panels, in as many columns as fit."""
     style: Any = _fitted(names, 72.0 * figure.get_figwidth()) | {"loc": f"outside {where}", "frameon": False}
     figure.legend(handles=list(handles), **style)
 
 
 def _fitted(names: Sequence[str], room_pt: float) -> dict[str, Any]:
     """Return the labels of a legend in lines that fit, and how many columns of them do."""
-    size = 9.0  # spaces of a legend are stated in it: of a handle with its gaps 4, of the frame 1.5
+    size = 9.0  # legend spaces are in units of the font size: a handle with its gaps 4, the frame 1.5
     labels, widths = zip(*(_in_lines(name, room_pt - 5.5 * size, size) for name in names), strict=True)
     columns = int((room_pt - 0.3 * size) / (max(widths) + 4.0 * size))
     return {"labels": labels, "ncols": min(max(columns, 1), len(labels)), "fontsize": size, "columnspacing": 1.2}
@@ -241,8 +245,9 @@ def draw_comparison(
     title: str,
     moving: FloatArray | None = None,
 ) -> "Figure":
-    """Draw an angle as the device and as the optics saw it, and the errors under it.
-    time (N,) s, device_deg (N,) deg, optics_deg (N,) deg, errors_deg (N,) deg, moving (N,)."""
+    """Draw an angle measured with device and optics, with the errors below. time (N,) s, device_deg (N,) deg,
+    optics_deg (N,) deg, errors_deg (N,) deg, moving (N,).
+    """
     figure, (angle, error) = new_figure(2)
     angle.plot(*envelope(time, _without_wraps(optics_deg)), color=OPTICS, label="optics")
     angle.plot(*envelope(time, _without_wraps(device_deg)), color=DEVICE, label="device", linestyle="--")
@@ -293,8 +298,9 @@ _SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}
 
 
 def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, title: str, used: bool = False) -> "Figure":
-    """Draw readings over time with their stills, faces, turns, gaps and saturation; recordings one after the other.
-    With ``used``, the pieces are those that a calibration used or left out."""
+    """Draw readings over time with their stills, faces, turns, gaps and saturation. Recordings follow one another. With
+    ``used``, phases that a calibration used and phases that it left out are distinguished.
+    """
     from matplotlib.lines import Line2D
 
     names = [name for name in ("gyro", "accel") if any(getattr(record, name) is not None for record in records)]
@@ -338,7 +344,7 @@ def _strip_and_panels(panels: int, pieces: Sequence["Piece"]) -> tuple["Figure",
 
 
 def _one_after_the_other(records: Sequence[Record]) -> list[float]:
-    """Return the time at which each recording is drawn, and the end of the last, s; one recording keeps its clock."""
+    """Return the drawing time of each recording, and the end of the last, s. A single recording keeps its clock."""
     starts = [float(records[0].time[0]) if len(records) == 1 else 0.0]
     for record in records:
         starts.append(starts[-1] + float(record.time[-1] - record.time[0]) + 1.0 / record.sample_rate_hz)
@@ -346,7 +352,7 @@ def _one_after_the_other(records: Sequence[Record]) -> list[float]:
 
 
 def _draw_readings(panel: "Axes", time: FloatArray, values: FloatArray) -> dict[str, Any]:
-    """Draw three axes (N, 3), and where they stick at the end of the range; return a mark for the legend."""
+    """Draw three axes (N, 3) and their saturated readings. Return a mark for the legend."""
     from matplotlib.lines import Line2D
 
     style: Any = {"color": SATURATED, "marker": "s", "linestyle": "none"}
@@ -361,7 +367,7 @@ def _draw_readings(panel: "Axes", time: FloatArray, values: FloatArray) -> dict[
 
 
 def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> dict[str, Any]:
-    """Draw stretches without readings and holes in time; return a mark for the legend."""
+    """Draw stretches without readings and gaps in time. Return a mark for the legend."""
     from matplotlib.patches import Patch
 
     gap = np.zeros(len(record), np.bool_)
@@ -397,7 +403,7 @@ def _draw_pieces(
 
 
 def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, Any], *, used: bool) -> None:
-    """Add a legend with counts, and under the picture the reasons for what was left out."""
+    """Add a legend with counts. Add the reasons for omitted phases below the picture."""
     from matplotlib.patches import Patch
 
     reasons: dict[tuple[str, str], list[str]] = {}
@@ -441,7 +447,9 @@ def draw_record(record: "Record") -> "Figure":
 
 
 def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "Figure":
-    """Draw inclination, pitch and heading over time, the rest shaded; with what 95 % of the pitch's errors are within, rad (N,)."""
+    """Draw inclination, pitch and heading over time, with the rest shaded. The 95 % limit of the pitch error is in rad
+    (N,).
+    """
     named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
     figure, panels = new_figure(3 if band is None else 4, height=1.5)
     for axes, (name, angle) in zip(panels, named, strict=False):
@@ -496,7 +504,7 @@ def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation")
 
 
 def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None:
-    """Draw the deviations of one axis and the band of their intervals."""
+    """Draw the deviations of an axis and the band of their intervals."""
     curve = axis.curve
     style: dict[str, Any] = {"color": AXIS_COLOURS[k], "linewidth": 0.0}
     panel.fill_between(curve.taus_s, curve.lower, curve.upper, alpha=0.18, **style)
@@ -568,7 +576,9 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
 
 
 def draw_sessions(outcome: "StudyOutcome") -> "Figure":
-    """Draw the error of each session against its minutes: mean, and the error that 95 % of devices stay below; a panel per task."""
+    """Draw the error of each session against its duration: mean and 95th percentile of the devices, with a panel per
+    task.
+    """
     figure, panels = new_figure(len(outcome.tasks), height=2.4, share_x=True)
     for panel, task in zip(panels, outcome.tasks, strict=True):
         rows = [row for row in task.sessions if np.isfinite(row.mean_deg)]
@@ -600,7 +610,7 @@ def draw_sessions(outcome: "StudyOutcome") -> "Figure":
 
 
 def trial_figure(trial: "Trial") -> "Figure":
-    """Draw the course of one trial: pitch of device and optics, and the errors, the motion shaded."""
+    """Draw a trial over time: pitch of device and optics, and the errors, with the motion shaded."""
     return draw_comparison(
         trial.time,
         trial.sensor_pitch / RADIAN_PER_DEGREE,

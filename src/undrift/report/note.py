@@ -1,8 +1,9 @@
 """The note's figures: 1 and 2 as flow drawings with this program's functions, and 3.
 
-``python -m undrift.report.note FOLDER`` draws the flows of docs/note.md. Drawings are 4.6 inches wide, so that their text keeps 9
-pixels on a screen of 390. The copy of the note at hand has the captions and the text of Figures 1 and 2 without the drawings: steps
-are those of the text, and its "block 2" to "block 9" stand where the text has them, not each at one box.
+``python -m undrift.report.note FOLDER`` draws the flows of docs/note.md. Drawings are 4.6 inches wide, so that their
+text keeps 9 pixels on a screen of 390. Our copy of the note has the captions and the text of Figures 1 and 2 without
+the drawings. The steps follow the text. The labels "block 2" to "block 9" are placed according to the text, not at
+single boxes.
 """
 
 import sys
@@ -164,7 +165,7 @@ def place_of(dotted: str) -> tuple[str, str]:
 
 
 def _stacked(steps: Sequence[NoteStep], left: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
-    """Lay boxes out one under another; return them and where the last ends."""
+    """Arrange boxes below each other. Return them and the end of the last."""
     boxes, letters = [], int((width - 2.0 * _PAD) / _LETTER)
     for step in steps:
         note = tuple(textwrap.wrap(step.note, letters))
@@ -177,7 +178,7 @@ def _stacked(steps: Sequence[NoteStep], left: float, top: float, width: float) -
 
 
 def _sheet(height: float, label: str) -> tuple["Figure", "Axes"]:
-    """Return an empty figure whose data are points from its upper left corner; its label says what it shows."""
+    """Return an empty figure with data coordinates in points from its upper left corner. The label is its description."""
     figure, (axes,) = figures.new_figure(1, height=height / 72.0 - 0.4, width=figures.WIDTH)
     figure.set_layout_engine("none")
     figure.set_label(label)
@@ -251,7 +252,9 @@ def draw_figure3(
 
 
 def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
-    """Draw the largest error of each compensation, left the simulated and right the actual device; bars are quartiles."""
+    """Draw the largest error of each compensation, for the simulated (left) and the actual device (right). Bars are
+    quartiles.
+    """
     for k, colour in enumerate(figures.COMPARED_COLOURS):
         spreads = (
             (drawn[k].simulated_deg, (drawn[k].lower_deg, drawn[k].median_deg, drawn[k].upper_deg)) if drawn else ()

@@ -1,8 +1,8 @@
-"""The frame of every report page: one self-contained HTML file, from ``page.html.j2`` and ``page.css``, without script.
+"""The frame of every report page: a self-contained HTML file, from ``page.html.j2`` and ``page.css``, without scripts.
 
-A page opens with its answer in a sentence and a picture; then the verdict with at most three findings, sections with figures and
-tables, details folded (open in print), and provenance. A command brings the sentence, the picture and the sections, no more.
-Colours of figures follow the scheme of the reader: page.css names their counterparts in the dark.
+A page begins with its answer in a sentence and a picture. Then come the verdict with at most three findings, sections
+with figures and tables, folded details (open in print), and provenance. The command supplies the sentence, the picture
+and the sections. Figures follow the colour scheme of the reader. page.css defines their dark colours.
 """
 
 import platform

@@ -1,8 +1,9 @@
-"""The guided bench: pages in a browser on the same commands as the command line. One server and one ``Bench`` on this computer.
+"""The guided bench: pages in a browser with the same commands as the command line. One server and one ``Bench`` run on
+this computer.
 
-In: a device that sends, or files; a person who clicks. Out: recordings, sessions, calibrations with report and certificate below
-the folder of the bench. Nothing is estimated here: a page runs a command of undrift as a process of its own, with ``--json``, and
-shows what it answered, findings and all (``commands.py``).
+The input is a live device or files, and the clicks of a user. The output is recordings, sessions, and calibrations with
+report and certificate, below the folder of the bench. Nothing is estimated here. A page runs a command of undrift in a
+separate process with ``--json`` and shows its answer with all findings (``commands.py``).
 
     app.py           the server: pages, files, uploads; access.py, uploads.py: who and what may come in
     bench.py         what all pages share: the device, the job, the work, and what was chosen and typed
@@ -12,8 +13,8 @@ shows what it answered, findings and all (``commands.py``).
     chart.py         the trace of a recording on the page Check
     guided.py        the pages Six faces and Turns by hand
 
-The connected device, guides and captures are in commands/bench. Frames and units are those of that package; rates are drawn in
-deg/s, angles in deg.
+The connected device, guides and captures are in commands/bench. Frames and units are defined in that package. Rates are
+drawn in deg/s, angles in deg.
 
-Open ``app.py`` first, then ``parts.py`` and one page, ``result.py``.
+Open ``app.py`` first, then ``parts.py`` and a page, ``result.py``.
 """

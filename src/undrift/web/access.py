@@ -1,8 +1,9 @@
-"""Who may use the bench: whoever has the token that the command prints, on this computer too, which others may use as well.
+"""Access control of the bench. A request needs the token that the command prints, also on this computer, which may have
+other users.
 
-Each request carries it: as the cookie that ``/?token=...`` sets, of the bench's port, or in the query. Without a token, requests
-must name a loopback host, so that a page of another site cannot reach the bench through a name of its own (DNS rebinding). Requests
-that change something, and websockets, must come from a page of the bench itself: their Origin is the Host.
+The token is in the cookie that ``/?token=...`` sets for the bench's port, or in the query. Without a token, requests
+must name a loopback host, so that another site cannot reach the bench with its own host name (DNS rebinding). Requests
+that change something, and websockets, must come from a page of the bench. Their Origin must equal the Host.
 """
 
 import hmac

@@ -36,7 +36,7 @@ BUILT: dict[str, Callable[[Visit], None]] = {
 
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
-    """Serve the bench until Ctrl-C; the address is handed on as soon as it listens."""
+    """Serve the bench until Ctrl-C. ``ready`` receives the address as soon as the server listens."""
     with lock_folder(settings.folder) as lock:
         _serve(settings, ready, lock)
 

@@ -1,4 +1,4 @@
-"""The bench: what is connected, recorded and made, on the server, and what was chosen and typed; pages show it.
+"""State of the bench on the server: connected device, recordings, results, and user input. The pages show it.
 
 commands/bench/library.py describes its folder.
 """
@@ -30,13 +30,13 @@ PLACE = "place.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerSettings:
-    """Where the bench listens and writes."""
+    """Address and folder of the bench."""
 
     folder: Path  # of everything that it writes
     port: int = 8765  # 0 takes a free one
-    token: str | None = None  # wanted of every request; None: of nobody on this computer
+    token: str | None = None  # required in every request; None for no check on this computer
     upload_mb: float = 500.0  # Largest upload, 1e6 bytes
-    practice_seed: int | None = None  # of the practice device; None draws one
+    practice_seed: int | None = None  # of the practice device; None draws a random seed
     practice_speed: float = 1.0  # of its clock, times real time
 
 
@@ -50,23 +50,23 @@ class Working:
     task: asyncio.Task[CommandOutcome] | None = None
 
     def words(self) -> str:
-        """Say what is done, for how long, and its last line."""
+        """Return the current task, its duration, and the last line of output."""
         return f"Working: {self.what}, {time.monotonic() - self.began:.0f} s. {self.line}"
 
     @property
     def share(self) -> float | None:
-        """Return how much of it is done, as the command states it."""
+        """Return the completed share, as reported by the command."""
         percent = re.search(r"\((\d+) %\)$", self.line)
         return percent and float(percent[1]) / 100.0
 
     def cancel(self) -> None:
-        """End it; what it was to write is not there."""
+        """Cancel the command. Its output is not written."""
         if self.task is not None:
             self.task.cancel()
 
 
 class Bench:
-    """What all pages share. Its methods are called on the server's event loop; none of them blocks it."""
+    """State that all pages share. Its methods run on the server's event loop and never block it."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings, self.folder = settings, settings.folder
@@ -82,7 +82,7 @@ class Bench:
     # ---- The device
 
     async def connect(self, address: str) -> None:
-        """Connect a device in place of the one before; what goes wrong stands in ``source_error``."""
+        """Connect a device in place of the previous device. Errors are stored in ``source_error``."""
         await self.disconnect()
         self.source_error, self.connecting = "", address
 
@@ -99,7 +99,7 @@ class Bench:
             self.connecting = ""
 
     async def disconnect(self) -> None:
-        """Let go of the device."""
+        """Disconnect the device."""
         await asyncio.to_thread(self._let_go)
 
     def _let_go(self) -> None:
@@ -109,11 +109,11 @@ class Bench:
 
     @property
     def practice(self) -> Any:
-        """Return the practice device, where it is the one that is connected."""
+        """Return the practice device if it is connected."""
         return None if self.source is None else self._practice.device
 
     def _address_of(self, address: str) -> str:
-        """Return an address to connect to; that of the practice device, which starts with it, for ``practice``."""
+        """Return an address to connect to. For ``practice``, start the practice device and return its address."""
         s = self.settings
         if address.strip() == PRACTICE:
             return self._practice.start(s.practice_seed, s.practice_speed, self.place.gravity_m_s2)
@@ -123,7 +123,7 @@ class Bench:
     # ---- The work
 
     def set_place(self, place: Site) -> None:
-        """State where the bench stands; it is kept for the next time."""
+        """Set the place of the bench, and store it for the next start."""
         self.place = place
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
@@ -158,7 +158,7 @@ class Bench:
         job.save()
 
     async def command(self, *words: object, folder: Path | None = None) -> CommandOutcome:
-        """Run a command of undrift; pages show what it does while it runs."""
+        """Run a command of undrift. Pages show its progress."""
         now = Working(str(words[0]))
         self.working.append(now)
 
@@ -178,7 +178,9 @@ class Bench:
         return tuple(str(word).removeprefix(f"{self.folder}/") for word in words)
 
     def inside(self, name: str) -> Path:
-        """Return a file of the bench by its path below the folder; InputError for what is not there, or elsewhere."""
+        """Return a file of the bench from its path below the folder. Raise InputError for a missing file or a path
+        outside.
+        """
         root = self.folder.resolve()
         try:
             path = (root / name).resolve()
@@ -194,35 +196,37 @@ class Bench:
         return "/files/" + quote(path.resolve().relative_to(self.folder.resolve()).as_posix())
 
     def close(self) -> None:
-        """Let go of everything; the server ends."""
+        """Close all resources when the server ends."""
         self._let_go()
         self._practice.close()
 
 
 class Visit:
-    """What a person has chosen and typed; all tabs of a browser show the same."""
+    """The choices and input of a user. All tabs of a browser share them."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench, self.library = bench, bench.library
-        self.address, self.ways = "", dict[str, Any]()  # typed; what was found that can be connected
+        self.address, self.ways = "", dict[str, Any]()  # address entered, and devices found
         self.shown: Job | None = None  # whose result was opened
         self.recordings = Recordings(self)
         self.statement = dict[str, str]()  # of the laboratory, for certificates
-        # that files are corrected with; at first the one that was made last
+        # calibration for correcting files, at first the latest calibration
         self.calibration: Path | None = next((job.calibration for job in self.library.jobs if job.calibration), None)
 
     async def search(self) -> None:
-        """Look for devices and ports that can be connected."""
+        """Search for devices and ports."""
         self.ways = (await self.bench.command("record")).answer
 
     @property
     def job(self) -> Job | None:
-        """Return the job whose result is shown: the one that was opened, or the newest."""
+        """Return the job whose result is shown: the opened job, or the newest."""
         jobs = (self.shown, *self.library.jobs)
         return next((job.read() for job in jobs if job is not None and job.calibration is not None), None)
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
-        """Calibrate for a job, and correct with the result from now on, if it has accelerometers; otherwise a person decides."""
+        """Calibrate for a job. Use the result for corrections from now on if it has accelerometers. Otherwise the user
+        decides.
+        """
         outcome = await self.bench.calibrate(job, *words)
         if outcome.done:
             self.shown = job
@@ -232,7 +236,7 @@ class Visit:
 
 
 def _states_gravity(path: Path) -> bool:
-    """Tell whether a session's folder states local gravity; a recording states none."""
+    """Return True if a session's folder contains local gravity. A recording never does."""
     try:
         head = tomllib.loads((path / "session.toml").read_text(encoding="utf-8"))["session"]
     except (OSError, ValueError, KeyError):

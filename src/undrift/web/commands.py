@@ -1,8 +1,8 @@
-"""The commands as the bench calls them: a child process each, so that a long fit or a crash never touches the server.
+"""Commands of the bench. Each runs in a child process, so that a long fit or a crash never affects the server.
 
-``python -m undrift COMMAND ... --json`` writes one envelope on stdout and its progress on stderr; both are what the command line
-shows, and so the pages say what the commands say. What a command noticed is a list of remarks: failures, warnings, notes. No text
-names the folders that the bench keeps its files in.
+``python -m undrift COMMAND ... --json`` writes an envelope to stdout and its progress to stderr. The pages therefore
+show the same text as the command line. Remarks are a list of failures, warnings and notes. Texts never contain the
+internal folders of the bench.
 """
 
 import asyncio
@@ -25,11 +25,11 @@ FOLDERS = re.compile(r"\b(?:(?:uploads|jobs)/[^/\"]+/(?:session/(?:pieces/)?)?|r
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandOutcome:
-    """What a command answered."""
+    """The answer of a command."""
 
     code: int  # 0 done, 1 done with a bad verdict, 2 refused, 3 a rig or device failed
     answer: dict[str, Any] = field(default_factory=dict)  # its envelope
-    error: str = ""  # one line: wanted, came, what to do
+    error: str = ""  # a line with the error and the remedy
 
     @property
     def done(self) -> bool:
@@ -38,7 +38,9 @@ class CommandOutcome:
 
 
 def remarks_of(answer: Mapping[str, Any]) -> list[Remark]:
-    """Return what a command noticed, failures and warnings first: of the whole, of its parts (recordings, trials), each once."""
+    """Return the remarks of a command, failures and warnings first: of the whole and of its parts (recordings, trials),
+    each once.
+    """
     once: dict[str, Remark] = {}
     for whole, remark in sorted(_remarks(answer), key=lambda one: LEVELS.index(one[1].level)):
         once.setdefault(whole, remark)
@@ -61,14 +63,14 @@ def _remarks(answer: Mapping[str, Any]) -> Iterator[tuple[str, Remark]]:
 
 
 def without_folders(text: str, folder: Path) -> str:
-    """Return a text in which files of the bench stand by their names."""
+    """Return a text in which the paths of the bench's files are replaced by their names."""
     return FOLDERS.sub("", text.replace(f"{folder}/", ""))
 
 
 async def run_command(
     words: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
 ) -> CommandOutcome:
-    """Run a command in a folder; each line of its stderr is handed on as it comes."""
+    """Run a command in a folder. Each line of its stderr is passed on immediately."""
     child = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "undrift", *map(str, words), "--json"),
         cwd=folder, limit=LARGEST_LINE, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
@@ -99,7 +101,7 @@ async def run_command(
 
 
 def outcome_of(code: int, text: str, lines: Sequence[str]) -> CommandOutcome:
-    """Return what a command answered, of its exit code, its stdout and the lines of its stderr."""
+    """Return the answer of a command from its exit code, its stdout and the lines of its stderr."""
     try:
         answer = json.loads(text) if text.strip() else {}
     except ValueError:

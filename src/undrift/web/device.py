@@ -1,4 +1,4 @@
-"""The page Get readings: ways to get the readings of a device; and the rail Get readings > Check > Calibrate > Use."""
+"""The page Get readings with the ways to connect a device, and the rail Get readings > Check > Calibrate > Use."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from undrift.web.bench import Visit
 
 LINE = 'fill="none" stroke="currentColor" stroke-width="2.5" stroke-linejoin="round" stroke-linecap="round"'
-STEPS = {  # what a step is called, and its pages, the first one before all
+STEPS = {  # title of each step and its pages, with the default page first
     "Get readings": ("/", "/six-faces", "/turns"),
     "Check": ("/check",),
     "Calibrate": ("/calibrate",),
@@ -67,7 +67,7 @@ def page(visit: "Visit") -> None:
 
 
 def _cards(visit: "Visit") -> None:
-    """Add the three ways to readings: files, a device that sends, the practice device; and the recording that the bench guides."""
+    """Add the three sources of readings (files, a device, the practice device) and the guided recording."""
     with ui.element("div").classes("cards"):
         with parts.section("Drop files", "card"):
             parts.text("h3", "Drop files")
@@ -82,7 +82,7 @@ def _cards(visit: "Visit") -> None:
             parts.button("Use the practice device", partial(visit.bench.connect, parts.PRACTICE))
     parts.text("h2", "Record with the bench")
     with ui.element("div").classes("cards"):
-        for way in parts.texts()["ways"]:  # what is at hand, the recording that it takes, and where it is made
+        for way in parts.texts()["ways"]:  # available devices, their recording, and instructions for making it
             with parts.section(way["have"], "card"):
                 drawing = f'<path d="{way["drawing"].strip()}" {LINE}/>'
                 ui.html(f'<svg viewBox="0 0 220 100" aria-hidden="true">{drawing}</svg>', sanitize=False)
@@ -93,7 +93,7 @@ def _cards(visit: "Visit") -> None:
 
 
 def connect_form(visit: "Visit", *, practice: bool = True) -> None:
-    """Add what connects a device: those that are found, presets, an address; and say what is connected."""
+    """Add the controls for connecting a device: devices found, presets, an address. Show the connected device."""
     bench = visit.bench
 
     def preset(name: str) -> None:
@@ -115,7 +115,7 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
 
 
 def _found(visit: "Visit") -> None:
-    """List what was found; a click connects it."""
+    """List the devices found. A click connects a device."""
     ways = {"serial_ports": "serial://", "lsl_streams": "lsl:"}
     pairs = [(kind, one) for way, kind in ways.items() for one in visit.ways.get(way, ())]
     senders = [(kind + next(iter(one.values())), one["device"]) for kind, one in pairs]

@@ -19,7 +19,7 @@ def listing(
     chosen: Callable[[], Any],
     choose: Callable[[Any], Any],
 ) -> None:
-    """Add a list that follows what the bench holds; static/drawings.js draws it, and nothing else of the page anew."""
+    """Add a list that follows the files and jobs of the bench. static/drawings.js redraws only the list."""
     made, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
 
     def show() -> None:
@@ -37,7 +37,7 @@ def listing(
 
 
 def drop(visit: "Visit", then: str = "") -> None:
-    """Add the place to drop files on, which is a file chooser too; then comes a page, if one is named."""
+    """Add an area for dropping or choosing files. Then open a page, if one is named."""
     client = ui.context.client
     bench, recordings = visit.bench, visit.recordings
     with ui.element("label").classes("drop bench-file") as drop:

@@ -1,7 +1,8 @@
-"""The pages Six faces and Turns by hand: a guide at work on the server, what it asks for, its light, and what is captured.
+"""The pages Six faces and Turns by hand: a guide that runs on the server, its instructions, its light, and the
+captures.
 
-A capture is fed from the connected device while someone works: a reload, a second browser or a closed one changes nothing. What is
-captured is written at once.
+A capture continues to read the connected device if a page is reloaded, opened twice or closed. Captures are written
+immediately.
 """
 
 import asyncio
@@ -43,11 +44,11 @@ class Guided:
         self.capture = Capture(job.session, job.serial)
         self.faces, self.turns = SixFaces(self.capture), Turns(self.capture)
         self.guide: Guide = self.faces
-        self.error = self.refused = ""  # of the capture; of the last calibration
+        self.error = self.refused = ""  # errors of the capture and of the last calibration
         self._seen_s, self._taken_s = -UNSEEN_S, time.monotonic()
 
     def look(self, guide: Guide) -> None:
-        """Note that a page shows a guide: this one is at work from now on."""
+        """Make the guide of a page the active guide."""
         self.guide, self._seen_s = guide, time.monotonic()
 
     async def run(self) -> None:
@@ -74,14 +75,14 @@ class Guided:
             self.error, self.capture.saved = str(error), False
 
     async def calibrate(self, visit: "Visit") -> str | None:
-        """Calibrate from what is captured; return the page of the result."""
+        """Calibrate from the captures. Return the page of the result."""
         outcome = await visit.calibrate(self._job, self._job.session)
         self.refused = outcome.error
         return "/calibrate" if outcome.done else None
 
 
 def guided_of(bench: "Bench") -> Guided | None:
-    """Return the guided capture of the connected device, begun where there is none; None without a device."""
+    """Return the guided capture of the connected device. Create it if needed. Return None without a device."""
     job, source = bench.job, bench.source
     if source is None:
         return None if job is None else job.capture
@@ -96,7 +97,7 @@ def guided_of(bench: "Bench") -> Guided | None:
 
 
 def begin_anew(bench: "Bench") -> None:
-    """Leave what was captured as it is, and begin with an empty capture."""
+    """Keep the previous captures in their folder, and begin with an empty capture."""
     if bench.source is not None:
         bench.job = None
         guided_of(bench)
@@ -192,13 +193,15 @@ def _after_turns(visit: "Visit", guided: Guided) -> None:
 
 
 def _watched(bench: "Bench", guided: Guided, guide: Guide) -> None:
-    """Keep a guide at work while the page is open, and show what goes wrong."""
+    """Keep a guide active while the page is open, and show errors."""
     parts.bound(lambda: guided.look(guide) if guided_of(bench) is guided else None)
     parts.error_line(lambda: guided.error)
 
 
 def _guide_part(guide: Guide, box: Callable[[], Sequence[str]], words: Callable[[], str], countdown_s: float) -> None:
-    """Add what is asked for, as a drawing and in words, beside the light: shape, words, countdown; what changes is read out."""
+    """Add the instructions as a drawing and in words, next to the light with shape, words and countdown. Changes are
+    read aloud.
+    """
 
     def spoken() -> str:
         left = math.ceil(guide.light.left_s or 0.0)
@@ -216,7 +219,7 @@ def _guide_part(guide: Guide, box: Callable[[], Sequence[str]], words: Callable[
 
 
 def _progress_part(title: str, guide: Guide, names: dict[str, str]) -> None:
-    """Add a list of what is to be captured, each with its state and a button to record again."""
+    """Add a list of the captures, each with its state and a button to record it again."""
 
     def state(step: str) -> str:
         return "record again" if step == guide.again else "✓ captured" if step in guide.done else "to do"
@@ -252,7 +255,7 @@ def _readings_part(bench: "Bench") -> None:
 
 
 def _practice_part(bench: "Bench", rows: dict[str, Moves]) -> None:
-    """Add buttons that move the practice device, where it is connected."""
+    """Add buttons that move the practice device if it is connected."""
     with parts.shown_if(parts.section("Practice device", "practice"), lambda: bench.practice is not None):
         for title, moves in rows.items():
             parts.text("h2", title)

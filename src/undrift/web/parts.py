@@ -1,8 +1,8 @@
-"""What pages are made of: parts that are bound to the state of the bench, and the frame around them.
+"""Parts of pages: elements that follow the state of the bench, and the frame around them.
 
-A page is a list of parts. What a part shows is a text, or a function of the state that one timer of the page asks again and again
-(``bound``); after each click it is asked at once. A handler of a button raises what it refuses, which is then shown beside the
-button, and returns the page that comes next, if there is one. Forms are made from dataclasses whose fields are ``asked``.
+A page is a list of parts. A part shows a text, or the result of a function of the state (``bound``). The page's timer
+calls this function periodically, and after each click. A button's handler raises an error to refuse, which is shown
+next to the button. It returns the next page, if there is one. Forms are made from dataclasses with ``asked`` fields.
 """
 
 import json
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 REFRESH_S, CANCEL_S = 0.25, 2.0  # the latter: of work that can be cancelled
 PRACTICE = "practice"  # the address of the practice device
-SHOWN_FIRST = 3  # number of remarks that are not folded; failures and warnings never are
+SHOWN_FIRST = 3  # number of remarks shown at first; failures and warnings are always shown
 
-Words = str | Callable[[], str]  # Of a part: as they are, or as the state has them now
-Handler = Callable[[], Any]  # Of a click: may be awaited; returns the path of the page to open, if any
-Bound = list[tuple[ui.element, Callable[[], Any]]]  # A part of a page, and what shows something in it
+Words = str | Callable[[], str]  # text, or a function that returns the current text
+Handler = Callable[[], Any]  # click handler, may be awaited; returns the path of the next page, if any
+Bound = list[tuple[ui.element, Callable[[], Any]]]  # parts of a page, with their update functions
 
 
 @cache
@@ -46,20 +46,20 @@ def texts() -> dict[str, Any]:
 
 
 def bound(show: Callable[[], Any]) -> None:
-    """Show something now, and again with each look of the page, as long as the part of the page is there that it was added to."""
+    """Show something now, and update it with each timer tick until its part of the page is removed."""
     if not iscoroutinefunction(show):
         show()
     bound_in(ui.context.client).append((ui.context.slot.parent, show))
 
 
 def bound_in(client: Client) -> Bound:
-    """Return what is bound in the page of a browser; the page holds it, and takes it along."""
+    """Return the update functions of a browser's page, which owns them."""
     bound: Bound = vars(client).setdefault("bound", [])
     return bound
 
 
 async def look(client: Client) -> None:
-    """Show what is bound as it is now, what is drawn anew first."""
+    """Update all bound parts, redrawn parts first."""
     for parent, show in [*bound_in(client)]:
         if not parent.is_deleted:
             with parent:
@@ -69,7 +69,7 @@ async def look(client: Client) -> None:
 
 
 def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> Any:
-    """Add an element with plain text: never markup, whatever the words hold."""
+    """Add an element with plain text. The text is never interpreted as markup."""
     made = ui.element(tag).classes(classes)
     if role:
         made.props(f'role="{role}"')
@@ -103,7 +103,7 @@ def set_prop(element: Any, name: str, value: object) -> None:
 
 
 def drawing(kind: str, what: Callable[[], Sequence[object]], classes: str = "") -> Any:
-    """Add a drawing of a kind that static/drawings.js has, by what it shows; it is drawn anew where that changes."""
+    """Add a drawing of a kind in static/drawings.js. It is redrawn when its content changes."""
     made = ui.element("undrift-drawing").props(f'kind="{kind}"').classes(classes)
     bound(lambda: set_prop(made, "what", json.dumps(what())))
     return made
@@ -121,7 +121,7 @@ def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
 
     def fill() -> None:
         place.clear()
-        with place, ui.element("div"):  # what is bound in it goes with it
+        with place, ui.element("div"):  # elements bound in it are removed with it
             draw()
 
     def show() -> None:
@@ -147,7 +147,7 @@ def row(classes: str = "") -> Any:
 
 
 def acted(handler: Callable[[Any], Any]) -> Callable[..., Any]:
-    """Return what runs a handler of an event: it shows here what is refused, opens the page that comes next, and looks."""
+    """Return an event handler that shows errors, opens the next page, and updates the page."""
     client, place, refusals = ui.context.client, ui.context.slot.parent, list[Any]()
 
     async def act(event: Any) -> None:
@@ -162,14 +162,14 @@ def acted(handler: Callable[[Any], Any]) -> Callable[..., Any]:
                 with place:
                     refusals.append(text("p", page_words(str(error)), "bench-error", role="alert"))
         if isinstance(went, str):
-            client.open(went)  # of the client: the button may be drawn anew by then
+            client.open(went)  # of the client, because the button may be replaced by then
         await look(client)
 
     return act
 
 
 def button(label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None) -> Any:
-    """Add a plain button: label, what it does, what a screen reader calls it, whether it is the chosen one of several."""
+    """Add a plain button with label, handler, name for screen readers, and whether it is the selected one of several."""
     made = text("button", label, classes).props('type="button"')
     if name:
         made.props["aria-label"] = name
@@ -194,7 +194,7 @@ def disabled_if(element: Any, true: Callable[[], bool]) -> Any:
 
 
 class Field:
-    """A labelled input, a choice, or (kind list) an input with proposals; ``value`` is what was typed or chosen."""
+    """A labelled input, a choice, or (kind list) an input with proposals. ``value`` is the current entry."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class Field:
             else:
                 step = ' step="any"' if kind == "number" else ""
                 self.element = ui.element("input").props(f'type="{kind}" autocomplete="off"{step}')
-                # the attribute: the property would undo what is typed at each redraw
+                # set the attribute, because the property would reset the input at each redraw
                 self.element.props["^value"] = value
             if kind == "list":  # to type, or to choose
                 with ui.element("datalist") as listed:
@@ -249,7 +249,9 @@ class Field:
 
 
 def form(holder: Any, *names: str, proposed: Sequence[str] = ()) -> dict[str, Field]:
-    """Add a row of inputs for fields of a dataclass that are ``asked``, with what is proposed; what is typed is kept there."""
+    """Add a row of inputs for the ``asked`` fields of a dataclass, with proposed values. Entries are stored in its
+    fields.
+    """
     more: dict[str, Any] = {"kind": "list", "options": proposed} if proposed else {}
     how = {one.name: {**one.metadata, **more} for one in fields(holder)}
     with row("form"):
@@ -259,7 +261,7 @@ def form(holder: Any, *names: str, proposed: Sequence[str] = ()) -> dict[str, Fi
 
 
 def settings_form(settings: type, typed: dict[str, str]) -> None:
-    """Add a form of the settings of a command, by their names, sentences and choices; what is typed is kept by name."""
+    """Add a form for the settings of a command, with names, sentences and choices. Entries are stored by name."""
     about = dict(re.findall(r"\n    (\w+) : .*\n        (.+)", settings.__doc__ or ""))
     with row("form"):
         for name, hint in get_type_hints(settings).items():
@@ -269,7 +271,7 @@ def settings_form(settings: type, typed: dict[str, str]) -> None:
 
 
 def choices(label: str, every: Sequence[str], holder: Any, name: str) -> None:
-    """Add boxes to tick; the chosen ones are kept in a field of a holder, in their order."""
+    """Add checkboxes. The chosen values are stored in a field of a holder, in their order."""
     with ui.element("fieldset").classes("row choices"):
         text("legend", label)
         for option in every:
@@ -295,7 +297,7 @@ def status_line(words: Words, classes: str = "soft") -> Any:
 
 
 def error_line(words: Words) -> Any:
-    """Add a line for what went wrong; empty while nothing has."""
+    """Add a line for errors, empty if there are none."""
     return text("p", lambda: page_words(words() if callable(words) else words), "bench-error", role="alert")
 
 
@@ -332,7 +334,9 @@ def page_words(words: str) -> str:
 
 
 def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
-    """Say what was refused; where gyroscopes, turns or rates spoilt a job's calibration, offer it without them."""
+    """Show the refusal. If gyroscopes, turns or rates caused a job's calibration to fail, offer to calibrate without
+    them.
+    """
     error_line(error)
     of_gyro = re.search("gyro|turn|rotation|rate", error)
     if job is None or not job.words or "--gyro" in job.words or error != job.error or not of_gyro:
@@ -351,7 +355,7 @@ def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str],
 
 
 def frame(bench: "Bench", title: str) -> tuple[Any, Any]:
-    """Build a page with the one timer of what is bound; return the places of its rail and of its parts."""
+    """Build a page with the timer for its bound parts. Return the containers for its rail and its parts."""
     with ui.element("header").classes("bench-head"):
         ui.link("undrift bench", "/").classes("bench-name")
         status_line(lambda: device_line(bench), "bench-device")

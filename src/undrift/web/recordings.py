@@ -1,4 +1,6 @@
-"""Files on Check, Calibrate and Use: maps are proposed; recordings are calibrated, corrected, oriented, validated."""
+"""Files on the pages Check, Calibrate and Use: maps are proposed, recordings are calibrated, corrected, oriented and
+validated.
+"""
 
 import asyncio
 import math
@@ -35,7 +37,7 @@ UNITS = {
     "time": ("s", "ms", "us", "date"),
 }
 SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
-MADE = {  # by a command of the page Use: what its file is called, and what it is asked by
+MADE = {  # by command of the page Use: file name of the result, and the title
     "correct": ("-corrected.parquet", ("offset",)),
     "orient": ("-angles.csv", ("offset", "forward", "up")),
 }
@@ -44,7 +46,7 @@ NO_NUMBER = "sample rate: expected a number above 0, got '{}'. Enter the samples
 
 @dataclass(slots=True, kw_only=True)
 class RecordingForm:
-    """What is typed and chosen of a recording; "" is not chosen: of the offset, what each command does by itself."""
+    """Input for a recording. "" is not chosen, so that each command uses its default offset."""
 
     worn: str = asked("--worn", options=("", *get_args(Worn)))
     posture: str = asked("--posture", get_args(Posture)[0], options=get_args(Posture))
@@ -67,16 +69,19 @@ class Recordings:
         self.chosen: StoredFile | None = None
         self.tried, self.trying = 0, asyncio.Lock()  # maps, one at a time
         self.offsets = dict[Path, dict[str, str]]()  # of a recording, what each way to find them gives
-        self.draft, self.shown = dict[str, Any](), dict[str, Any]()  # a map that is chosen, and what is read by it
+        self.draft, self.shown = (
+            dict[str, Any](),
+            dict[str, Any](),
+        )  # a map under construction, and the data read with it
 
     async def add(self, path: Path) -> StoredFile:
-        """Take up a file that has been stored, and ask what it holds."""
+        """Add a stored file, and describe it."""
         stored = self.bench.library.file_at(path)
         await self.choose(stored)
         return stored
 
     async def choose(self, stored: StoredFile) -> None:
-        """Look at a file from now on; a calibration is used."""
+        """Select a file. If it is a calibration, use it."""
         self.chosen, self.form.rate_hz, self.form.turn_deg = stored, "", ""
         if not stored.kind:
             await self.look(stored)
@@ -85,21 +90,23 @@ class Recordings:
             self.visit.calibration = stored.path
 
     async def add_together(self, paths: Sequence[Path]) -> None:
-        """Take up files that lie in one folder: as one recording where they are one, as those of a phone; else each by itself."""
+        """Add the files of a folder. Files that form one recording (such as a phone export) are added together, all
+        others separately.
+        """
         folder = paths[0].parent
         outcome = await self.bench.command("info", folder)
         if outcome.done and outcome.answer.get("kind") == "recording":
             await self.add(folder)
             return
         for path in paths:
-            place = folder.parent.with_name(secrets.token_hex(6))  # one folder a file: results lie beside it
+            place = folder.parent.with_name(secrets.token_hex(6))  # a folder per file, which also contains the results
             place.mkdir()
             await self.add(path.rename(place / path.name))
         folder.rmdir()
         folder.parent.rmdir()
 
     async def look(self, stored: StoredFile) -> None:
-        """Ask what a file holds, and for its trace where it is a recording."""
+        """Describe a file, and load its trace if it is a recording."""
         outcome = await self.bench.command("info", stored.path, *stored.options())
         stored.about, stored.error = (outcome.answer if outcome.done else {}), outcome.error
         opening = Opening(column_map=stored.map, sample_rate_hz=stored.sample_rate_hz)
@@ -110,7 +117,7 @@ class Recordings:
         stored.save()
 
     async def _trace(self, stored: StoredFile, about: Mapping[str, Any], opening: Opening) -> dict[str, Any]:
-        """Return what the page draws of a recording; nothing if it is too short."""
+        """Return the data of a recording that the page draws, or nothing if it is too short."""
         if about.get("kind") != "recording":
             return {}
         try:
@@ -126,7 +133,9 @@ class Recordings:
         await self.look(stored)
 
     async def try_map(self, stored: StoredFile) -> None:
-        """Read a table by the columns and units that are chosen so far; one that is not is taken as it stands in the file."""
+        """Read a table with the columns and units chosen so far. A column without a choice is read as it is named in
+        the file.
+        """
         self.tried += 1
         mine, path = self.tried, stored.folder / "draft.toml"
         async with self.trying:  # one after the other, and only the last that was chosen
@@ -154,13 +163,15 @@ class Recordings:
         stored.save()
 
     async def choose_again(self, stored: StoredFile) -> None:
-        """Let a person choose columns and units anew, of a table that was read."""
+        """Let the user choose columns and units again for a table that was read."""
         stored.map, stored.made = None, {}
         await self.look(stored)
         await self.choose(stored)
 
     async def calibrate(self, stored: StoredFile, *, turn_deg: float | None, motion: bool = False) -> bool:
-        """Calibrate from the rests and turns of a recording, or from its motion; the result is the bench's job."""
+        """Calibrate from the rests and turns of a recording, or from its motion. The result becomes the job of the
+        bench.
+        """
         if not (serial := stored.serial.strip()):
             raise InputError("serial number: enter the number on the device, or a name of your own.")
         job = self.bench.new_job(serial)
@@ -171,14 +182,14 @@ class Recordings:
         return outcome.done
 
     async def run(self, stored: StoredFile, command: str) -> None:
-        """Correct or orient a recording; what is written can be downloaded."""
+        """Correct or orient a recording. The output can be downloaded."""
         base, (ending, names) = safe_name(stored.path.name.split(".")[0], "recording"), MADE[command]
         made, report = (stored.path.with_name(f"{base}{end}") for end in (ending, f"-{command}.html"))
         words = *stored.options(), *self._stated(*names), "-o", made, "--report", report
         self._take(stored, command, await self.bench.command(command, stored.path, *words), [made, report])
 
     async def compare_offsets(self, stored: StoredFile) -> None:
-        """Ask what each way to find the offset gives on a recording: what is subtracted, or why it cannot be."""
+        """Compute the offset of a recording with each method: the subtracted offset, or the reason for refusal."""
         words, made = dict[str, str](), stored.folder / "offset.parquet"
         for offset in ("none", "rest", "motion"):
             asking = *stored.options(), *stated(calibration=self.visit.calibration, offset=offset)
@@ -193,7 +204,9 @@ class Recordings:
         self.offsets = {stored.path: words}
 
     async def mount(self, stored: StoredFile) -> None:
-        """Find how the device is worn: kept in a copy of the calibration, which is used then; without one, sides are chosen."""
+        """Determine how the device is worn, and store it in a copy of the calibration, which is then used. Without a
+        calibration, set the sides.
+        """
         form, calibration = self.form, self.visit.calibration
         if not form.worn:
             raise InputError("mounting: choose the body segment on which the device is worn.")
@@ -215,7 +228,7 @@ class Recordings:
         self._take(stored, "validate", await self.bench.command("validate", *words), sorted(place.glob("*")))
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile) -> bool:
-        """Calibrate from a recording and its optics; the result is the bench's job."""
+        """Calibrate from a recording and its optics. The result becomes the job of the bench."""
         job = self.bench.new_job(stored.path.stem)
         words = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
         outcome = await self.bench.command("validate", *words, "-o", job.folder)
@@ -251,7 +264,7 @@ class Recordings:
 
 
 def check_page(visit: "Visit") -> None:
-    """Build the page that shows what files hold, and asks what they do not say."""
+    """Build the page that shows the content of files, and asks for missing information."""
     recordings = visit.recordings
     parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
     entries.drop(visit)
@@ -278,7 +291,7 @@ def _listed(visit: "Visit") -> None:
 
 
 def _state(visit: "Visit") -> object:
-    """Return what the part about a file is drawn again for."""
+    """Return the state whose change redraws the part about a file."""
     one, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
     if one is None:
         return None
@@ -287,7 +300,7 @@ def _state(visit: "Visit") -> object:
 
 
 def _headed(visit: "Visit", one: StoredFile) -> None:
-    """Add the name of a file, and what is wrong with it or missing."""
+    """Add the name of a file, with its errors or missing information."""
     parts.text("h2", one.name)
     if one.needs_rate:
         _rate_form(visit.recordings, one)
@@ -296,7 +309,7 @@ def _headed(visit: "Visit", one: StoredFile) -> None:
 
 
 def _checked(visit: "Visit", one: StoredFile | None) -> None:
-    """Add what a file holds, and what it needs."""
+    """Add the content of a file, and the information it needs."""
     if one is None:
         return
     _headed(visit, one)
@@ -315,7 +328,7 @@ def _checked(visit: "Visit", one: StoredFile | None) -> None:
 
 
 def _used(visit: "Visit", one: StoredFile | None) -> None:
-    """Add what may be done with a recording, and what was made of it."""
+    """Add the actions for a recording, and its results."""
     if one is None or one.kind != "recording":
         parts.text("p", "Choose a recording of this list, or drop one.")
         parts.next_step("Check files", "/check")
@@ -351,7 +364,7 @@ def draft_of(lines: Sequence[str]) -> dict[str, Any]:
 
 
 def _map_form(recordings: Recordings, one: StoredFile) -> None:
-    """Ask for columns and units, as far as they are not shown, with what is read by them as their proof."""
+    """Ask for unknown columns and units, and show the data read with them as a check."""
     draft = recordings.draft = recordings.draft or draft_of(one.about["map"])
     names, units = [str(name) for name in one.about.get("columns") or ()], draft.get("units", {})
 
@@ -395,7 +408,7 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
 
 
 def proof_words(trace: Mapping[str, Any]) -> str:
-    """Say what a device reads at rest, where gravity is 1 g and rates are zero if columns and units are right."""
+    """Return the readings of a device at rest. If columns and units are right, gravity is 1 g and rates are zero."""
     rest, units = trace["at_rest"], trace["units"]
     if not rest:
         return "No rest was found: nothing proves columns and units."
@@ -465,7 +478,7 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
 
 
 def _wearing_form(visit: "Visit", one: StoredFile) -> None:
-    """Say which mounting is used; offer to find it, or to name the sides, which the drawing follows."""
+    """Show the mounting in use. Offer to determine it, or to choose the sides, which the drawing follows."""
     recordings, form, mounting = visit.recordings, visit.recordings.form, mounting_of(visit.calibration)
     with parts.section("How it is worn"):
         parts.text("h3", "How it is worn")
@@ -493,7 +506,7 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
 
 
 def _worn(recordings: Recordings, one: StoredFile) -> bool:
-    """Return whether the mounting is known, by the calibration or by two sides; say so where it is not."""
+    """Return True if the mounting is known, from the calibration or two sides. Otherwise show an error."""
     forward, up = recordings.form.forward, recordings.form.up
     sided = bool(forward and up) and forward[1] != up[1]
     shown = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))

@@ -93,7 +93,7 @@ def _gravity(visit: "Visit", job: "Job") -> None:
 
 
 async def certify(bench: "Bench", job: "Job", statement: Mapping[str, str]) -> None:
-    """Write the certificate with what the laboratory states."""
+    """Write the certificate with the entries of the laboratory."""
     path = job.folder / "certificate.html"
     words = stated(**{name: text.strip() for name, text in statement.items()})
     outcome = await bench.command("certificate", job.calibration, "-o", path, *words)

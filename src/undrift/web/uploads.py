@@ -1,6 +1,7 @@
-"""Files that a browser sends: limited in size, type and name, kept below one folder, half-sent ones never kept.
+"""Uploads from a browser: limited in size, type and name, and stored below one folder. Incomplete uploads are never
+kept.
 
-They are only stored here; whoever reads one does so by a command, in the box of the readers (io/box.py).
+They are only stored here. They are read by a command in a separate process.
 """
 
 import re
@@ -13,7 +14,7 @@ from starlette.requests import ClientDisconnect, Request
 from undrift.errors import InputError
 
 KEPT = frozenset(" ._-+=,@()")  # characters allowed in a name, in addition to letters, marks and digits of any script
-LONGEST = 200  # longest name, bytes in UTF-8; file systems accept 255, and results add a suffix
+LONGEST = 200  # longest name, bytes in UTF-8 (file systems accept 255, and results add a suffix)
 ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
 GROUP = re.compile(r"\d{1,20}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
@@ -25,9 +26,10 @@ ENDINGS = tuple(f".{name}" for name in _NAMES.split())  # of recordings, referen
 
 
 async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:
-    """Store the body of ``POST /upload?name=walk.csv``; return the file. InputError where it is refused, and nothing is kept.
+    """Store the body of ``POST /upload?name=walk.csv`` and return the file. Raise InputError for a refused file, which
+    is not kept.
 
-    Files that come together, with ``group=NUMBER`` and ``folder=walk``, lie in one folder of that name.
+    Files that are uploaded together, with ``group=NUMBER`` and ``folder=walk``, are stored in a folder of that name.
     """
     name = safe_name(request.query_params.get("name", ""), "recording")
     if Path(name).suffix.lower() not in ENDINGS:
@@ -73,7 +75,9 @@ def _too_large(name: str, largest_mb: float) -> str:
 
 
 def safe_name(text: str, otherwise: str) -> str:
-    """Return a text as the name of a file, in any script, with its endings; never a path, a hidden or a reserved name."""
+    """Return a text as a file name, in any script, with its endings. The result is never a path, a hidden or a reserved
+    name.
+    """
     name = unicodedata.normalize("NFC", text.replace("\\", "/").rsplit("/", 1)[-1])
     name = re.sub("-+", "-", "".join(c if c in KEPT or unicodedata.category(c)[0] in "LMN" else "-" for c in name))
     ending = ENDING.search(name)[0]  # type: ignore[index]  # it may be empty
