@@ -77,10 +77,10 @@ class Number:
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema as cs
 
-        known: list[Any] = [cs.float_schema(), cs.none_schema()]
-        known += [cs.literal_schema(["inf", "-inf"])] * self.infinite
+        schemas: list[Any] = [cs.float_schema(), cs.none_schema()]
+        schemas += [cs.literal_schema(["inf", "-inf"])] * self.infinite
         return cs.no_info_after_validator_function(
-            lambda x: math.nan if x is None else float(x), cs.union_schema(known)
+            lambda x: math.nan if x is None else float(x), cs.union_schema(schemas)
         )
 
 
@@ -162,10 +162,10 @@ class Slot:
 def slots_of(cls: Any) -> tuple[Slot, ...]:
     """Return the keys of a class in the order of its file."""
     how, hints = _STORED[cls], get_type_hints(cls, include_extras=True)
-    known: dict[str, Field[Any]] = {item.name: item for item in fields(cls) if item.init}
-    made = []
-    for name in how.keys or known:
-        field = known.get(name)
+    by_name: dict[str, Field[Any]] = {item.name: item for item in fields(cls) if item.init}
+    slots = []
+    for name in how.keys or by_name:
+        field = by_name.get(name)
         hint = get_type_hints(getattr(cls, name).fget)["return"] if field is None else hints[name]
         marks = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
         key = next((mark for mark in marks if isinstance(mark, Key)), Key())
@@ -173,7 +173,7 @@ def slots_of(cls: Any) -> tuple[Slot, ...]:
         if field is not None and field.default_factory is not MISSING:
             default = field.default_factory()
         required = default is MISSING or (how.whole and not (key.optional or key.later))
-        made.append(
+        slots.append(
             Slot(
                 name=name,
                 path=tuple((key.path or name).split(".")),
@@ -184,7 +184,7 @@ def slots_of(cls: Any) -> tuple[Slot, ...]:
                 given=field is not None,
             )
         )
-    return tuple(made)
+    return tuple(slots)
 
 
 # ---- from tree to value
@@ -226,11 +226,11 @@ def _table_of(cls: type, handler: Any) -> Any:
     for key, value in _head_of(_STORED[cls]).items():
         tables[()][key] = cs.typed_dict_field(cs.literal_schema([value]))
     for slot in slots_of(cls):
-        shown = {} if slot.required or slot.default is MISSING else {"default": default_tree(slot)}
+        defaults = {} if slot.required or slot.default is MISSING else {"default": default_tree(slot)}
         field = cs.typed_dict_field(
             handler.generate_schema(slot.hint),
             required=slot.required or slot.key.needed,
-            metadata={"pydantic_js_updates": shown},
+            metadata={"pydantic_js_updates": defaults},
         )
         for depth in range(1, len(slot.path)):
             tables.setdefault(slot.path[:depth], {})
@@ -239,11 +239,11 @@ def _table_of(cls: type, handler: Any) -> Any:
             )  # keeps the order until it is filled in below
         tables[slot.path[:-1]][slot.path[-1]] = field
     for path in sorted(tables, key=len, reverse=True):
-        made = cs.typed_dict_schema(tables[path], extra_behavior="forbid", config=_STRICT)
+        schema = cs.typed_dict_schema(tables[path], extra_behavior="forbid", config=_STRICT)
         if path:
             needed = any(slot.required for slot in slots_of(cls) if slot.path[: len(path)] == path)
-            tables[path[:-1]][path[-1]] = cs.typed_dict_field(made, required=needed)
-    return made
+            tables[path[:-1]][path[-1]] = cs.typed_dict_field(schema, required=needed)
+    return schema
 
 
 def _head_of(how: Stored) -> Tree:
@@ -257,21 +257,21 @@ def default_tree(slot: Slot) -> Any:
 
 def _made(cls: type[Value], table: Tree) -> Value:
     """Make a value of its checked keys."""
-    how, given = _STORED[cls], Tree()
+    how, arguments = _STORED[cls], Tree()
     for slot in slots_of(cls):
         spot: Any = table
         for name in slot.path:
             spot = MISSING if spot is MISSING else spot.get(name, MISSING)
         if spot is not MISSING and (slot.given or how.read):
-            given[slot.name] = _at_unit(spot, slot.key.unit)
-    return cls(**given) if how.read is None else how.read(given)
+            arguments[slot.name] = _at_unit(spot, slot.key.unit)
+    return cls(**arguments) if how.read is None else how.read(arguments)
 
 
-def _at_unit(held: Any, factor: float) -> Any:
+def _at_unit(value: Any, factor: float) -> Any:
     """Return a number, or each of several, times a factor."""
-    if factor == 1.0 or held is None:
-        return held
-    return type(held)(_at_unit(item, factor) for item in held) if isinstance(held, list | tuple) else held * factor
+    if factor == 1.0 or value is None:
+        return value
+    return type(value)(_at_unit(item, factor) for item in value) if isinstance(value, list | tuple) else value * factor
 
 
 def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
@@ -289,31 +289,33 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
             )
     try:
         tree = how.complete(tree) if how.complete and isinstance(tree, dict) else tree
-        made: Value = _checked(cls, tree)
+        value: Value = _checked(cls, tree)
     except Refused as refused:
         raise FileFormatError(f"{name}: {refused.explained(how, text)}") from refused
     except (InputError, OverflowError) as error:  # of `complete`
         raise FileFormatError(f"{name}: {error}") from error
-    return made
+    return value
 
 
 class Refused(ValueError):
     """Validation error of pydantic: locations, kinds of problem, and the names of the known keys."""
 
-    def __init__(self, problems: list[Any], known: frozenset[str] = frozenset()) -> None:
+    def __init__(self, problems: list[Any], known_keys: frozenset[str] = frozenset()) -> None:
         # a list without its bad item is not too short, and unknown keys come first because they explain the rest
         places = [problem["loc"] for problem in problems]
         real = [
             p for p in problems if p["type"] != "too_short" or not any(_within(place, p["loc"]) for place in places)
         ]
         self.problems = sorted(real, key=lambda problem: problem["type"] not in _UNKNOWN_KEY)
-        self.known = known
+        self.known = known_keys
         problem = self.problems[0]
-        self.place = tuple(part for part in problem["loc"] if not _is_branch(part))
+        self.place = tuple(step for step in problem["loc"] if not _is_branch(step))
         self.cause = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
         self.near = ""
         if problem["type"] in _UNKNOWN_KEY and self.place:
-            near = difflib.get_close_matches(str(self.place[-1]), sorted(known - {self.place[-1]}), n=1, cutoff=0.7)
+            near = difflib.get_close_matches(
+                str(self.place[-1]), sorted(known_keys - {self.place[-1]}), n=1, cutoff=0.7
+            )
             self.near = f" (nearest known key: {near[0]})" if near else ""
         super().__init__(self.in_json())
 
@@ -334,16 +336,16 @@ class Refused(ValueError):
     def in_toml(self, text: str) -> str:
         """Return the first problem by its line and entry."""
         problem = self.problems[0]
-        more = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
+        remainder = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
         if self.cause is not None and not self.place:
-            return f"{self.cause}{more}"
+            return f"{self.cause}{remainder}"
         message = problem["msg"].replace("Input should be ", "expected ").splitlines()[0]
         what = {
             **dict.fromkeys(_UNKNOWN_KEY, f"this key is unknown. Check its spelling{self.near}."),
             "missing": "this key is missing. Add it.",
             "value_error": str(self.cause),
         }.get(problem["type"], f"{message}, got {problem['input']!r}")
-        return f"line {line_of(text, self.place)}: {entry_name(self.place)}: {what}{more}"
+        return f"line {line_of(text, self.place)}: {entry_name(self.place)}: {what}{remainder}"
 
 
 def _within(place: tuple[Any, ...], outer: tuple[Any, ...]) -> bool:
@@ -355,27 +357,27 @@ def _checked(cls: type[Value], tree: Any) -> Value:
 
     try:
         # as JSON: strict, and lists are tuples there
-        made: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
+        value: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
         raise Refused(list(error.errors(include_url=False)), _names_of(cls)) from error
     except (OverflowError, RecursionError, TypeError) as error:
         raise Refused([{"type": "value_error", "loc": (), "msg": str(error), "ctx": {"error": error}}]) from error
-    return made
+    return value
 
 
 @_cached
 def _names_of(cls: Any) -> frozenset[str]:
     """Return the names of all keys of a class and of the classes that it contains."""
-    names, seen, todo = set[str](), set[type](), [cls]
+    names, visited, todo = set[str](), set[type](), [cls]
     while todo:
-        one = todo.pop()
-        if one in seen:
+        current = todo.pop()
+        if current in visited:
             continue
-        seen.add(one)
-        if _STORED[one].form is not None:
-            todo += _classes_in(_STORED[one].form)
+        visited.add(current)
+        if _STORED[current].form is not None:
+            todo += _classes_in(_STORED[current].form)
             continue
-        for slot in slots_of(one):
+        for slot in slots_of(current):
             names |= set(slot.path)
             todo += _classes_in(slot.hint)
     return frozenset(names)
@@ -383,18 +385,18 @@ def _names_of(cls: Any) -> frozenset[str]:
 
 def _classes_in(hint: Any) -> list[type]:
     """Return the stored classes of a type."""
-    own = [hint] if isinstance(hint, type) and hint in _STORED else []
-    return [*own, *(found for part in get_args(hint) for found in _classes_in(part))]
+    classes = [hint] if isinstance(hint, type) and hint in _STORED else []
+    return [*classes, *(nested for argument in get_args(hint) for nested in _classes_in(argument))]
 
 
 def _called(how: Stored) -> str:
     return f"a {how.kind.rpartition('.')[2]}"
 
 
-def _is_branch(part: Any) -> bool:
+def _is_branch(step: Any) -> bool:
     """Return True for pydantic's name of a union branch, and False for a key of the file."""
-    return isinstance(part, str) and (
-        part in ("str", "int", "float", "bool", "nullable", "none") or "[" in part or "-" in part or part[:1].isupper()
+    return isinstance(step, str) and (
+        step in ("str", "int", "float", "bool", "nullable", "none") or "[" in step or "-" in step or step[:1].isupper()
     )
 
 
@@ -421,32 +423,32 @@ def tree_by_keys(value: Any) -> Tree:
     """Return the tree of a stored value, key by key."""
     tree = _head_of(_STORED[type(value)])
     for slot in slots_of(type(value)):
-        held = getattr(value, slot.name)
-        if slot.key.later and (held is slot.default or (not hasattr(held, "tolist") and held == slot.default)):
+        item = getattr(value, slot.name)
+        if slot.key.later and (item is slot.default or (not hasattr(item, "tolist") and item == slot.default)):
             continue
         spot = tree
         for name in slot.path[:-1]:
             spot = spot.setdefault(name, {})
-        spot[slot.path[-1]] = _written(held, slot)
+        spot[slot.path[-1]] = _written(item, slot)
     return tree
 
 
-def _written(held: Any, slot: Slot) -> Any:
-    if held is not None:
+def _written(value: Any, slot: Slot) -> Any:
+    if value is not None:
         for mark in get_args(slot.hint)[1:]:
             if isinstance(mark, TableRows | Named):
-                return mark.tree(held)
-    return _in_unit(tree_of(held), slot.key.unit)
+                return mark.tree(value)
+    return _in_unit(tree_of(value), slot.key.unit)
 
 
-def _in_unit(held: Any, unit: float) -> Any:
+def _in_unit(value: Any, unit: float) -> Any:
     """Convert numbers to the unit of the file, with the fewest digits that read back the same."""
-    if unit == 1.0 or held is None:
-        return held
-    if isinstance(held, list):
-        return [_in_unit(item, unit) for item in held]
-    short = (float(f"{held / unit:.{digits}g}") for digits in range(12, 18))
-    return next((number for number in short if number * unit == held), held / unit)
+    if unit == 1.0 or value is None:
+        return value
+    if isinstance(value, list):
+        return [_in_unit(item, unit) for item in value]
+    short = (float(f"{value / unit:.{digits}g}") for digits in range(12, 18))
+    return next((number for number in short if number * unit == value), value / unit)
 
 
 # ---- files
@@ -520,12 +522,12 @@ def toml_text(tree: Tree) -> str:
 
     tree = _stated(tree)
     several = {
-        name: held for name, held in tree.items() if isinstance(held, list) and held and isinstance(held[0], dict)
+        name: rows for name, rows in tree.items() if isinstance(rows, list) and rows and isinstance(rows[0], dict)
     }
-    parts = [_laid_out(tomli_w.dumps({name: held for name, held in tree.items() if name not in several}))]
+    parts = [_laid_out(tomli_w.dumps({name: rows for name, rows in tree.items() if name not in several}))]
     for name, tables in several.items():
         parts += [toml_block(name, table) for table in tables]
-    return "\n".join(part for part in parts if part)
+    return "\n".join(block for block in parts if block)
 
 
 def toml_block(name: str, table: Tree) -> str:
@@ -543,7 +545,7 @@ def _laid_out(text: str) -> str:
 
 
 def _stated(tree: Tree) -> Tree:
-    return {name: _stated(held) if isinstance(held, dict) else held for name, held in tree.items() if held is not None}
+    return {name: _stated(item) if isinstance(item, dict) else item for name, item in tree.items() if item is not None}
 
 
 def schema_of(cls: type) -> Tree:
@@ -556,7 +558,7 @@ def schema_of(cls: type) -> Tree:
 
 def line_of(text: str, place: tuple[Any, ...]) -> int:
     """Return the line of an entry in a TOML text."""
-    lines, start, keys = text.splitlines(), -1, [part for part in place if isinstance(part, str)]
+    lines, start, keys = text.splitlines(), -1, [name for name in place if isinstance(name, str)]
     wanted, listed = (place[1], 1) if len(place) > 1 and isinstance(place[1], int) else (0, 2)
     for depth in range(min(listed, len(keys)), 0, -1):  # [a.b], or [a]
         head = rf"^\s*\[+\s*{re.escape('.'.join(keys[:depth]))}\s*\]+"
@@ -576,12 +578,12 @@ def line_of(text: str, place: tuple[Any, ...]) -> int:
 def entry_name(place: tuple[Any, ...]) -> str:
     """Return an entry's name for a message: "[[turn]] 2, angle_deg"."""
     parts: list[str] = []
-    for k, part in enumerate(place):
-        if isinstance(part, int):
+    for k, step in enumerate(place):
+        if isinstance(step, int):
             continue
         follows = place[k + 1] if k + 1 < len(place) else None
         number = f" {follows + 1}" if isinstance(follows, int) else ""
         parts.append(
-            (f"[[{part}]]" if number and k == 0 else f"[{part}]" if k == 0 and len(place) > 1 else part) + number
+            (f"[[{step}]]" if number and k == 0 else f"[{step}]" if k == 0 and len(place) > 1 else step) + number
         )
     return ", ".join(parts)

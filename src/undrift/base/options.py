@@ -39,17 +39,17 @@ def verb(function: Callable[..., Value]) -> Callable[..., Value]:
     """Make a command callable from Python like from the command line: files by name, fields of settings as keywords."""
 
     @wraps(function)
-    def called(*given: Any, **stated: Any) -> Value:
+    def called(*given: Any, **keywords: Any) -> Value:
         hints = get_type_hints(function)
         for name, hint in hints.items():
-            if name != "return" and is_dataclass(hint) and name not in stated:
+            if name != "return" and is_dataclass(hint) and name not in keywords:
                 kinds = get_type_hints(hint)
-                own = {key: _as(kinds[key], stated.pop(key)) for key in kinds.keys() & stated.keys()}
-                stated |= {name: cast(Any, hint)(**own)} if own else {}
-        each = (
-            one if isinstance(one, list | tuple) else (one,) for one in given
+                settings = {key: _as(kinds[key], keywords.pop(key)) for key in kinds.keys() & keywords.keys()}
+                keywords |= {name: cast(Any, hint)(**settings)} if settings else {}
+        positionals = (
+            item if isinstance(item, list | tuple) else (item,) for item in given
         )  # accept a list as well as several names
-        call = signature(function).bind(*chain.from_iterable(each), **stated)
+        call = signature(function).bind(*chain.from_iterable(positionals), **keywords)
         call.arguments.update({name: _as(hints[name], value) for name, value in call.arguments.items()})
         return function(*call.args, **call.kwargs)
 
@@ -65,8 +65,8 @@ def _as(hint: Any, value: Any) -> Any:
 
 def stated(**values: object) -> tuple[object, ...]:
     """Return options as arguments of a command, without options that are None or ""."""
-    known = {name: value for name, value in values.items() if value not in (None, "")}
-    return tuple(word for name, value in known.items() for word in (f"--{name.replace('_', '-')}", value))
+    options = {name: value for name, value in values.items() if value not in (None, "")}
+    return tuple(word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value))
 
 
 def asked(label: str, value: str = "", **how: Any) -> Any:

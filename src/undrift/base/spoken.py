@@ -26,8 +26,8 @@ def option_of(name: str) -> str:
 
 def spoken(text: str) -> str:
     """Replace parameters of the running command in a text by their options. Other words in back-ticks do not change."""
-    known = NAMED.get()
-    return _ARGUMENT.sub(lambda m: option_of(m[1]) if {m[1], OPTIONS.get(m[1])} & known else m[0], text)
+    option_names = NAMED.get()
+    return _ARGUMENT.sub(lambda m: option_of(m[1]) if {m[1], OPTIONS.get(m[1])} & option_names else m[0], text)
 
 
 def spoken_template(template: str) -> str:

@@ -49,8 +49,8 @@ def sentence(text: str) -> str:
     """Return a text with a capital first letter, unless its first word is a name: a command, a serial number, a file, an option."""
     first, _, rest = text.partition(" ")
     word = first.rstrip(",.:;")
-    named = word == "undrift" or rest.startswith("--") or not (word.isalpha() and word.islower())
-    return text if named else text[:1].upper() + text[1:]
+    literal = word == "undrift" or rest.startswith("--") or not (word.isalpha() and word.islower())
+    return text if literal else text[:1].upper() + text[1:]
 
 
 def without_signed_zeros(text: str) -> str:
@@ -171,9 +171,9 @@ class Summary(Result):
 
 def today() -> str:
     """Return the date of a page, ISO 8601, UTC. The environment variable SOURCE_DATE_EPOCH (s since 1970) overrides it."""
-    stated = os.environ.get("SOURCE_DATE_EPOCH", "")
-    made = datetime.fromtimestamp(int(stated), UTC) if stated.isdigit() else datetime.now(UTC)
-    return made.isoformat(timespec="seconds")
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    moment = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return moment.isoformat(timespec="seconds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,8 +192,8 @@ class Shown:
 
     def plot(self) -> Picture:
         """Draw the value as a matplotlib Figure: a notebook shows it, ``savefig`` writes it."""
-        drawn: Picture = at(DRAWN_BY[type(self).__name__])(self)
-        return drawn
+        picture: Picture = at(DRAWN_BY[type(self).__name__])(self)
+        return picture
 
     def _rows(self) -> dict[str, str]:
         """Return the rows of the table: what, and its value with unit."""
@@ -201,8 +201,10 @@ class Shown:
 
     def __str__(self) -> str:
         if place := SUMMARISED_BY.get(type(self).__name__):
-            made: Summary = at(place)(self)
-            return f"{made.title}: {made.answer}" + (f"\nverdict {made.verdict.status}" if made.verdict else "")
+            summary: Summary = at(place)(self)
+            return f"{summary.title}: {summary.answer}" + (
+                f"\nverdict {summary.verdict.status}" if summary.verdict else ""
+            )
         return "\n".join([type(self).__name__, *(f"  {name}: {value}" for name, value in self._rows().items())])
 
     def _repr_html_(self) -> str:
@@ -277,15 +279,15 @@ def plain(value: object) -> Plain:
 
 def findings_of(value: Mapping[str, object]) -> list[object]:
     """Return the findings of the parts of an answer: of its trials, or tasks."""
-    lists = [held for held in value.values() if isinstance(held, list)]
-    parts = [part for held in lists for part in held if isinstance(part, Mapping)]
-    return [item for part in parts for item in part.get("findings", ())]
+    lists = [rows for rows in value.values() if isinstance(rows, list)]
+    parts = [row for rows in lists for row in rows if isinstance(row, Mapping)]
+    return [item for row in parts for item in row.get("findings", ())]
 
 
 def as_html(summary: Summary) -> str:
     """Return a summary as a part of a notebook: answer, tables, verdict with its first findings."""
     parts = [f"<h4>{escape(summary.title)}</h4><p>{escape(summary.answer)}</p>"]
-    for section in (one for one in summary.sections if one.folded is not True and one.on != "page"):
+    for section in (entry for entry in summary.sections if entry.folded is not True and entry.on != "page"):
         head = "".join(f"<th>{escape(name)}</th>" for name in section.columns)
         body = ("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in section.rows)
         if section.rows:

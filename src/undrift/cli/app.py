@@ -51,14 +51,14 @@ COMMANDS = {  # one line of 80 columns each
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     _stop_on_signals()
-    words = sys.argv[1:] if arguments is None else arguments
+    argv = sys.argv[1:] if arguments is None else arguments
     try:
-        code = copy_context().run(_called, words)  # the arguments of this call are visible only in this context
+        code = copy_context().run(_called, argv)  # the arguments of this call are visible only in this context
     except KeyboardInterrupt as error:
         with suppress(KeyboardInterrupt):  # a second one
             _ignore_signals()
         _ignore_signals()  # one more would spoil the message or the exit code
-        code = _refuse(words, error, STOPPED, code=INTERRUPTED)
+        code = _refuse(argv, error, STOPPED, code=INTERRUPTED)
     sys.exit(code)
 
 
@@ -125,9 +125,9 @@ def _called(arguments: Sequence[str]) -> int:
 def _check_names(arguments: Sequence[str]) -> None:
     """Refuse a name that is not UTF-8: no page, JSON or calibration could state it."""
     for word in arguments:
-        shown = word.encode("utf-8", "backslashreplace").decode()
-        if "\\udc" in shown and "\\udc" not in word:
-            raise InputError(f"{shown}: the name is not valid UTF-8. Rename the file or folder.")
+        printable = word.encode("utf-8", "backslashreplace").decode()
+        if "\\udc" in printable and "\\udc" not in word:
+            raise InputError(f"{printable}: the name is not valid UTF-8. Rename the file or folder.")
 
 
 def _formatter() -> "HelpFormatter":
@@ -188,8 +188,8 @@ def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: 
         from undrift.base.spoken import spoken
         from undrift.cli.common import write_json
 
-        words = [word for word in arguments[:2] if word.isidentifier()]
-        command = " ".join(words if words[:1] in ([group] for group in commands.GROUPS) else words[:1])
+        names = [word for word in arguments[:2] if word.isidentifier()]
+        command = " ".join(names if names[:1] in ([group] for group in commands.GROUPS) else names[:1])
         with suppress(OSError):  # the output is closed, or its disk is full
             write_json({}, command, error={"kind": type(error).__name__, "text": spoken(" ".join(text.split()))})
     return complain(text, code=code)

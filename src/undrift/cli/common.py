@@ -77,8 +77,8 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
 def _print(*lines: str, err: bool = False, style: str = "") -> None:
     out = console(err=err)
     for line in (line for text in lines for line in text.split("\n")):
-        for part in [line] if out.soft_wrap else _wrapped(line, out.width):
-            out.print(part, markup=False, soft_wrap=True, style=style)
+        for segment in [line] if out.soft_wrap else _wrapped(line, out.width):
+            out.print(segment, markup=False, soft_wrap=True, style=style)
 
 
 class Terminal(Screen):
@@ -95,7 +95,7 @@ class Terminal(Screen):
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
         if sys.stderr.isatty():
             width = console(err=True).width - 1
-            lines = [_wrapped(one, width, max_lines=1, placeholder=" …")[0] for one in line.split("\n")]
+            lines = [_wrapped(row, width, max_lines=1, placeholder=" …")[0] for row in line.split("\n")]
             above = f"\x1b[{self._lines - 1}A" if self._lines > 1 else ""
             sys.stderr.write(f"\r{above}\x1b[J" + "\n".join(lines) + "\n" * last)
             sys.stderr.flush()
@@ -166,13 +166,13 @@ class ProgressBar:
         self._bar.update(self._task, description=self._what, completed=share)
 
     def _tell(self) -> None:
-        stated = os.environ.get(SAID_EVERY, "")
-        while not self._stop.wait(float(stated) if stated.replace(".", "", 1).isdigit() else SAID_EVERY_S):
+        interval = os.environ.get(SAID_EVERY, "")
+        while not self._stop.wait(float(interval) if interval.replace(".", "", 1).isdigit() else SAID_EVERY_S):
             passed_s, share = time.monotonic() - self._began_s, self._share
-            left = "time left not known yet"
+            remaining = "time left not known yet"
             if share > 0.0:
-                left = f"about {passed_s * (1.0 - share) / share:.0f} s left ({100.0 * share:.0f} %)"
-            sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {left}\n")
+                remaining = f"about {passed_s * (1.0 - share) / share:.0f} s left ({100.0 * share:.0f} %)"
+            sys.stderr.write(f"undrift {self._command}: {self._what}, {passed_s:.0f} s so far, {remaining}\n")
             sys.stderr.flush()
 
 
@@ -184,24 +184,24 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
     """
     from rich.cells import cell_len, set_cell_size
 
-    out, held = console(), list(rows)
+    out, cell_rows = console(), list(rows)
     say(title, style="table.title")
     for gap, parted in ((3, " ("), (1, " ("), (1, " ")):
         names = [head.replace(parted, f"\n{parted[1:]}").split("\n") for head in heads]
         tops = [*zip_longest(*map(reversed, names), fillvalue="")][::-1]
-        wide = [max(map(cell_len, column)) for column in zip(*tops, *held, strict=True)]
+        wide = [max(map(cell_len, column)) for column in zip(*tops, *cell_rows, strict=True)]
         rule = "─" * (sum(wide) + gap * (len(wide) - 1))
         if len(rule) + 2 <= out.width:
             break
     else:
-        return _print(*(_stacked(heads, row) for row in held))
+        return _print(*(_stacked(heads, row) for row in cell_rows))
 
     def laid(cells: Sequence[str]) -> str:
         placed = (" " * (most - cell_len(cell)) + cell for cell, most in zip(cells[1:], wide[1:], strict=True))
         return " " + (" " * gap).join((set_cell_size(cells[0], wide[0]), *placed)) + " "
 
     out.print("", *map(laid, tops), sep="\n", markup=False, soft_wrap=True, style="table.header")
-    return out.print(f" {rule} ", *map(laid, held), "", sep="\n", markup=False, soft_wrap=True)
+    return out.print(f" {rule} ", *map(laid, cell_rows), "", sep="\n", markup=False, soft_wrap=True)
 
 
 def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
@@ -231,10 +231,10 @@ def write_json(value: Mapping[str, object], command: str, *, error: Mapping[str,
     verdict = value.get("verdict")
     judged = verdict.get("findings", ()) if isinstance(verdict, Mapping) else ()
     findings = value.get("findings", [*judged, *findings_of(value)])
-    own = {key: item for key, item in value.items() if key not in ENVELOPE}
+    values = {key: item for key, item in value.items() if key not in ENVELOPE}
     head = {"kind": value.get("kind", kind), "format": value.get("format", 1), "version": __version__}
-    rest = {"verdict": verdict, "findings": findings, "result": None if error else own, "error": error}
-    sys.stdout.write(json.dumps(plain(head | own | rest), ensure_ascii=False, allow_nan=False) + "\n")
+    rest = {"verdict": verdict, "findings": findings, "result": None if error else values, "error": error}
+    sys.stdout.write(json.dumps(plain(head | values | rest), ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def show_verdict(verdict: "Verdict", heading: str, *, details: bool) -> None:
@@ -247,11 +247,11 @@ def show_verdict(verdict: "Verdict", heading: str, *, details: bool) -> None:
 def show_findings(findings: Iterable[Finding], *, details: bool) -> None:
     """Show the three most consequential findings, or all of them with details."""
     texts = [(item.headline, item.detail, item.action) for item in most_consequential_first(findings)]
-    shown = texts if details else texts[:SHOWN_FIRST]
-    for headline, detail, action in shown:
+    visible = texts if details else texts[:SHOWN_FIRST]
+    for headline, detail, action in visible:
         say(f"  - {headline}", *([f"    {detail}"] if detail else []), *([f"    -> {action}"] if action else []))
-    if len(texts) > len(shown):
-        say(f"  {len(texts) - len(shown)} more: --details")
+    if len(texts) > len(visible):
+        say(f"  {len(texts) - len(visible)} more: --details")
 
 
 def show(summary: "Summary", *, details: bool) -> None:
@@ -263,7 +263,7 @@ def show(summary: "Summary", *, details: bool) -> None:
     if summary.verdict is not None and (details or not summary.brief or summary.verdict.status == "bad"):
         show_verdict(summary.verdict, summary.headed, details=details)
     if not summary.brief:
-        say(*(f"  warning: {one.text}" for one in summary.findings if one.level != "info"))
+        say(*(f"  warning: {warning.text}" for warning in summary.findings if warning.level != "info"))
     say(*(f"  note: {note}" for note in summary.notes), *(f"Wrote {path}" for path in summary.written if path))
     say(*summary.after)
     if summary.next:
@@ -292,11 +292,11 @@ def __getattr__(name: str) -> Callable[..., int] | App:
     module = import_module(f"undrift.commands.{name}")
     if name in VERBS:
         return command_of(name, getattr(module, name))
-    made = group(name, COMMANDS[name])
+    command_group = group(name, COMMANDS[name])
     for word, function in GROUPS[name].items():
         called = f"{name} {word}"
-        made.command(command_of(called, getattr(module, function)), name=word, help_epilogue=examples(called))
-    return made
+        command_group.command(command_of(called, getattr(module, function)), name=word, help_epilogue=examples(called))
+    return command_group
 
 
 def _fields(hint: Any) -> "tuple[Field[Any], ...]":
@@ -309,11 +309,11 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     """Return a command of the command line with the parameters of the verb and of the display. It returns the exit
     code.
     """
-    hints, given = get_type_hints(verb, include_extras=True), inspect.signature(verb).parameters
-    own = {key for key in given if hints[key] in (Progress, Screen)}
-    names = {name for key in given for name in (key, *(one.name for one in _fields(hints[key])))}
-    kept = [one.replace(annotation=hints[key]) for key, one in given.items() if key not in own]
-    read = [one.name for one in kept if WRITTEN not in getattr(one.annotation, "__metadata__", ())]
+    hints, parameters = get_type_hints(verb, include_extras=True), inspect.signature(verb).parameters
+    injected = {key for key in parameters if hints[key] in (Progress, Screen)}
+    names = {name for key in parameters for name in (key, *(field.name for field in _fields(hints[key])))}
+    options = [field.replace(annotation=hints[key]) for key, field in parameters.items() if key not in injected]
+    read = [field.name for field in options if WRITTEN not in getattr(field.annotation, "__metadata__", ())]
 
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
         NAMED.set(frozenset(names) | {"reference_map"})  # info also sends people to validate
@@ -321,7 +321,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         check_report(report, reads=files)
         origin = None if report is None else origin_of(*files)  # before the command, which may overwrite its input
         with ExitStack() as stack:
-            result = verb(*words, **more, **{key: stack.enter_context(SHOWN_BY[hints[key]](name)) for key in own})
+            result = verb(*words, **more, **{key: stack.enter_context(SHOWN_BY[hints[key]](name)) for key in injected})
         with ExitStack() as stack:
             lasting = result if isinstance(result, AbstractContextManager) else None  # goes on until Ctrl-C
             if lasting is not None:
@@ -331,8 +331,8 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
             if report is not None and origin is not None:
                 from undrift.report.page import write_page
 
-                made = origin_of(*summary.sources).inputs
-                write_page(report, summary, replace(origin, inputs=(*origin.inputs, *made)))
+                output_files = origin_of(*summary.sources).inputs
+                write_page(report, summary, replace(origin, inputs=(*origin.inputs, *output_files)))
             if json:
                 write_json(summary.data, name)
             else:
@@ -349,6 +349,6 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
         for key, (hint, value) in OWN.items()
     ]
     command.__name__, command.__doc__ = verb.__name__, verb.__doc__
-    command.__annotations__ = {one.name: one.annotation for one in (*kept, *added)}
-    command.__signature__ = inspect.Signature([*kept, *added])  # type: ignore[attr-defined]
+    command.__annotations__ = {field.name: field.annotation for field in (*options, *added)}
+    command.__signature__ = inspect.Signature([*options, *added])  # type: ignore[attr-defined]
     return command

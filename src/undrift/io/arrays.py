@@ -39,17 +39,19 @@ def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]
             raise InputError(f"{path}: expected array {column!r}, got {listed}. Check the mapping.")
     rows = {str(column): lengths[str(column)] for column in wanted}
     if len(set(rows.values())) != 1:
-        shown = ", ".join(f"{name} {count}" for name, count in rows.items())
+        row_counts = ", ".join(f"{name} {count}" for name, count in rows.items())
         raise InputError(
-            f"{path}: expected arrays of one length, got {shown} rows. Read arrays with different "
+            f"{path}: expected arrays of one length, got {row_counts} rows. Read arrays with different "
             f"clocks into separate records."
         )
     length = next(iter(rows.values()))
-    found: dict[str, NDArray[Any]] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for name, array in arrays:
         if array.ndim in (1, 2) and len(array) == length:
-            found |= {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
-    return RawTable(source=str(path), names=tuple(found), columns=tuple(found.values()))
+            columns |= (
+                {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
+            )
+    return RawTable(source=str(path), names=tuple(columns), columns=tuple(columns.values()))
 
 
 def parse_mat(path: Path, **_: Any) -> Parsed:

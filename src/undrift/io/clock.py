@@ -96,21 +96,21 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
             f"clock: expected increasing time stamps, got {stamps[row - 1]:.9g} s then {stamps[row]:.9g} s in data row {row + 1}. "
             "Set repair_time = true to drop such rows."
         )
-    own = stamps - stamps[0]
-    number = np.arange(len(own)) if counter is None else unwrapped(counter)
-    width = _width(own)
-    step = _rough_step(own, number, width)
+    elapsed = stamps - stamps[0]
+    number = np.arange(len(elapsed)) if counter is None else unwrapped(counter)
+    width = _width(elapsed)
+    step = _rough_step(elapsed, number, width)
     for count in range(_ROUNDS if counter is None else 0):
-        up, step = _steps_up(own, number, step, width)
-        found = _losses(own, up, step, _SEEN if count else _SURE)
+        up, step = _steps_up(elapsed, number, step, width)
+        new_losses = _losses(elapsed, up, step, _SEEN if count else _SURE)
         gone = np.diff(number) - 1
         over = (gone > 0) & (up < -_SEEN * step)  # too many were taken out there
-        found[over] = np.maximum(np.rint(up[over] / step).astype(np.int64), -gone[over])
-        number = number + np.concatenate(([0], np.cumsum(found)))
-        if count and not found.any():
+        new_losses[over] = np.maximum(np.rint(up[over] / step).astype(np.int64), -gone[over])
+        number = number + np.concatenate(([0], np.cumsum(new_losses)))
+        if count and not new_losses.any():
             break
-    step, start = _line(own, number, step, width)
-    delay = own - start - step * number
+    step, start = _line(elapsed, number, step, width)
+    delay = elapsed - start - step * number
     lost = np.diff(number) - 1
     if lost.sum() > _LONGEST_LOSS * number[-1]:
         raise InputError(
@@ -128,37 +128,37 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
     )
 
 
-def _width(own: FloatArray) -> int:
+def _width(elapsed: FloatArray) -> int:
     """Return how many samples hold several bursts, so that one of them came promptly."""
-    steps = np.diff(own)
-    return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 10, len(own) // 8))
+    steps = np.diff(elapsed)
+    return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 10, len(elapsed) // 8))
 
 
-def _rough_step(own: FloatArray, number: IntArray, width: int) -> float:
+def _rough_step(elapsed: FloatArray, number: IntArray, width: int) -> float:
     """Return the median time per sample over some bursts: drop-outs touch few of them."""
-    return float(np.median((own[width:] - own[:-width]) / (number[width:] - number[:-width])))
+    return float(np.median((elapsed[width:] - elapsed[:-width]) / (number[width:] - number[:-width])))
 
 
-def _steps_up(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[FloatArray, float]:
+def _steps_up(elapsed: FloatArray, number: IntArray, step: float, width: int) -> tuple[FloatArray, float]:
     """Return the rise of the least delay of ``width`` samples from before to after each sample (N - 1,), s, and a
     better step.
 
     The median is robust, because most samples have no loss near them.
     """
-    up = np.zeros(len(own) - 1)
+    up = np.zeros(len(elapsed) - 1)
     for _ in range(_SLOPES):
-        lowest = np.lib.stride_tricks.sliding_window_view(own - step * number, width).min(axis=1)
+        lowest = np.lib.stride_tricks.sliding_window_view(elapsed - step * number, width).min(axis=1)
         inner = lowest[width:] - lowest[:-width]
         wrong = float(np.median(inner))
         step += wrong / width
-    up[width - 1 : len(own) - width] = inner - wrong
+    up[width - 1 : len(elapsed) - width] = inner - wrong
     return up, step
 
 
-def _line(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[float, float]:
+def _line(elapsed: FloatArray, number: IntArray, step: float, width: int) -> tuple[float, float]:
     """Return step and start, s, of the line below the least delays of up to a hundred stretches."""
-    edges = np.linspace(0, len(own), int(np.clip(len(own) // width, 4, _STRETCHES)) + 1).astype(np.int64)
-    delay = own - step * number
+    edges = np.linspace(0, len(elapsed), int(np.clip(len(elapsed) // width, 4, _STRETCHES)) + 1).astype(np.int64)
+    delay = elapsed - step * number
     hull = list[Point]()
     for low, high in pairwise(edges.tolist()):
         least = low + int(delay[low:high].argmin())
@@ -167,11 +167,11 @@ def _line(own: FloatArray, number: IntArray, step: float, width: int) -> tuple[f
     return step + slope, min(y - slope * x for x, y in hull)
 
 
-def _losses(own: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:
+def _losses(elapsed: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:
     """Return the samples lost between neighbours (N - 1,): where the least delay steps up and stays."""
     lost = np.zeros(len(up), np.int64)
     for first, last in runs(up > least * step).tolist():
-        at = first + int(np.diff(own)[first:last].argmax())
+        at = first + int(np.diff(elapsed)[first:last].argmax())
         lost[at] = round(float(up[at]) / step)  # further on, a second loss may add to it
     return lost
 
@@ -204,14 +204,14 @@ def host_stamps(stamps: FloatArray) -> HostStamps | None:
     if low > _UNEVEN[0] * mean and high < _UNEVEN[1] * mean:
         return None
     over = np.quantile(stamps[_SPAN:] - stamps[:-_SPAN], (0.1, 0.9))  # drop-outs lie beyond
-    apart = float(steps[steps <= np.quantile(steps, 0.99)].var())
-    if (float(np.ptp(over)) / _NORMAL) ** 2 > _CATCHES_UP * _SPAN * apart:
+    step_variance = float(steps[steps <= np.quantile(steps, 0.99)].var())
+    if (float(np.ptp(over)) / _NORMAL) ** 2 > _CATCHES_UP * _SPAN * step_variance:
         return None
     try:
-        found = fit_clock(stamps)
+        fit = fit_clock(stamps)
     except InputError:
         return None
-    return HostStamps(low_ms=1e3 * float(low), high_ms=1e3 * float(high), fit=found)
+    return HostStamps(low_ms=1e3 * float(low), high_ms=1e3 * float(high), fit=fit)
 
 
 # ---- counters
@@ -251,14 +251,16 @@ def unwrapped(counter: FloatArray) -> IntArray:
     return np.concatenate(([0], np.cumsum(steps // usual)))
 
 
-def onto_clock(time: FloatArray, own: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:
+def onto_clock(time: FloatArray, source_time: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:
     """Interpolate readings (M, K) at times ``own`` (M,) onto ``time`` (N,), and return how many samples are gaps.
 
     A sample is a gap (NaN) if its two neighbours are more than 1.5 usual steps apart: nothing was read there.
     """
-    out = np.stack([np.interp(time, own, column) for column in values.T], axis=1)
-    steps = np.diff(own)
-    after = np.clip(np.searchsorted(own, time), 1, len(steps))
-    inside = (steps[after - 1] > _GAP * np.median(steps)) & (time > own[after - 1]) & (time < own[after])
+    out = np.stack([np.interp(time, source_time, column) for column in values.T], axis=1)
+    steps = np.diff(source_time)
+    after = np.clip(np.searchsorted(source_time, time), 1, len(steps))
+    inside = (
+        (steps[after - 1] > _GAP * np.median(steps)) & (time > source_time[after - 1]) & (time < source_time[after])
+    )
     out[inside] = np.nan
     return out, int(inside.sum())

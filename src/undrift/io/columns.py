@@ -118,11 +118,11 @@ class ColumnMap:
             )
         for channel in CHANNELS:
             self._check_channel(channel)
-        for one, other in itertools.combinations(CHANNELS, 2):
-            both = [column for column in self.columns_of(one) if column in self.columns_of(other)]
+        for first, other in itertools.combinations(CHANNELS, 2):
+            both = [column for column in self.columns_of(first) if column in self.columns_of(other)]
             if both:
                 raise InputError(
-                    f"columns: expected other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
+                    f"columns: expected other columns for {_SENSOR[first]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
                     "both. Name each column once."
                 )
         if self.time is None and self.sample_rate_hz is None:
@@ -233,40 +233,40 @@ def naming(source: str | Path) -> Iterator[None]:
 
 def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: str = "") -> ColumnMap:
     """Return the map of a file that uses undrift's own column names."""
-    held: dict[str, Any] = {"time": "time_s" if "time_s" in names else None, "time_unit": "s"}
+    columns: dict[str, Any] = {"time": "time_s" if "time_s" in names else None, "time_unit": "s"}
     with naming(source):
         for channel, suffixes in NATIVE.items():
-            held[channel], held[f"{channel}_unit"] = _native_triple(names, channel, suffixes)
-        if held["gyro"] is None and held["accel"] is None:
-            shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
-            more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
+            columns[channel], columns[f"{channel}_unit"] = _native_triple(names, channel, suffixes)
+        if columns["gyro"] is None and columns["accel"] is None:
+            listing = ", ".join(repr(name) for name in names[:12]) or "no columns"
+            remainder = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
-                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}. Run undrift info "
+                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {listing}{remainder}. Run undrift info "
                 f"FILE "
                 "--write-map map.toml to propose a map, and name the map with `column_map`."
             )
-        held["temp"], held["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
+        columns["temp"], columns["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
         rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
         clock = settings.clock or "file"
-        return ColumnMap(**held, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
+        return ColumnMap(**columns, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
 
 
-def stated(columns: ColumnMap, held: Mapping[str, Any], otherwise: str) -> ColumnMap:
+def stated(columns: ColumnMap, marks: Mapping[str, Any], otherwise: str) -> ColumnMap:
     """Return a map with the frame, state and device that undrift stored next to a table. Raise an error if there are
     none.
     """
     frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
-    frame, state, device = (held.get(key, "") for key in ("frame", "state", "device"))
+    frame, state, device = (marks.get(key, "") for key in ("frame", "state", "device"))
     try:
-        force = ForceUncertainty(**held["accel_uncertainty"]) if held.get("accel_uncertainty") else None
+        force = ForceUncertainty(**marks["accel_uncertainty"]) if marks.get("accel_uncertainty") else None
     except (TypeError, InputError) as error:
         raise FileFormatError(f"{otherwise}. Write the file again.") from error
-    rate = held.get("offset_uncertainty")
+    rate = marks.get("offset_uncertainty")
     known_rate = rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)
     if frame not in frames or state not in states or not isinstance(device, str) or not known_rate:
         raise FileFormatError(f"{otherwise}. Write the file again.")
-    known: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
-    return replace(columns, frame=frames[frame], state=states[state], device=device, **known)
+    uncertainties: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
+    return replace(columns, frame=frames[frame], state=states[state], device=device, **uncertainties)
 
 
 def marks_of(record: Record) -> dict[str, Any]:
@@ -288,7 +288,7 @@ def is_native(names: Names) -> bool:
 
 
 def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tuple[tuple[Column, ...] | None, str]:
-    found: list[tuple[tuple[Column, ...], str]] = []
+    triples: list[tuple[tuple[Column, ...], str]] = []
     for unit, suffix in suffixes.items():
         triple = tuple(f"{channel}_{axis}_{suffix}" for axis in AXES)
         here = [name for name in triple if name in names]
@@ -297,12 +297,12 @@ def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tupl
                 f"columns: expected {', '.join(triple)}, got only {', '.join(here)}. Add the missing axes or map the columns."
             )
         if here:
-            found.append((triple, unit))
-    if len(found) > 1:
+            triples.append((triple, unit))
+    if len(triples) > 1:
         raise InputError(
-            f"columns: expected {channel} in one unit, got {found[0][1]} and {found[1][1]}. Map the columns to use."
+            f"columns: expected {channel} in one unit, got {triples[0][1]} and {triples[1][1]}. Map the columns to use."
         )
-    return found[0] if found else (None, "")
+    return triples[0] if triples else (None, "")
 
 
 # ---- a table of named columns
@@ -424,12 +424,12 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
     hits = hits or [i for i, name in enumerate(names) if name.strip() == column.strip()]
     if len(hits) == 1:
         return hits[0]
-    held = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
+    listing = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
     if hits:
         raise InputError(
             f"{source}: expected one column {column!r}, got {len(hits)}. Map the column by its position from 0."
         )
-    raise InputError(f"{source}: expected column {column!r}, got {held or 'no columns'}. Check the mapping.")
+    raise InputError(f"{source}: expected column {column!r}, got {listing or 'no columns'}. Check the mapping.")
 
 
 # ---- from a table and a map to a Record
@@ -472,8 +472,8 @@ def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
     clock = _regular(table, time, keep, columns) if fitted else None
     time = time if clock is None else clock.time
     _check_rate(table, time, columns)
-    for one in (time, *values.values()):
-        one.flags.writeable = False  # a record takes them as they are
+    for array in (time, *values.values()):
+        array.flags.writeable = False  # a record takes them as they are
     temp = values.get("temp")
     record = Record(
         time=time,
@@ -525,13 +525,13 @@ def build(
     notes, time = tuple(notes), np.asarray(time, dtype=np.float64)
     if len(time) and time[0] > EPOCH_S:
         notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]
-    held, columns = {"time_s": time}, dict(more)
+    arrays, columns = {"time_s": time}, dict(more)
     for channel, (values, unit) in channels.items():
         names = (channel,) if np.ndim(values) == 1 else tuple(f"{channel} {axis}" for axis in AXES)
-        held |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
+        arrays |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
         columns |= {channel: names[0] if channel == "temp" else names, f"{channel}_unit": unit}
     columns |= {"gaps": settings.gaps or "raise", "repair_time": settings.repair_time}
-    table = RawTable(source=str(path), names=tuple(held), columns=tuple(held.values()))
+    table = RawTable(source=str(path), names=tuple(arrays), columns=tuple(arrays.values()))
     return replace(build_record(table, ColumnMap(time="time_s", time_unit="s", **columns)), notes=notes)
 
 
@@ -659,12 +659,12 @@ def _forward(table: RawTable, time: FloatArray, columns: ColumnMap) -> BoolArray
 def _check_rate(table: RawTable, time: FloatArray, columns: ColumnMap) -> None:
     if columns.time is None or len(time) < 2:
         return
-    stated = columns.sample_rate_hz
-    if stated is not None:
-        held, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
-        if min(abs(held / stated - 1.0), abs(mean / stated - 1.0)) > _RATE_AGREES:
+    nominal_hz = columns.sample_rate_hz
+    if nominal_hz is not None:
+        measured_hz, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
+        if min(abs(measured_hz / nominal_hz - 1.0), abs(mean / nominal_hz - 1.0)) > _RATE_AGREES:
             raise InputError(
-                f"{table.source}: expected the specified {stated:g} Hz, got {held:.4g} Hz from time column "
+                f"{table.source}: expected the specified {nominal_hz:g} Hz, got {measured_hz:.4g} Hz from time column "
                 f"{columns.time!r}. Correct "
                 "sample_rate_hz or units.time."
             )

@@ -46,8 +46,8 @@ def read_frame(
     device: str,
 ) -> Record:
     """Return the record in a frame, with every value checked as for a file."""
-    for what, given in (("columns", columns or {}), ("units", units)):
-        unknown = sorted(set(given) - set(CHANNELS))
+    for what, mapping in (("columns", columns or {}), ("units", units)):
+        unknown = sorted(set(mapping) - set(CHANNELS))
         if unknown:
             raise InputError(
                 f"from_frame: expected {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}. Use these names."
@@ -61,7 +61,7 @@ def read_frame(
     dated = [name for name, values in data.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
     table = RawTable(source=SOURCE, names=tuple(data), columns=tuple(_numbers(x, k in dated) for k, x in data.items()))
     if native:
-        found = native_map(table.names, ReadSettings(sample_rate_hz=sample_rate_hz, gaps=gaps), source=SOURCE)
+        column_map = native_map(table.names, ReadSettings(sample_rate_hz=sample_rate_hz, gaps=gaps), source=SOURCE)
     else:
         chosen = columns or _plain(table.names)
         stating: dict[str, Any] = {
@@ -69,13 +69,13 @@ def read_frame(
         }
         clock = {"time": "s"} if time in dated else {}
         stating |= {f"{key}_unit": unit for key, unit in {**units, **clock}.items()}
-        found = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
-    found = stated(
-        found,
+        column_map = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
+    column_map = stated(
+        column_map,
         {**marks, "device": device or marks.get("device", "")},
         f"{SOURCE}: the attrs were not written by undrift",
     )
-    return build_record(table, found).record
+    return build_record(table, column_map).record
 
 
 def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:

@@ -106,19 +106,19 @@ class Dialect(MapTable):
     def _file(self, path: Path) -> Path:
         if not path.is_dir():
             return path
-        found = sorted(path.glob(self.folder))
-        if len(found) != 1:
-            names = ", ".join(file.name for file in found) or "none there"
+        matches = sorted(path.glob(self.folder))
+        if len(matches) != 1:
+            names = ", ".join(file.name for file in matches) or "none there"
             raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
-        return found[0]
+        return matches[0]
 
     def _labelled(self, sheet: Sheet) -> Sheet:
         """Return a sheet with its labels, device and notes."""
         device, rate = (sheet.stated(pattern) if pattern else None for pattern in (self.device, self.rate))
-        in_name = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
+        name_matches = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
         sheet = replace(
             sheet,
-            device=(device or "").strip(", ") or (in_name[-1] if in_name else ""),
+            device=(device or "").strip(", ") or (name_matches[-1] if name_matches else ""),
             rate_hz=float(rate) if rate else None,
             repair_time=self.repair_time,
         )
@@ -203,7 +203,7 @@ def may_hold_poses(name: str) -> bool:
 
 def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | None, ...]:
     """Return the labels from the lines before the header. Each channel has a column of time before it."""
-    channels = {found["name"]: found for text in sheet.preamble if (found := pattern.search(text))}
+    channels = {match["name"]: match for text in sheet.preamble if (match := pattern.search(text))}
     labels: list[Label | None] = [None] * len(sheet.names)
     for k, name in enumerate(sheet.names):
         label = label_of(channels[name]["signal"], channels[name]["unit"]) if name in channels and k > 0 else None

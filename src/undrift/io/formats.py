@@ -89,8 +89,8 @@ def _is_zip_with(*names: str) -> Callable[[Path, bytes], bool]:
     def recognised(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
             return False
-        with sound(path, "zip"), zipfile.ZipFile(path) as held:
-            return not set(names).isdisjoint(held.namelist())
+        with sound(path, "zip"), zipfile.ZipFile(path) as archive:
+            return not set(names).isdisjoint(archive.namelist())
 
     return recognised
 
@@ -125,8 +125,8 @@ def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes]
     """Recognise a text that is not undrift's own."""
 
     def recognised(path: Path, head: bytes) -> bool:
-        own = is_native(_line(head, 0).replace('"', "").split(","))
-        return not own and recognise(path, head)
+        native = is_native(_line(head, 0).replace('"', "").split(","))
+        return not native and recognise(path, head)
 
     return recognised
 
@@ -245,13 +245,13 @@ FORMATS: dict[str, Format] = {
 @cache
 def outside_formats() -> Mapping[str, Format]:
     """Return the formats that other packages add."""
-    found: dict[str, Format] = {}
+    formats: dict[str, Format] = {}
     for name in names_in({}, GROUP):
         try:
-            found[name] = load_named(name, {}, GROUP, Format)
+            formats[name] = load_named(name, {}, GROUP, Format)
         except Exception as error:  # noqa: BLE001 - another package may raise anything while it is imported
             warnings.warn(f"the format {name} of another package is not used: {error}", stacklevel=2)
-    return found
+    return formats
 
 
 def _in_turn() -> Iterator[tuple[str, Format]]:
@@ -338,26 +338,26 @@ def read_counted(
             f"or omit these "
             "keys."
         )
-    held = entry.record(path, columns, settings)
-    found = held if isinstance(held, ReadResult) else ReadResult(record=held)
-    return settled(found, settings, clocked=entry.by_map)
+    content = entry.record(path, columns, settings)
+    result = content if isinstance(content, ReadResult) else ReadResult(record=content)
+    return settled(result, settings, clocked=entry.by_map)
 
 
-def settled(found: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
+def settled(result: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
     """Apply the clock, the stretches to leave out and the thermometer of the settings. Set ``clocked`` if the reader
     applied the clock.
     """
     if settings.clock == "regular" and not clocked:
-        clock = fit_clock(found.record.time)
-        found = replace(found, record=replace(found.record, time=clock.time), clock=clock)
+        clock = fit_clock(result.record.time)
+        result = replace(result, record=replace(result.record, time=clock.time), clock=clock)
     if settings.leave_out:
-        record = without(found.record, settings.leave_out)
+        record = without(result.record, settings.leave_out)
         spans = ", ".join(f"{start:g} to {stop:g} s" for start, stop in settings.leave_out)
-        found = replace(found, record=record, notes=(*found.notes, f"left out as stated: {spans}"))
+        result = replace(result, record=record, notes=(*result.notes, f"left out as stated: {spans}"))
     if settings.temp_file is None:
-        return found
+        return result
     note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
-    return replace(found, record=with_thermometer(found.record, settings.temp_file), notes=(*found.notes, note))
+    return replace(result, record=with_thermometer(result.record, settings.temp_file), notes=(*result.notes, note))
 
 
 def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:

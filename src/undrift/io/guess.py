@@ -85,15 +85,15 @@ def sniff(path: object) -> Text:
 def foreign_kind(text: Text) -> str | None:
     """Return the kind of a table that is not a recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
-    shown = ", ".join(names[:4])
+    listing = ", ".join(names[:4])
     for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
         if any(pattern.search(name) for name in names):
-            return f"{what} ({shown}, ...), not a recording of an inertial sensor"
+            return f"{what} ({listing}, ...), not a recording of an inertial sensor"
     lines = text.head.decode("utf-8", "replace").splitlines()
     first = lines[text.skip : text.skip + 2]  # one may be of units
     rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
-        return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
+        return f"a table of text ({len(names)} columns: {listing}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return (
@@ -102,7 +102,7 @@ def foreign_kind(text: Text) -> str | None:
             "positions."
         )
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
-        return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
+        return f"a magnetometer's table ({listing}), without gyroscope or accelerometer"
     return None
 
 
@@ -112,14 +112,14 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     """
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are not names
-        if found and _TURNS.search(found["stem"]):
-            parts.setdefault(found["stem"], {})[found["part"].lower()] = name
+        match = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are not names
+        if match and _TURNS.search(match["stem"]):
+            parts.setdefault(match["stem"], {})[match["part"].lower()] = name
     fours = (
-        tuple(held[part] for part in order)
-        for held in parts.values()
+        tuple(columns[axis] for axis in order)
+        for columns in parts.values()
         for order in ("wxyz", "0123")
-        if {*order} <= held.keys()
+        if {*order} <= columns.keys()
     )
     return next(fours, None)
 
@@ -148,9 +148,9 @@ def stated_layout(layout: TextLayout) -> dict[str, Any]:
     """Return what of a layout is not usual."""
     usual = TextLayout()
     return {
-        key: held
+        key: setting
         for key in ("delimiter", "decimal", "header", "skip_rows")
-        if (held := getattr(layout, key)) != getattr(usual, key)
+        if (setting := getattr(layout, key)) != getattr(usual, key)
     }
 
 
@@ -163,7 +163,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end. They are three axes
     of a quantity.
     """
-    known, found = set(names), []
+    name_set, triples = set(names), []
     for name in names:
         axes = [(match.start(), "xyz" if match.group() == "x" else "XYZ") for match in re.finditer("[xX]", name)]
         if (number := re.search(r"[A-Za-z].*[_ \[](?=[01]\]?$)", name)) is not None:
@@ -172,10 +172,10 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
         for at, marks in axes:
             triple = tuple(f"{name[:at]}{mark}{name[at + 1 :]}" for mark in marks)
             numbers = (int(marks[0]) - 1, int(marks[0]) + 3) if marks[0].isdigit() else ()
-            others = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
-            if known.issuperset(triple) and known.isdisjoint(others):
-                found.append((triple[0], triple[1], triple[2]))
-    return tuple(found)
+            numbered = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
+            if name_set.issuperset(triple) and name_set.isdisjoint(numbered):
+                triples.append((triple[0], triple[1], triple[2]))
+    return tuple(triples)
 
 
 def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
@@ -186,21 +186,21 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
     keys = _by_position(text) if text is not None and nameless else _by_name(names, text, arrays)
-    known = {channel: _unit_of(channel, value) for channel, value in keys.items()}
-    if known.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
-        known["time"] = "date"
-    proposed = proposed_units(readings, keys, known)
+    unit_by_channel = {channel: _unit_of(channel, value) for channel, value in keys.items()}
+    if unit_by_channel.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
+        unit_by_channel["time"] = "date"
+    proposed = proposed_units(readings, keys, unit_by_channel)
     columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    known |= {channel: unit for channel, (unit, _) in proposed.items()}
-    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in known.items())
+    unit_by_channel |= {channel: unit for channel, (unit, _) in proposed.items()}
+    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in unit_by_channel.items())
     why = "; ".join(f"{channel} by {why}" for channel, (_, why) in proposed.items())
     lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
     lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
     if text is not None:
-        lines += [f"{key} = {json.dumps(held)}" for key, held in stated_layout(text.layout).items()]
+        lines += [f"{key} = {json.dumps(setting)}" for key, setting in stated_layout(text.layout).items()]
         mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
-        words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
-        lines += ["drop_bad_rows = true  # the row of units"] if words and text.layout.header else []
+        has_text = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
+        lines += ["drop_bad_rows = true  # the row of units"] if has_text and text.layout.header else []
     return tuple(lines)
 
 
@@ -212,12 +212,12 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[
     quoted = threes or triples
     labels = {name: label_of(name) for name in quoted}
     bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
-    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
-    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
-        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+    is_gyro_file = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, unlabelled in (("gyro", bare if is_gyro_file else []), ("accel", [] if is_gyro_file else bare)):
+        labelled = [name for name, label in labels.items() if label is not None and label.channel == channel]
         numbered = [name for name, label in labels.items() if label is None and not name[-1].isalpha()]
-        first = _likely(channel, tuple(quoted) if threes else (*named, *numbered)) or next(
-            iter([*named, *others]), None
+        first = _likely(channel, tuple(quoted) if threes else (*labelled, *numbered)) or next(
+            iter([*labelled, *unlabelled]), None
         )
         if first is not None:
             keys[channel] = quoted[first]
@@ -238,31 +238,34 @@ def _listed(value: str) -> list[Column]:
 
 
 def proposed_units(
-    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], known: dict[str, str]
+    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], units: dict[str, str]
 ) -> dict[str, tuple[str, str]]:
     """Return proposed units of channels whose names have no unit, and the figure that suggests each."""
-    held = {channel: readings(_listed(keys[channel])) for channel in keys if known[channel] == "?"}
-    held = {channel: values for channel, values in held.items() if len(values) > 1}
-    found: dict[str, tuple[str, str]] = {}
+    samples = {channel: readings(_listed(keys[channel])) for channel in keys if units[channel] == "?"}
+    samples = {channel: values for channel, values in samples.items() if len(values) > 1}
+    proposals: dict[str, tuple[str, str]] = {}
 
     def propose(channel: str, value: float, ranges: dict[str, tuple[float, float]], what: str) -> None:
         unit = next((unit for unit, (low, high) in ranges.items() if low <= value < high), None)
         if unit is not None:
-            found[channel] = (unit, f"{what} {value:.4g}")
+            proposals[channel] = (unit, f"{what} {value:.4g}")
 
-    if "accel" in held and held["accel"].shape[1] == 3:
-        propose("accel", float(np.median(np.linalg.norm(held["accel"], axis=1))), _AT_REST, "the median |a|")
-    if "gyro" in held:
-        largest, whole = float(np.abs(held["gyro"]).max()), np.array_equal(held["gyro"], np.round(held["gyro"]))
-        if whole and (largest > _COUNTS or found.get("accel", ("", ""))[0] == "count"):
-            found["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
-        elif not whole and (largest >= _RATE["dps"][0] or _least_spread(held["gyro"]) < _SPREAD_RAD_S):
+    if "accel" in samples and samples["accel"].shape[1] == 3:
+        propose("accel", float(np.median(np.linalg.norm(samples["accel"], axis=1))), _AT_REST, "the median |a|")
+    if "gyro" in samples:
+        largest, is_integer = (
+            float(np.abs(samples["gyro"]).max()),
+            np.array_equal(samples["gyro"], np.round(samples["gyro"])),
+        )
+        if is_integer and (largest > _COUNTS or proposals.get("accel", ("", ""))[0] == "count"):
+            proposals["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
+        elif not is_integer and (largest >= _RATE["dps"][0] or _least_spread(samples["gyro"]) < _SPREAD_RAD_S):
             propose("gyro", largest, _RATE, "the largest rate")
-    if "time" in held and (step := float(np.median(np.diff(held["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
+    if "time" in samples and (step := float(np.median(np.diff(samples["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
         propose("time", step, _STEP, "the median step")
-    if "temp" in held and not np.array_equal(held["temp"], np.round(held["temp"])):
-        propose("temp", float(np.median(held["temp"])), {"degC": _TEMP_C}, "the median")
-    return found
+    if "temp" in samples and not np.array_equal(samples["temp"], np.round(samples["temp"])):
+        propose("temp", float(np.median(samples["temp"])), {"degC": _TEMP_C}, "the median")
+    return proposals
 
 
 def _least_spread(values: FloatArray) -> float:
@@ -279,8 +282,8 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
         if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
             return f"{float(np.ravel(array)[0]):g}  # by {name}"
     for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
-        if found := _STATED_RATE.search(line):
-            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+        if match := _STATED_RATE.search(line):
+            return f"{float(match.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
     return "?"
 
 
@@ -290,8 +293,8 @@ def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) 
     """
     values = arrays.get(str(columns[0]))
     if text is not None:
-        whole = text.content is None and len(text.head) < 1 << 20
-        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
+        is_complete = text.content is None and len(text.head) < 1 << 20
+        head = text.head if is_complete else text.head[: text.head.rfind(b"\n") + 1]
         try:
             rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
             table = parse_text(rows, tuple(columns))
@@ -305,10 +308,10 @@ def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) 
 
 
 def _unit_of(channel: str, names: str) -> str:
-    stated = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
-    if stated and stated[0] is not None and stated[0].unit and stated[0].gain == 1.0 and stated[0].channel == channel:
-        return stated[0].unit
-    return next((unit for unit, stated in _UNITS[channel] if re.search(stated, names, re.IGNORECASE)), "?")
+    labels = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
+    if labels and labels[0] is not None and labels[0].unit and labels[0].gain == 1.0 and labels[0].channel == channel:
+        return labels[0].unit
+    return next((unit for unit, labels in _UNITS[channel] if re.search(labels, names, re.IGNORECASE)), "?")
 
 
 def _median_length(values: FloatArray) -> tuple[float, float]:
@@ -347,10 +350,10 @@ def _by_position(text: Text) -> dict[str, str]:
     if _OF_GYRO.search(text.path.name):
         return {channel: str(columns) for channel, columns in (keys | {"gyro": threes[0]}).items()}
     lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
-    at_rest = [
+    gravity_like = [
         k for k, (length, _) in enumerate(lengths) if any(low <= length < high for low, high in _AT_REST.values())
     ]
-    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)
+    accel = min(gravity_like, key=lambda k: lengths[k][1], default=0)
     keys["accel"] = threes[accel]
     keys |= {"gyro": threes[1 - accel]} if len(threes) > 1 else {}
     return {channel: str(columns) for channel, columns in keys.items()}

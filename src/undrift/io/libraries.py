@@ -37,13 +37,13 @@ def reader(kind: str) -> Callable[[Path, ColumnMap | None, ReadSettings], ReadRe
     """Return the reader of a kind of file. For XDF, a map reads the channels of the stream by their labels."""
 
     def read(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-        found = read_isolated(path, kind, settings, mapped=columns is not None)
-        if columns is not None and found.table:
-            table = RawTable(source=str(path), names=tuple(found.table), columns=tuple(found.table.values()))
-            return replace(build_record(table, columns), notes=tuple(found.notes))
-        lost, keeps_gaps = found.about.pop("lost", 0), found.about.pop("gaps", False)
+        parsed = read_isolated(path, kind, settings, mapped=columns is not None)
+        if columns is not None and parsed.table:
+            table = RawTable(source=str(path), names=tuple(parsed.table), columns=tuple(parsed.table.values()))
+            return replace(build_record(table, columns), notes=tuple(parsed.notes))
+        lost, keeps_gaps = parsed.about.pop("lost", 0), parsed.about.pop("gaps", False)
         settings = replace(settings, gaps=settings.gaps or ("keep" if keeps_gaps else None))
-        result = build(path, found.time, found.channels, settings, found.notes, **found.about)
+        result = build(path, parsed.time, parsed.channels, settings, parsed.notes, **parsed.about)
         return replace(result, dropped_rows=result.dropped_rows + lost)
 
     return read
@@ -76,19 +76,19 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     if lines:
         raise ValueError(lines[0].splitlines()[0])
     names = [stream["info"]["name"][0] or "unnamed" for stream in streams]
-    named = {
+    by_name = {
         name if names.count(name) == 1 else f"{name}#{stream['info']['stream_id']}": stream
         for name, stream in zip(names, streams, strict=True)
     }
-    full = {n: s for n, s in named.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
-    if sensor in named and sensor not in full:
+    full = {n: s for n, s in by_name.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
+    if sensor in by_name and sensor not in full:
         raise InputError(
             f"expected a stream of readings, got text or no samples in {sensor!r}. Choose another stream with `sensor`."
         )
     name = chosen(path, "stream", tuple(full), sensor)
     info, values = full[name]["info"], np.asarray(full[name]["time_series"], dtype=np.float64)
-    listed = [held for desc in info["desc"] or [] if desc for held in desc.get("channels", []) if held]
-    described = [channel for held in listed for channel in held.get("channel", [])]
+    listed = [entry for desc in info["desc"] or [] if desc for entry in desc.get("channels", []) if entry]
+    described = [channel for entry in listed for channel in entry.get("channel", [])]
     described = described if len(described) == values.shape[1] else [{}] * values.shape[1]
     label, kind, unit = ([(c.get(key) or [""])[0] or "" for c in described] for key in ("label", "type", "unit"))
     labels = [text or str(k) for k, text in enumerate(label)]
@@ -96,22 +96,22 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     note = f"stream {name}: clocks synchronised, time stamps as recorded (not de-jittered), nominal rate {rate_hz:g} Hz"
     if mapped:
         return Parsed(table=dict(zip((*labels, "time_s"), (*values.T, time), strict=True)), notes=[note])
-    found: Channels = {}
+    channels: Channels = {}
     for channel, pattern in _CHANNEL.items():
-        at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
-        if len(at_) == (1 if channel == "temp" else 3) and all(unit[k] == unit[at_[0]] != "" for k in at_):
+        columns = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
+        if len(columns) == (1 if channel == "temp" else 3) and all(unit[k] == unit[columns[0]] != "" for k in columns):
             with contextlib.suppress(InputError):  # a unit that is not one: a map must state it
-                stated = canonical_unit(unit[at_[0]], QUANTITY[channel])  # type: ignore[index]
-                found[channel] = (values[:, at_[0]] if channel == "temp" else values[:, at_], stated)
-    if not found.keys() & {"gyro", "accel"}:
-        shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
+                unit_name = canonical_unit(unit[columns[0]], QUANTITY[channel])  # type: ignore[index]
+                channels[channel] = (values[:, columns[0]] if channel == "temp" else values[:, columns], unit_name)
+    if not channels.keys() & {"gyro", "accel"}:
+        listing = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
-            f"expected channels of {name} labelled as accelerometer or gyroscope with units, got {shown}. Name them in a "
+            f"expected channels of {name} labelled as accelerometer or gyroscope with units, got {listing}. Name them in a "
             'map (`column_map`), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
             example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
         )
-    return Parsed(time=time, channels=found, notes=[note], about={"device": name})
+    return Parsed(time=time, channels=channels, notes=[note], about={"device": name})
 
 
 _IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
@@ -130,31 +130,33 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         topics = sorted({c.topic for c in bag.connections if c.msgtype == _IMU and c.msgcount})
         topic = chosen(path, "topic", tuple(topics), sensor)
         rows = list(messages(topic, _IMU))
-        stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
-        if len(rows) < stated and not drop:
+        message_count = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
+        if len(rows) < message_count and not drop:
             raise ValueError(
-                f"{len(rows)} of {stated} messages are present. Set drop_bad_rows = true in a map to read them."
+                f"{len(rows)} of {message_count} messages are present. Set drop_bad_rows = true in a map to read them."
             )
         parent = topic.rpartition("/")[0]
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted((s, m.temperature) for t in near if len(near) == 1 for s, m in messages(t, _TEMPERATURE))
     stamps, frame = np.array([stamp for stamp, _ in rows], dtype=np.int64), str(rows[0][1].header.frame_id)
-    found = Parsed(time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, stated - len(rows))})
+    parsed = Parsed(
+        time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, message_count - len(rows))}
+    )
     how = f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
-    found.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
+    parsed.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
         if all(getattr(row, f"{name}_covariance")[0] == -1.0 for _, row in rows):
-            found.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
+            parsed.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
         else:
             vectors = [getattr(row, name) for _, row in rows]
-            found.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
-    if not found.channels:
+            parsed.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
+    if not parsed.channels:
         raise InputError(f"{path}: expected readings in {topic}, got none (covariance -1). Name another topic.")
     if slow:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
-        found.channels["temp"] = (np.interp(found.time, clock, [temp_c for _, temp_c in slow]), "degC")
-        found.notes.append(f"temperature of {min(near)}, interpolated")
-    return found
+        parsed.channels["temp"] = (np.interp(parsed.time, clock, [temp_c for _, temp_c in slow]), "degC")
+        parsed.notes.append(f"temperature of {min(near)}, interpolated")
+    return parsed
 
 
 _TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel", "sensor_selection"]
@@ -181,39 +183,39 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         """Return the time of sampling since boot, or of logging if the log does not have it, s."""
         return np.asarray(data.get("timestamp_sample", data["timestamp"]), dtype=np.float64) * 1e-6
 
-    found = Parsed(notes=["axes forward, right, down: z reads -9.8 m/s2 level and at rest"])
+    parsed = Parsed(notes=["axes forward, right, down: z reads -9.8 m/s2 level and at rest"])
     if sensor == "sensor_combined":
         data = topics["sensor_combined", 0]
-        found.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
-        found.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
+        parsed.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
+        parsed.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
         for channel, name, unit in (("gyro", "gyro_rad", "rad/s"), ("accel", "accelerometer_m_s2", "m/s2")):
-            found.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
+            parsed.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
         ids = {int(k) for (name, _), d in topics.items() if name == "sensor_selection" for k in d["gyro_device_id"]}
         gyros = {n: d for (name, n), d in topics.items() if name == "sensor_gyro" and "temperature" in d}
-        own = [n for n, d in gyros.items() if {int(k) for k in d.get("device_id", ())} == ids]
-        if len(own) == 1 and np.isfinite((slow := gyros[own[0]])["temperature"]).all():
-            found.channels["temp"] = (np.interp(found.time, clock(slow), slow["temperature"]), "degC")
-            found.notes.append(f"temperature of sensor_gyro {own[0]}, which the autopilot chose, interpolated")
-        found.about = {"device": hardware, "frame": "b", "state": "corrected"}
-        return found
+        matches = [n for n, d in gyros.items() if {int(k) for k in d.get("device_id", ())} == ids]
+        if len(matches) == 1 and np.isfinite((slow := gyros[matches[0]])["temperature"]).all():
+            parsed.channels["temp"] = (np.interp(parsed.time, clock(slow), slow["temperature"]), "degC")
+            parsed.notes.append(f"temperature of sensor_gyro {matches[0]}, which the autopilot chose, interpolated")
+        parsed.about = {"device": hardware, "frame": "b", "state": "corrected"}
+        return parsed
     both = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}
     main = both["gyro"] or both["accel"] or {}
-    found.time = clock(main)
-    found.notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
+    parsed.time = clock(main)
+    parsed.notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
     for channel, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         if (data := both[channel]) is None:
             continue
         values: FloatArray = np.stack([data[axis] for axis in "xyz"], axis=1).astype(np.float64)
-        if not np.array_equal(clock(data), found.time):
-            values, missing = onto_clock(found.time, clock(data), values)
+        if not np.array_equal(clock(data), parsed.time):
+            values, missing = onto_clock(parsed.time, clock(data), values)
             lost = f", {missing} samples in its drop-outs are gaps" if missing else ""
-            found.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
-        found.channels[channel] = (values, unit)
+            parsed.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
+        parsed.channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():
-        found.channels["temp"] = (main["temperature"], "degC")
+        parsed.channels["temp"] = (main["temperature"], "degC")
     number = int(main["device_id"][0]) if "device_id" in main else sensor
-    found.about = {"device": f"{hardware} {number}".strip(), "gaps": True}
-    return found
+    parsed.about = {"device": f"{hardware} {number}".strip(), "gaps": True}
+    return parsed
 
 
 def _nilspod(path: Path, **_: Any) -> Parsed:
@@ -232,27 +234,27 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
                 f"expected firmware that nilspodlib supports, got {version}. Export it to CSV."
             ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
-        found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
+        parsed = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
             if (stream := getattr(data, name, None)) is not None:
                 values = np.asarray(stream.data).reshape(len(counter), -1)
-                found.channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
+                parsed.channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
     start, end = struct.unpack_from("<II", content, 15)
     lasts_s, lost = (counter[-1] - counter[0]) / rate_hz, int(counter[-1] - counter[0]) + 1 - len(counter)
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
         raise ValueError(f"its header states {end - start} s, it has {lasts_s:.4g} s")
-    found.notes = [
+    parsed.notes = [
         f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
-    return found
+    return parsed
 
 
 def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the stamps of the blocks."""
-    held = library("actfast").read(str(path), lenient=drop)
-    series, about, kind = held["timeseries"], held["metadata"], held["format"]
+    content = library("actfast").read(str(path), lenient=drop)
+    series, about, kind = content["timeseries"], content["metadata"], content["format"]
     fast = series.get("high_frequency") or series["acceleration"]
     slow, stamps = series.get("low_frequency", {}), np.asarray(fast["datetime"], dtype=np.int64)
     if not len(stamps):
@@ -265,21 +267,21 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     if pages.isdigit() and len(stamps) < 300 * int(pages) and not drop:
         raise ValueError(f"samples of {pages} pages are missing. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
-    found = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])])
+    parsed = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, content["warnings"])])
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
-    found.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
-    found.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
+    parsed.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
+    parsed.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
     if "gyroscope" in fast:
-        found.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
-    if "temperature" in slow and np.ptp(found.time[[0, -1]]):
+        parsed.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
+    if "temperature" in slow and np.ptp(parsed.time[[0, -1]]):
         temp_c = np.asarray(slow["temperature"], dtype=np.float64)
-        at = found.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
-        found.channels["temp"] = (np.interp(found.time, at, temp_c), "degC")
-        found.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
+        at = parsed.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
+        parsed.channels["temp"] = (np.interp(parsed.time, at, temp_c), "degC")
+        parsed.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
     device, identity = about.get("device", {}), about.get("Device Identity", about.get("info", {}))
     number = device.get("device_id", identity.get("Device Unique Serial Code", identity.get("Serial Number", "")))
-    found.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}
-    return found
+    parsed.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}
+    return parsed
 
 
 def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:

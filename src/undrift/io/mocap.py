@@ -93,21 +93,21 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
             f"cluster: expected three different markers or more, got {', '.join(labels) or 'none'}. Name three."
         )
     points = markers.pick(labels)
-    seen: BoolArray = np.all(np.isfinite(points), axis=2)
-    whole: BoolArray = np.all(seen, axis=1)
-    if not whole.any():
-        rarest = labels[int(seen.sum(axis=0).argmin())]
+    visible: BoolArray = np.all(np.isfinite(points), axis=2)
+    complete: BoolArray = np.all(visible, axis=1)
+    if not complete.any():
+        rarest = labels[int(visible.sum(axis=0).argmin())]
         raise InputError(f"cluster: expected a frame with all of {', '.join(labels)}, got none. Omit {rarest}.")
-    template = _mean_shape(points, whole)
+    template = _mean_shape(points, complete)
     spread = np.linalg.svd(template, compute_uv=False)
     if spread[1] < _FLAT * spread[0]:
         raise InputError(
             f"cluster: expected markers that span a plane, got {', '.join(labels)} on one line. Add a marker off this line."
         )
-    turn, shift, good = _fit(points, seen, template)
-    left = points - (np.einsum("nij,kj->nki", turn, template) + shift[:, None])
-    square = np.where(seen, (left**2).sum(axis=2), 0.0).sum(axis=1)
-    residual = np.where(good, np.sqrt(square / np.maximum(seen.sum(axis=1), 1)), np.nan)
+    turn, shift, good = _fit(points, visible, template)
+    misfit = points - (np.einsum("nij,kj->nki", turn, template) + shift[:, None])
+    square = np.where(visible, (misfit**2).sum(axis=2), 0.0).sum(axis=1)
+    residual = np.where(good, np.sqrt(square / np.maximum(visible.sum(axis=1), 1)), np.nan)
     rms = float(np.sqrt(np.nanmean(residual**2)))
     q_nb = np.full((len(points), 4), np.nan)
     q_nb[good] = signed(Rotation.from_matrix(turn[good]).as_quat(scalar_first=True))
@@ -117,7 +117,7 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
         position=np.where(good[:, None], shift, np.nan),
         name=f"{markers.name} cluster {' '.join(labels)} (rigid within {1e3 * rms:.2f} mm rms)".strip(),
     )
-    return ClusterPose(reference=reference, template=template, rms=rms, visible=seen.sum(axis=1).astype(np.float64))
+    return ClusterPose(reference=reference, template=template, rms=rms, visible=visible.sum(axis=1).astype(np.float64))
 
 
 def level_from(points: FloatArray, up: Up) -> FloatArray:
@@ -160,9 +160,9 @@ def markers_of(
         return Markers(labels=unique_labels(labels), time=time, points=points, name=path.name)
 
 
-def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
+def _mean_shape(points: FloatArray, complete: BoolArray) -> FloatArray:
     """Return the cluster's average shape over the frames that show all of it, in the axes of the first of them."""
-    full = points[whole]
+    full = points[complete]
     template: FloatArray = full[0] - full[0].mean(axis=0)
     all_seen = np.ones(full.shape[:2], dtype=np.bool_)
     for _ in range(_ROUNDS):
@@ -178,11 +178,11 @@ def _mean_shape(points: FloatArray, whole: BoolArray) -> FloatArray:
     return template
 
 
-def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _fit(points: FloatArray, visible: BoolArray, template: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return rotation (N, 3, 3), position (N, 3) and whether there is one (N,), of the template in each frame."""
-    weight = seen.astype(np.float64)[..., None]
+    weight = visible.astype(np.float64)[..., None]
     count = np.maximum(weight.sum(axis=1), 1.0)
-    x = np.where(seen[..., None], points, 0.0)
+    x = np.where(visible[..., None], points, 0.0)
     centre_x = x.sum(axis=1) / count
     centre_c = (weight * template).sum(axis=1) / count
     c = weight * (template - centre_c[:, None])
@@ -190,7 +190,7 @@ def _fit(points: FloatArray, seen: BoolArray, template: FloatArray) -> tuple[Flo
     sign = np.ones((len(points), 3))
     sign[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
     turn = (u * sign[:, None]) @ vt
-    good = (seen.sum(axis=1) >= 3) & (s[:, 1] > _FLAT**2 * s[:, 0])
+    good = (visible.sum(axis=1) >= 3) & (s[:, 1] > _FLAT**2 * s[:, 0])
     return turn, centre_x - np.einsum("nij,nj->ni", turn, centre_c), good
 
 
@@ -202,31 +202,31 @@ _MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a C3D file, in a process of its own: a damaged file can keep the library busy without end."""
     path = Path(path)
-    found = read_isolated(path, "c3d")
-    up = up or {"+Z": "z", "+Y": "y"}.get(found.about["screen"])  # type: ignore[assignment]
-    points = found.table["points"] * si_factor(found.about["unit"], "length")
-    return markers_of(path, tuple(found.about["labels"]), points, found.time, up=up, why="POINT:Y_SCREEN")
+    parsed = read_isolated(path, "c3d")
+    up = up or {"+Z": "z", "+Y": "y"}.get(parsed.about["screen"])  # type: ignore[assignment]
+    points = parsed.table["points"] * si_factor(parsed.about["unit"], "length")
+    return markers_of(path, tuple(parsed.about["labels"]), points, parsed.time, up=up, why="POINT:Y_SCREEN")
 
 
 def parse_c3d(path: Path, **_: Any) -> Parsed:
     """Read the points of a C3D file, in the length unit and the axes of the file."""
-    held = _load(path)
-    point = held["parameters"]["POINT"]
-    xyz = np.moveaxis(np.asarray(held["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
+    content = _load(path)
+    point = content["parameters"]["POINT"]
+    xyz = np.moveaxis(np.asarray(content["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
     count, frames = xyz.shape[:2]
     if count == 0 or frames < 2:
         raise FileFormatError(
             f"{path}: expected marker points over two frames or more, got {count} markers, {frames} frames"
         )
     # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
-    lost = np.asarray(held["data"]["meta_points"]["residuals"])[0] < 0.0
+    lost = np.asarray(content["data"]["meta_points"]["residuals"])[0] < 0.0
     xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
     farthest = float(np.abs(xyz).max(initial=0.0, where=np.isfinite(xyz)))
     if farthest > _FARTHEST:
         raise FileFormatError(
             f"{path}: expected positions up to {_FARTHEST:g}, got {farthest:.3g}. The file is damaged."
         )
-    rate, first = float(held["header"]["points"]["frame_rate"]), int(held["header"]["points"]["first_frame"])
+    rate, first = float(content["header"]["points"]["frame_rate"]), int(content["header"]["points"]["first_frame"])
     if not rate > 0.0:
         raise FileFormatError(f"{path}: expected a frame rate above 0, got {rate:g} Hz. The header is damaged.")
     unit, screen = (next(iter(point[key]["value"]), "") if key in point else "" for key in ("UNITS", "Y_SCREEN"))
@@ -278,14 +278,16 @@ def _check_size(content: bytes, path: Path) -> int:
     if len(content) < block + 4:
         raise FileFormatError(f"{path}: the C3D file is truncated before its parameters. Copy it again.")
     processor = content[block + 3] - 83  # 1 Intel, 2 DEC (Intel's order of bytes in words), 3 MIPS
-    words = np.frombuffer(content[:512], dtype=">u2" if processor == 3 else "<u2")
-    points, analogs, first, last, start = (int(words[k]) for k in (1, 2, 3, 4, 8))
-    real = bool(words[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
+    header = np.frombuffer(content[:512], dtype=">u2" if processor == 3 else "<u2")
+    points, analogs, first, last, start = (int(header[k]) for k in (1, 2, 3, 4, 8))
+    real = bool(header[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
     frames = last - first + 1 if last < 65535 else 0  # longer trials state their length in the parameters
     need = 512 * (start - 1) + frames * (4 * points + analogs) * (4 if real else 2)
-    whole = -(-need // 512) * 512
-    one_more = len(content) == whole + 512 and not any(content[whole:])  # some writers end with an empty block
-    if len(content) < need or (frames and len(content) not in (need, whole) and not one_more):
+    padded_size = -(-need // 512) * 512
+    one_more = len(content) == padded_size + 512 and not any(
+        content[padded_size:]
+    )  # some writers end with an empty block
+    if len(content) < need or (frames and len(content) not in (need, padded_size) and not one_more):
         raise FileFormatError(
             f"{path}: expected {need} bytes as its header promises, got {len(content)}. The file is damaged. Copy it again."
         )
@@ -326,10 +328,10 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     if len(labels) != wanted:
         raise FileFormatError(f"{path}: expected {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
     time, cells, short = _rows(lines, 2 + 3 * wanted, path)
-    stated = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
-    if len(time) < max(stated, 2):
+    frame_count = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
+    if len(time) < max(frame_count, 2):
         raise FileFormatError(
-            f"{path}: expected {max(stated, 2)} frames (NumFrames in line 3), got {len(time)}. The file is "
+            f"{path}: expected {max(frame_count, 2)} frames (NumFrames in line 3), got {len(time)}. The file is "
             f"truncated. Copy it again."
         )
     points = cells.reshape(len(time), wanted, 3) * si_factor(head["Units"], "length")

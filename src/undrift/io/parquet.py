@@ -73,8 +73,8 @@ def iter_parquet(
                 f"{path}: expected a time column to read in chunks, got none. Add time_s, or read the "
                 f"file in one piece."
             )
-        for part in _batches(path, handle, rows):
-            record = build_record(_table(path, part), columns).record
+        for chunk in _batches(path, handle, rows):
+            record = build_record(_table(path, chunk), columns).record
             if last is not None and record.time[0] <= last:
                 raise InputError(
                     f"{path}: expected strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s. Repair the file."
@@ -130,10 +130,10 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        held = marks_of(record) | {"kind": KIND, "format": FORMAT}
+        marks = marks_of(record) | {"kind": KIND, "format": FORMAT}
         for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
-            held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
-        metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
+            marks[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
+        metadata = {_KEY: json.dumps(marks, sort_keys=True).encode()}
         metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
@@ -214,16 +214,16 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     """Yield Arrow tables of ``rows`` rows. A single last row is added to the chunk before it."""
     import pyarrow as pa
 
-    held, count = list[Any](), 0
+    batches, count = list[Any](), 0
     with sound(Path(path), "Parquet"):
         for batch in handle.iter_batches(batch_size=rows):
-            held.append(batch)
+            batches.append(batch)
             count += batch.num_rows
             while count >= rows + 2:  # the rest is a chunk of its own
-                table = pa.Table.from_batches(held)
+                table = pa.Table.from_batches(batches)
                 yield table.slice(0, rows)
-                held, count = table.slice(rows).to_batches(), count - rows
-    yield pa.Table.from_batches(held, schema=handle.schema_arrow)
+                batches, count = table.slice(rows).to_batches(), count - rows
+    yield pa.Table.from_batches(batches, schema=handle.schema_arrow)
 
 
 def _table(path: str | Path, table: Any) -> RawTable:
@@ -241,12 +241,12 @@ def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
         return columns
     if metadata.get(_CRC, crc := _crc(handle.schema_arrow.names, metadata[_KEY])) != crc:
         raise FileFormatError(f"{path}: the file header was changed after it was written (CRC-32). Restore the file.")
-    held = json.loads(metadata[_KEY])
-    if held.get("kind") != KIND or held.get("format") != FORMAT:
+    marks = json.loads(metadata[_KEY])
+    if marks.get("kind") != KIND or marks.get("format") != FORMAT:
         raise FileFormatError(
-            f"{path}: expected {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}. Read it with the "
+            f"{path}: expected {KIND} format {FORMAT}, got {marks.get('kind')} format {marks.get('format')}. Read it with the "
             "undrift that wrote it."
         )
     # undrift wrote it: NaN in it is a gap
     columns = replace(columns, gaps=settings.gaps or "keep")
-    return stated(columns, held, f"{path}: expected the frame, state and device of a recording, got other keys")
+    return stated(columns, marks, f"{path}: expected the frame, state and device of a recording, got other keys")

@@ -69,11 +69,11 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -
     inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(f"{path}: {name} and {other} do not overlap in time. Read only one of them.")
-    part = gyro.part(int(inside[0]), int(inside[-1]) + 1)
-    values, missing = onto_clock(part.time, accel_time, accel.accel)
+    overlap = gyro.part(int(inside[0]), int(inside[-1]) + 1)
+    values, missing = onto_clock(overlap.time, accel_time, accel.accel)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
-    record = replace(part, accel=values, accel_unit=accel.accel_unit)
+    record = replace(overlap, accel=values, accel_unit=accel.accel_unit)
     return replace(result, record=record, notes=tuple(dict.fromkeys((*result.notes, *accel_result.notes, *notes))))
 
 

@@ -31,56 +31,63 @@ _CLEARLY = 0.5  # the right unit misses gravity by less than this share of the o
 
 
 def map_of(
-    found: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
+    description: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
 ) -> str:
     """Return the text of the map that a description proposes, each unit with its reason, or "?" for an unknown unit."""
-    if not found.example:
+    if not description.example:
         raise InputError(
-            f"{found.path}: expected a table that needs a map, got {found.kind} ({found.format}): {found.summary}. "
+            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): {description.summary}. "
             f"Omit "
             "--write-map."
         )
-    lines = [line for line in found.example if not line.startswith(("units", "sample_rate_hz = ?"))]
-    if "sample_rate_hz = ?" in found.example:
+    lines = [line for line in description.example if not line.startswith(("units", "sample_rate_hz = ?"))]
+    if "sample_rate_hz = ?" in description.example:
         if sample_rate_hz is None:
-            raise InputError(f"{found.path}: a table without time needs its sample rate. Add `sample_rate_hz`.")
+            raise InputError(f"{description.path}: a table without time needs its sample rate. Add `sample_rate_hz`.")
         lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
-    stated = next((line for line in found.example if line.startswith("units")), "units = {}")
-    proposed, given = tomllib.loads(stated)["units"], {k: u for k, u in (units or {}).items() if u is not None}
-    why = {key: _why(key, unit, stated) for key, unit in proposed.items()}
-    proposed |= {key: unit for key, unit in given.items() if key in proposed}
-    why |= dict.fromkeys(given, "as given")
-    by_size = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
+    units_line = next((line for line in description.example if line.startswith("units")), "units = {}")
+    proposed, chosen_units = (
+        tomllib.loads(units_line)["units"],
+        {k: u for k, u in (units or {}).items() if u is not None},
+    )
+    why = {key: _why(key, unit, units_line) for key, unit in proposed.items()}
+    proposed |= {key: unit for key, unit in chosen_units.items() if key in proposed}
+    why |= dict.fromkeys(chosen_units, "as given")
+    gyro_uncertain = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
     # gravity is a better witness than the size of the readings
-    if by_size and (turned := _turned(found, lines, proposed)):
-        proposed["gyro"], why["gyro"] = turned
-    text = [f"# How {Path(found.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
+    if gyro_uncertain and (gyro_proposal := _turned(description, lines, proposed)):
+        proposed["gyro"], why["gyro"] = gyro_proposal
+    text = [f"# How {Path(description.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
-    shown = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
-    return "\n".join([*text, lines[0], *([f"units = {{ {shown} }}"] if shown else []), *lines[1:]]) + "\n"
+    units_text = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
+    return "\n".join([*text, lines[0], *([f"units = {{ {units_text} }}"] if units_text else []), *lines[1:]]) + "\n"
 
 
 def _why(key: str, unit: str, line: str) -> str:
     """Return where a proposed unit comes from: the name of its column, or the size of the readings."""
     if unit == "?":
         return "not determined by name or readings: enter the unit"
-    reasons = dict(part.split(" by ", 1) for part in line.partition("# proposed: ")[2].split("; ") if " by " in part)
+    reasons = dict(
+        reason.split(" by ", 1) for reason in line.partition("# proposed: ")[2].split("; ") if " by " in reason
+    )
     return f"proposed by {reasons[key]}" if key in reasons else "by the name of its column"
 
 
-def _turned(found: Description, lines: Sequence[str], units: Mapping[str, str]) -> tuple[str, str] | None:
+def _turned(description: Description, lines: Sequence[str], units: Mapping[str, str]) -> tuple[str, str] | None:
     """Return the unit of the gyroscopes determined from gravity, and the reason, or None if it is not observable."""
     if units.get("time") == "?":
         return None
     as_read = dict.fromkeys(("gyro", "accel"), "count") | {key: units[key] for key in ("time",) if key in units}
     keys = entry_of_tree(tomllib.loads("\n".join(lines)) | {"units": as_read})
     try:
-        turned = gyro_unit_of(read_record(found.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep")))
+        estimate = gyro_unit_of(
+            read_record(description.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep"))
+        )
     except InputError:  # the map reports the error when it is used
         return None
-    if turned is None:
+    if estimate is None:
         return None
-    unit, moves, miss_deg, other_deg = turned
+    unit, moves, miss_deg, other_deg = estimate
     return unit, (
         f"proposed: it turns gravity as the accelerometers read it, to {miss_deg:.1f} deg (median of {moves} moves of "
         f"{_WINDOW_S:g} s); {'dps' if unit == 'rad/s' else 'rad/s'} misses it by {other_deg:.1f} deg"
@@ -96,19 +103,21 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
     if record.gyro is None or record.accel is None or count < _LEAST_WINDOWS:
         return None
     gyro, accel = (values[: count * size].reshape(count, size, 3) for values in (record.gyro, record.accel))
-    part = max(1, size // 4)
-    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, part), slice(-part, None)))
+    quarter = max(1, size // 4)
+    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, quarter), slice(-quarter, None)))
     first, last = (mean / np.linalg.norm(mean, axis=1, keepdims=True) for mean in means)
     moved = np.arccos(np.clip((first * last).sum(axis=1), -1.0, 1.0))
     usable = (moved > _MOVED[0]) & (moved < _MOVED[1])
     if usable.sum() < _LEAST_WINDOWS:
         return None
-    turned = (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - part) / record.sample_rate_hz
+    rotation = (
+        (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - quarter) / record.sample_rate_hz
+    )
     misses = {}
     for unit, factor in (("rad/s", 1.0), ("dps", RADIAN_PER_DEGREE)):
-        expected = rotate(quaternion_of(-factor * turned), first[usable])
-        apart = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
-        misses[unit] = float(np.nanmedian(apart)) / RADIAN_PER_DEGREE
+        expected = rotate(quaternion_of(-factor * rotation), first[usable])
+        angle = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
+        misses[unit] = float(np.nanmedian(angle)) / RADIAN_PER_DEGREE
     best, other = sorted(misses, key=lambda unit: misses[unit])
     if not misses[best] < _CLEARLY * misses[other]:
         return None
@@ -140,10 +149,10 @@ def session_text(
         blocks[0] += (
             "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
         )
-    stated = {} if file_map is None else json.loads(file_map.text)
+    map_keys = {} if file_map is None else json.loads(file_map.text)
     for number in range(len(session.records)):
-        own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
-        blocks.append(toml_block("recording", {"file": own[0] if width == 1 else own, **stated}))
+        names = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
+        blocks.append(toml_block("recording", {"file": names[0] if width == 1 else names, **map_keys}))
     times = [record.time for record in session.records]
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     blocks += [piece_toml(stated_piece(piece, times[piece.recording])) for piece in pieces]

@@ -18,10 +18,10 @@ def write_sample(folder: Path) -> None:
         raise InputError(f"{folder}: the folder {folder.parent} does not exist. Create it first.")
     try:
         with as_file(files("undrift").joinpath("sample_data")) as source, hidden_folder(folder.parent) as hidden:
-            part = hidden / folder.name
+            copy = hidden / folder.name
             shutil.copytree(
-                source, part, ignore=shutil.ignore_patterns("*.pyc", "__pycache__"), copy_function=shutil.copyfile
+                source, copy, ignore=shutil.ignore_patterns("*.pyc", "__pycache__"), copy_function=shutil.copyfile
             )
-            part.rename(folder)
+            copy.rename(folder)
     except OSError as error:
         raise no_folder(folder, error) from error

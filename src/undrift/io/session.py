@@ -146,11 +146,11 @@ class MapEntry(TomlTable):
 
     def thermometer(self, folder: Path) -> TempFile | None:
         """Return the thermometer of its own file."""
-        held = self.temp_file
-        if held is None:
+        entry = self.temp_file
+        if entry is None:
             return None
-        layout = TextLayout(**held.model_dump(include=_LAYOUT))
-        return TempFile(path=folder / held.file, layout=layout, **held.model_dump(exclude={"file", *_LAYOUT}))
+        layout = TextLayout(**entry.model_dump(include=_LAYOUT))
+        return TempFile(path=folder / entry.file, layout=layout, **entry.model_dump(exclude={"file", *_LAYOUT}))
 
     def maps(self) -> tuple[ColumnMap, ...]:
         """Return one column map for each table of columns."""
@@ -184,9 +184,9 @@ def read_map(path: str | Path, **choices: Any) -> tuple[ColumnMap | None, ReadSe
     columns.
     """
     entry = _read_map(path)
-    given = entry.model_fields_set
-    if not entry.columns and (not given or given - NATIVE_KEYS):
-        got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
+    keys = entry.model_fields_set
+    if not entry.columns and (not keys or keys - NATIVE_KEYS):
+        got = ", ".join(sorted(keys - NATIVE_KEYS)) or "no key"
         raise InputError(
             f"{path}: expected one table of columns, got 0 and {got}. Add columns = {{ ... }}. A file with "
             f"undrift's own "
@@ -212,11 +212,11 @@ def _chosen(entry: MapEntry, choices: Mapping[str, Any], folder: Path) -> tuple[
 
 
 def _settings(entry: MapEntry, folder: Path) -> ReadSettings:
-    given: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
-    held = {
+    options: dict[str, Any] = {key: getattr(entry, key) for key in ("gaps", "clock") if key in entry.model_fields_set}
+    table_options = {
         key: getattr(entry, key) for key in ("sample_rate_hz", "repair_time", "drop_bad_rows", "sensor", "leave_out")
     }
-    return ReadSettings(temp_file=entry.thermometer(folder), **given, **held)
+    return ReadSettings(temp_file=entry.thermometer(folder), **options, **table_options)
 
 
 def _columns(channel: str, value: Any) -> Any:
@@ -231,17 +231,17 @@ def _columns(channel: str, value: Any) -> Any:
 
 def read_file_map(path: str | Path | None = None, **choices: Any) -> FileMap | None:
     """Return the map of a TOML file, modified by the arguments of a call, or None if there is neither."""
-    held = {} if path is None else _read_map(path).model_dump(exclude_unset=True)
-    if path is not None and held.get("temp_file"):  # next to the map, independent of the folder of the recordings
-        held["temp_file"]["file"] = str((Path(path).parent / held["temp_file"]["file"]).resolve())
-    held |= {key: value for key, value in choices.items() if value is not None}
-    return file_map_of(entry_of_tree(held)) if held else None
+    keys = {} if path is None else _read_map(path).model_dump(exclude_unset=True)
+    if path is not None and keys.get("temp_file"):  # next to the map, independent of the folder of the recordings
+        keys["temp_file"]["file"] = str((Path(path).parent / keys["temp_file"]["file"]).resolve())
+    keys |= {key: value for key, value in choices.items() if value is not None}
+    return file_map_of(entry_of_tree(keys)) if keys else None
 
 
 def file_map_of(entry: MapEntry, *, without: Sequence[str] = ()) -> FileMap:
     """Return the keys that a map sets, as a value."""
-    held = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
-    return FileMap(json.dumps(held, ensure_ascii=False))
+    keys = entry.model_dump(mode="json", exclude_unset=True, exclude=set(without))
+    return FileMap(json.dumps(keys, ensure_ascii=False))
 
 
 def entry_of(file_map: FileMap | None) -> MapEntry:
@@ -252,8 +252,8 @@ def entry_of(file_map: FileMap | None) -> MapEntry:
 def shared_map(entries: Sequence[MapEntry]) -> FileMap | None:
     """Return the map that all recordings share, or None if they differ or need none."""
     alone = ("file", "temp_file", "sha256", "leave_out")  # keys that no other recording shares
-    held = [file_map_of(entry, without=alone) for entry in entries]
-    return held[0] if held[0].text != "{}" and held.count(held[0]) == len(held) else None
+    maps = [file_map_of(entry, without=alone) for entry in entries]
+    return maps[0] if maps[0].text != "{}" and maps.count(maps[0]) == len(maps) else None
 
 
 # ---- session
@@ -364,11 +364,11 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     if not path.exists():
         raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
     tree, text = codec.toml_of(path)
-    held = codec.value_of(SessionFile, tree, str(path), text)
+    content = codec.value_of(SessionFile, tree, str(path), text)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]
     records, stills, turns, files = list[Record](), list[Still](), list[Turn](), list[list[str]]()
-    for number, entry in enumerate(held.recording):
+    for number, entry in enumerate(content.recording):
         names = [entry.file] if isinstance(entry.file, str) else entry.file
         files.append(names)
         with _at(path, text, "recording", number):
@@ -380,14 +380,14 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
                 )
         inputs += digests
     clocks = [(record.time, float(np.median(np.diff(record.time)))) for record in records]
-    for number, still in enumerate(held.still):
+    for number, still in enumerate(content.still):
         with _at(path, text, "still", number):
             stills.append(Still(face=still.face, **_samples(still, clocks)))
-    for number, turn in enumerate(held.turn):
+    for number, turn in enumerate(content.turn):
         with _at(path, text, "turn", number):
             turns.append(_turn(turn, clocks))
     with _at(path, text, "session"):
-        head = held.session
+        head = content.session
         gravity_m_s2, source = gravity_of(head.gravity_m_s2, head.latitude_deg, head.height_m)
         return Session(
             kind=head.kind,
@@ -397,10 +397,10 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             stills=tuple(stills),
             turns=tuple(turns),
             inputs=tuple(inputs),
-            file_map=shared_map(held.recording),
+            file_map=shared_map(content.recording),
             gravity_source=source,
-            rate_table=held.rate_table,
-            sensitivity=held.sensitivity,
+            rate_table=content.rate_table,
+            sensitivity=content.sensitivity,
             mounting=head.mounting,
         )
 
@@ -430,8 +430,8 @@ def session_from_files(
     for start in range(0, len(files), width):
         names = [str(file) for file in files[start : start + width]]
         groups.append(names)
-        stated = {key: getattr(entry, key) for key in entry.model_fields_set}
-        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **stated), None))
+        map_keys = {key: getattr(entry, key) for key in entry.model_fields_set}
+        records.append(_read_recording(Path(), names, RecordingEntry(file=names, **map_keys), None))
         inputs += [(Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()]
     gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
     return Session(
@@ -485,8 +485,8 @@ def write_session(session: Session, folder: str | Path) -> None:
         raise unwritten(folder, error) from error
     files = [f"recording_{number}.parquet" for number in range(len(session.records))]
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
-    stated = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
-    text = session_toml(head, [{"file": file} for file in files], stated, session.rate_table, session.sensitivity)
+    phases = [stated_piece(piece, session.records[piece.recording].time) for piece in pieces]
+    text = session_toml(head, [{"file": file} for file in files], phases, session.rate_table, session.sensitivity)
     written = (partial(write_parquet, record) for record in session.records)
     write_together({**{folder / file: write for file, write in zip(files, written, strict=True)}, folder / NAME: text})
 
@@ -610,7 +610,7 @@ def session_toml(
     sensitivity: TemperatureSensitivity = DEFAULT_SENSITIVITY,
 ) -> str:
     """Return the text of session.toml. The recordings are given by their keys."""
-    stated = {"rate_table": rate_table, "temperature": sensitivity}
-    tables = {"session": head} | {name: table for name, table in stated.items() if table != type(table)()}
+    optional_tables = {"rate_table": rate_table, "temperature": sensitivity}
+    tables = {"session": head} | {name: table for name, table in optional_tables.items() if table != type(table)()}
     blocks = [codec.toml_block("recording", dict(recording)) for recording in recordings]
     return "\n".join([codec.toml_text(codec.tree_of(tables)), *blocks, *map(piece_toml, pieces)])

@@ -18,11 +18,11 @@ def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Re
     """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and constant beyond
     the ends.
     """
-    known = np.isfinite(time) & np.isfinite(temp_c)
-    if not known.any():
+    finite = np.isfinite(time) & np.isfinite(temp_c)
+    if not finite.any():
         raise InputError("temperature: expected one reading or more, got none. Omit the temperature file.")
-    order = np.argsort(time[known], kind="stable")
-    return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
+    order = np.argsort(time[finite], kind="stable")
+    return replace(record, temp_c=np.interp(record.time, time[finite][order], temp_c[finite][order]))
 
 
 def with_thermometer(record: Record, thermometer: TempFile) -> Record:
@@ -34,12 +34,12 @@ def with_thermometer(record: Record, thermometer: TempFile) -> Record:
     time = table.numbers(thermometer.time) * si_factor(thermometer.time_unit, "time") + thermometer.shift_s
     unit = canonical_unit(thermometer.temp_unit, "temp")
     temp_c = table.numbers(thermometer.temp) * si_factor(unit, "temp") + temp_offset(unit)
-    known = time[np.isfinite(time) & np.isfinite(temp_c)]
-    if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
+    valid_time = time[np.isfinite(time) & np.isfinite(temp_c)]
+    if len(valid_time) and (valid_time.max() < record.time[0] or valid_time.min() > record.time[-1]):
         raise InputError(
             f"{thermometer.path}: expected temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, the "
             f"recording's clock, "
-            f"got {known.min():.6g} to {known.max():.6g} s. Set temp_file.shift_s, in s."
+            f"got {valid_time.min():.6g} to {valid_time.max():.6g} s. Set temp_file.shift_s, in s."
         )
     with naming(thermometer.path):
         return with_temperature(record, time, temp_c)
