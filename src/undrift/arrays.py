@@ -16,9 +16,9 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = np.float64) -> NDArray[Any]:
     """Return a read-only array of the given shape. The input is copied unless it is read-only and owns its data."""
-    own = isinstance(x, np.ndarray) and x.flags.owndata and not x.flags.writeable
+    reusable = isinstance(x, np.ndarray) and x.flags.owndata and not x.flags.writeable
     try:
-        array = np.array(x, dtype=kind, order="C", copy=None if own else True)
+        array = np.array(x, dtype=kind, order="C", copy=None if reusable else True)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: expected numbers, got {type(x).__name__}. {error}.") from error
     if array.ndim != len(shape) or any(
@@ -40,8 +40,8 @@ def bridged(time: FloatArray, columns: FloatArray) -> FloatArray:
 
     A row counts as a gap if any of its columns is NaN. At least one row must be complete.
     """
-    seen = np.isfinite(columns).all(axis=1)
-    return np.column_stack([np.interp(time, time[seen], column) for column in columns[seen].T])
+    finite = np.isfinite(columns).all(axis=1)
+    return np.column_stack([np.interp(time, time[finite], column) for column in columns[finite].T])
 
 
 def interpolated(x: ArrayLike, nodes: FloatArray, values: FloatArray) -> FloatArray:
@@ -81,28 +81,28 @@ class Shape:
         from pydantic_core import core_schema as cs
 
         kind = _kind_of(source)
-        made: Any = {bool: cs.bool_schema(), int: cs.int_schema(ge=0), float: cs.float_schema()}[kind]
-        made = cs.nullable_schema(made) if self.gaps and kind is float else made
+        schema: Any = {bool: cs.bool_schema(), int: cs.int_schema(ge=0), float: cs.float_schema()}[kind]
+        schema = cs.nullable_schema(schema) if self.gaps and kind is float else schema
         for length in reversed(self.dims):
             most = length if isinstance(length, int) else None
-            made = cs.list_schema(made, min_length=2 if self.rising else most, max_length=most)
-        return made if type(None) not in get_args(source) else cs.nullable_schema(made)
+            schema = cs.list_schema(schema, min_length=2 if self.rising else most, max_length=most)
+        return schema if type(None) not in get_args(source) else cs.nullable_schema(schema)
 
 
 def freeze(value: Any, **lengths: int) -> None:
     """Check the shapes of a dataclass's arrays and make the arrays read-only. ``lengths`` sets known lengths by letter."""
     cls: Any = type(value)
     for name, shape, kind in _shaped(cls):
-        given = getattr(value, name)
-        if given is None:
+        content = getattr(value, name)
+        if content is None:
             continue
         what = f"{type(value).__name__}.{name}"
         wanted = tuple(lengths.get(d) if isinstance(d, str) else d for d in shape.dims)
         if (
-            isinstance(given, list) and not given and not wanted[0]
+            isinstance(content, list) and not content and not wanted[0]
         ):  # an empty list from a file does not contain the row length
-            given = np.zeros((0, *(n or 0 for n in wanted[1:])))
-        array = frozen(given, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
+            content = np.zeros((0, *(n or 0 for n in wanted[1:])))
+        array = frozen(content, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}
         if shape.rising and (len(array) < 2 or not (np.diff(array) > 0.0).all()):
             raise InputError(

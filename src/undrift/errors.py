@@ -111,9 +111,9 @@ def check_choices(settings: Any, what: str) -> None:
 def check_choice(value: object, choices: object, what: str, name: str) -> None:
     """Raise InputError if a value is not among the choices, given as a Literal type (optional or not) or a tuple of values."""
     allowed = choices if isinstance(choices, tuple) else _values_of(choices)
-    if not any(value is each or (type(value) is type(each) and value == each) for each in allowed):
-        words = ", ".join("None" if each is None else repr(each) for each in allowed)
-        raise InputError(f"{what}: `{name}` must be one of {words}, got {value!r}. Choose one of these.")
+    if not any(value is choice or (type(value) is type(choice) and value == choice) for choice in allowed):
+        listing = ", ".join("None" if choice is None else repr(choice) for choice in allowed)
+        raise InputError(f"{what}: `{name}` must be one of {listing}, got {value!r}. Choose one of these.")
 
 
 @cache
@@ -127,10 +127,10 @@ def _values_of(hint: object) -> tuple[object, ...]:
     if get_origin(hint) is Literal:
         return get_args(hint)
     values: tuple[object, ...] = ()
-    for part in get_args(hint) if get_origin(hint) in _UNIONS else ():
-        if part is type(None):
+    for argument in get_args(hint) if get_origin(hint) in _UNIONS else ():
+        if argument is type(None):
             values += (None,)
-        elif part_values := _values_of(part):
+        elif part_values := _values_of(argument):
             values += part_values
         else:
             return ()  # the union also allows values outside the Literal

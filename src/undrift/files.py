@@ -178,21 +178,21 @@ def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
         for path, content in files.items():
             if content is None:
                 continue
-            parts[path] = part = new_part(path)
+            parts[path] = draft = new_part(path)
             if callable(content):
-                call_writer(content, part)
+                call_writer(content, draft)
             else:
                 data = content.encode("utf-8") if isinstance(content, str) else content
                 size = len(data)
-                part.write_bytes(data)
-            with part.open("r+b") as file:
+                draft.write_bytes(data)
+            with draft.open("r+b") as file:
                 os.fsync(file.fileno())
         take_names(parts)
     except OSError as error:
         raise unwritten(path, error, size) from error
     finally:
-        for part in filter(None, parts.values()):
-            part.unlink(missing_ok=True)
+        for draft in filter(None, parts.values()):
+            draft.unlink(missing_ok=True)
 
 
 def new_part(path: Path) -> Path:
@@ -200,14 +200,14 @@ def new_part(path: Path) -> Path:
 
     Its mode is copied from the file that it replaces. Without such a file, the umask determines the mode.
     """
-    part = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
+    draft = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
     try:
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         if path.exists():
-            part.chmod(stat.S_IMODE(path.stat().st_mode))
+            draft.chmod(stat.S_IMODE(path.stat().st_mode))
     except OSError as error:
         raise no_folder(path, error) from error
-    return part
+    return draft
 
 
 def call_writer(write: Callable[[Path], object], path: Path) -> None:
@@ -223,17 +223,17 @@ def take_names(parts: Mapping[Path, Path | None]) -> None:
     for path in parts:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    for path, part in parts.items():
-        if part is None:
+    for path, draft in parts.items():
+        if draft is None:
             path.unlink(missing_ok=True)
         else:
-            part.replace(path)
+            draft.replace(path)
 
 
 def errno_of(error: OSError) -> int | None:
     """Return the errno of an error. Errors of Arrow have it in their text only."""
-    stated = re.search(r"\[errno (\d+)\]", str(error))
-    return int(stated[1]) if stated and error.errno is None else error.errno
+    match = re.search(r"\[errno (\d+)\]", str(error))
+    return int(match[1]) if match and error.errno is None else error.errno
 
 
 def is_full(error: OSError) -> bool:

@@ -58,8 +58,8 @@ def told_apart(value: float, form: str, limit: float) -> str:
     start, _, kind = form.partition(".")
     for digits in range(int(kind[:-1]), 17):
         text = format(value, f"{start}.{digits}{kind[-1]}")
-        shown = abs(float(text)) - abs(limit)
-        if (shown > 0.0, shown < 0.0) == (abs(value) > abs(limit), abs(value) < abs(limit)):
+        excess = abs(float(text)) - abs(limit)
+        if (excess > 0.0, excess < 0.0) == (abs(value) > abs(limit), abs(value) < abs(limit)):
             break
     return text
 
@@ -69,19 +69,19 @@ _TEMPLATE = _Template()
 
 def _read(keys: dict[str, Any]) -> "Finding":
     """Return a finding of a file from its code and values."""
-    made = finding(keys["code"], keys["level"], **_filled(keys["values"]))
+    result = finding(keys["code"], keys["level"], **_filled(keys["values"]))
     try:
-        _ = made.text
+        _ = result.text
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"findings: {keys['code']} is not a finding of undrift, or lacks a value ({error})") from error
-    return made
+    return result
 
 
-def _filled(held: Any) -> Any:
+def _filled(value: Any) -> Any:
     """Return values of a file with NaN for null."""
-    if isinstance(held, dict | list):
-        return {k: _filled(v) for k, v in held.items()} if isinstance(held, dict) else [_filled(v) for v in held]
-    return math.nan if held is None else held
+    if isinstance(value, dict | list):
+        return {k: _filled(v) for k, v in value.items()} if isinstance(value, dict) else [_filled(v) for v in value]
+    return math.nan if value is None else value
 
 
 @stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read)
@@ -131,8 +131,8 @@ class Finding:
     @property
     def text(self) -> str:
         """Headline, detail and action in one line."""
-        head = ": ".join(part for part in (self.headline, self.detail) if part)
-        return "; ".join(part for part in (head, self.action) if part)
+        head = ": ".join(sentence for sentence in (self.headline, self.detail) if sentence)
+        return "; ".join(sentence for sentence in (head, self.action) if sentence)
 
     def _filled(self, template: str) -> str:
         return _TEMPLATE.vformat(spoken_template(template), (), self.values)
@@ -193,9 +193,9 @@ class Verdict:
     def also(self, other: "Verdict") -> "Verdict":
         """Return the combined verdict: the worse status, and the findings of both without repetition."""
         worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
-        known = {item.text for item in self.findings}
-        others = (item for item in other.findings if item.text not in known)
-        return Verdict(status=worse, findings=(*self.findings, *others))
+        texts = {item.text for item in self.findings}
+        new_findings = (item for item in other.findings if item.text not in texts)
+        return Verdict(status=worse, findings=(*self.findings, *new_findings))
 
 
 def level_of(value: float, limits: tuple[float, float]) -> Level:

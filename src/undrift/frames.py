@@ -34,7 +34,9 @@ def rotation(q: FloatArray) -> "Rotation":
 
 def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
     """Return the Hamilton product p q, gaps (NaN) passing through. p (..., 4), q (..., 4) -> (..., 4)."""
-    (pw, px, py, pz), (qw, qx, qy, qz) = ([each[..., k] for k in range(4)] for each in map(np.asarray, (p, q)))
+    (pw, px, py, pz), (qw, qx, qy, qz) = (
+        [quaternion[..., k] for k in range(4)] for quaternion in map(np.asarray, (p, q))
+    )
     product = np.empty(np.broadcast_shapes(np.shape(p), np.shape(q)))
     product[..., 0] = pw * qw - px * qx - py * qy - pz * qz
     product[..., 1] = pw * qx + px * qw + py * qz - pz * qy

@@ -29,23 +29,23 @@ def load_named(name: str, table: Mapping[str, str], group: str, kind: type = obj
     place = table.get(name) or {point.name: point.value for point in entry_points(group=group)}[name]
     module, _, attribute = place.partition(":")
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        target = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
         raise InputError(f"{name}: expected {place}, got '{error}'. Install the package that provides it.") from error
-    if not isinstance(found, kind):
+    if not isinstance(target, kind):
         raise InputError(
-            f"{name}: expected a {kind.__name__} from {place}, got {type(found).__name__}. Correct the entry point of the group "
+            f"{name}: expected a {kind.__name__} from {place}, got {type(target).__name__}. Correct the entry point of the group "
             f"{group}."
         )
-    return found
+    return target
 
 
 def split_address(text: str, what: str, table: Mapping[str, str], group: str, advice: str) -> tuple[str, str, Options]:
     """Split ``kind:place?name=value&name=value``. The kind must be in the table or in the entry-point group."""
     kind, colon, rest = text.partition(":")
     if not colon or (kind not in table and kind not in names_in(table, group)):
-        known = ", ".join(f"{name}:..." for name in names_in(table, group))
-        raise InputError(f"{what}: expected one of {known}, got '{text}'. {advice}.")
+        listing = ", ".join(f"{name}:..." for name in names_in(table, group))
+        raise InputError(f"{what}: expected one of {listing}, got '{text}'. {advice}.")
     place, _, query = rest.partition("?")
     try:
         return kind, place, tuple(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))

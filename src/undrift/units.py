@@ -84,9 +84,9 @@ def canonical_unit(unit: str, quantity: Quantity) -> str:
     name = _SPELLINGS.get(name, name)
     if name in _TO_SI[quantity] or (name in DEVICE_UNITS and quantity in ("rate", "accel", "temp", "mag")):
         return name
-    known = [*_TO_SI[quantity], *(DEVICE_UNITS if quantity in ("rate", "accel", "temp", "mag") else ())]
+    units = [*_TO_SI[quantity], *(DEVICE_UNITS if quantity in ("rate", "accel", "temp", "mag") else ())]
     raise InputError(
-        f"unit of {quantity}: expected one of {', '.join(known)}, got '{unit}'. Name the unit of the column."
+        f"unit of {quantity}: expected one of {', '.join(units)}, got '{unit}'. Name the unit of the column."
     )
 
 

@@ -162,7 +162,7 @@ def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):
         "calibrate", tmp_path / "walk.csv", "--from", "motion", "--turn-deg", "360", "-o", tmp_path / "c.json"
     )
     assert refused.code == 2
-    assert "has no use for" in refused.err
+    assert "cannot be used with" in refused.err
     assert "--turn-deg" in refused.err
     assert not (tmp_path / "c.json").exists()
     assert "no use for --mode" in undrift.refused(

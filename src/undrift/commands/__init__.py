@@ -38,8 +38,8 @@ class Commands(ModuleType):
 
     def __setattr__(self, name: str, value: Any) -> None:
         home = self.__name__.rpartition(".")[2]
-        words = (*VERBS, *GROUPS) if home in ("undrift", "commands") else GROUPS.get(home, ())
-        if name in words and type(value) is ModuleType:
+        names = (*VERBS, *GROUPS) if home in ("undrift", "commands") else GROUPS.get(home, ())
+        if name in names and type(value) is ModuleType:
             value.__class__ = Command
         super().__setattr__(name, value)
 
@@ -93,12 +93,12 @@ def reading(progress: Progress, stop: float, *files: Path) -> Iterator[None]:
     """Report progress while a block reads files, from 0 to a share of the whole."""
     from undrift.files import WATCH, bytes_in
 
-    whole, shares = sum(map(bytes_in, files)), dict[Path, float]()
+    total, shares = sum(map(bytes_in, files)), dict[Path, float]()
 
     def watch(path: Path, share: float) -> None:
         shares[path] = max(share, shares.get(path, 0.0))
         done = sum(share * bytes_in(path) for path, share in shares.items())
-        progress(f"reading {path.name}", stop * min(1.0, done / max(whole, 1)))
+        progress(f"reading {path.name}", stop * min(1.0, done / max(total, 1)))
 
     progress(f"reading {files[0].name}" if len(files) == 1 else "reading", 0.0)
     token = WATCH.set(watch)

@@ -53,10 +53,10 @@ def answer_sentence(calibration: Calibration) -> str:
     if not drift:
         return f"Gravity is within {size(gravity)} mg ({where})."
     if not gravity:
-        known = f"offset at rest {size(drift)} deg/s"
-        return f"After {ANSWERED_S:g} s the pitch drifts by {size(pitch)} deg at most ({where}): {known}."
-    known = f"offset at rest {size(drift)} deg/s, gravity within {size(gravity)} mg"
-    return f"After {ANSWERED_S:g} s the pitch is good to {size(pitch)} deg ({where}): {known}."
+        basis = f"offset at rest {size(drift)} deg/s"
+        return f"After {ANSWERED_S:g} s the pitch drifts by {size(pitch)} deg at most ({where}): {basis}."
+    basis = f"offset at rest {size(drift)} deg/s, gravity within {size(gravity)} mg"
+    return f"After {ANSWERED_S:g} s the pitch is good to {size(pitch)} deg ({where}): {basis}."
 
 
 def uncertainty_section(calibration: Calibration) -> Section:
@@ -67,20 +67,20 @@ def uncertainty_section(calibration: Calibration) -> Section:
 def uncertainty_sentence(calibration: Calibration) -> str:
     """Return the largest expanded uncertainty of each block of parameters in a sentence."""
     triads = [(name, triad) for name in ("accel", "gyro") if (triad := getattr(calibration, name)) is not None]
-    words = "; ".join(expanded_words(*pair, gravity_uncertainty(calibration, pair[0])) for pair in triads)
-    return f"Expanded uncertainty (95 %) at the temperature of the calibration: {words}."
+    text = "; ".join(expanded_words(*pair, gravity_uncertainty(calibration, pair[0])) for pair in triads)
+    return f"Expanded uncertainty (95 %) at the temperature of the calibration: {text}."
 
 
 def expanded_words(name: str, triad: TriadModel, gravity: float = 0.0) -> str:
     """Return the largest expanded uncertainty of each block in words."""
-    made, (per, units) = expand(triad, gravity), budget_units(name, triad)
-    largest = {block: np.abs(per[block] * made.expanded[made.of_block(block)]).max(initial=0.0) for block in units}
+    table, (per, units) = expand(triad, gravity), budget_units(name, triad)
+    largest = {block: np.abs(per[block] * table.expanded[table.of_block(block)]).max(initial=0.0) for block in units}
     if not 0.0 < sum(largest.values()) < math.inf:
         return f"{NAMES[name].lower()} not known"
     parts = [f"{two_digits(largest['offset'])} {units['offset']} of {OFFSETS[name]}"] if largest["offset"] else []
     parts += [f"{two_digits(largest[block])} % of {BLOCKS[block]}" for block in ("scale", "cross") if largest[block]]
-    held = [BLOCKS[block] for block in ("scale", "cross") if not largest[block]]
-    return f"{NAMES[name].lower()} up to {', '.join(parts)}" + f" ({' and '.join(held)} not calibrated)" * bool(held)
+    fixed = [BLOCKS[block] for block in ("scale", "cross") if not largest[block]]
+    return f"{NAMES[name].lower()} up to {', '.join(parts)}" + f" ({' and '.join(fixed)} not calibrated)" * bool(fixed)
 
 
 def budget_units(name: str, triad: TriadModel) -> tuple[dict[str, float], dict[str, str]]:

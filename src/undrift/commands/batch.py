@@ -81,21 +81,21 @@ class FolderTable(Result):
         """Return the table: a row per file, with the worst finding of each."""
         errors = [row["error"] for row in self.rows if row["error"]]
         kinds = sorted(Counter(row["kind"] for row in self.rows).items())
-        named = f"{len(self.rows)} entries: " + ", ".join(f"{number} {kind}" for kind, number in kinds)
+        answer = f"{len(self.rows)} entries: " + ", ".join(f"{number} {kind}" for kind, number in kinds)
         before = f" ({self.standing} of them before)" if self.standing else ""
         done = f"{len(self.rows) - len(errors)} of {len(self.rows)} done{before}, {len(errors)} with an error"
         info = self.command == "info"
         texts = [(row["error"] or row["worst_finding"]).partition(", for example")[0] for row in self.rows]
-        shown = (text or info * row["summary"] for text, row in zip(texts, self.rows, strict=True))
-        lines = [f"{row['name']}: {text}" for row, text in zip(self.rows, shown, strict=True) if text]
+        texts_shown = (text or info * row["summary"] for text, row in zip(texts, self.rows, strict=True))
+        lines = [f"{row['name']}: {text}" for row, text in zip(self.rows, texts_shown, strict=True) if text]
         lines += [f"no recordings: {', '.join(self.others)}"] if self.others else []
         cells = tuple(tuple(_cell(row[key]) for key in HEADS) for row in self.rows)
         listed = [{key: value for key, value in row.items() if key != "key"} for row in self.rows]
         data: Row = FOLDER | {"columns": [], "units": {}, "stills": [], "findings": []} if info else {}
-        data |= {"folder": str(self.folder), "summary": named, "problems": errors, "standing": self.standing}
+        data |= {"folder": str(self.folder), "summary": answer, "problems": errors, "standing": self.standing}
         return Summary(
             title=f"{self.command}: {self.folder.resolve().name}",
-            answer=f"{self.folder}: folder, {named if info else done}",
+            answer=f"{self.folder}: folder, {answer if info else done}",
             data=data | {"files": listed, "output": self.output and str(self.output)},
             sections=(
                 Section(title="Files", columns=tuple(HEADS.values()), rows=cells, text=tuple(lines), on="terminal"),
@@ -126,8 +126,8 @@ def of_folder(
     options that apply to a single recording only. With an option in ``whole``, the command processes the folder itself.
     """
 
-    def are_given(names: tuple[str, ...], stated: dict[str, Any]) -> list[str]:
-        values = (SimpleNamespace(**stated), *stated.values())
+    def are_given(names: tuple[str, ...], options: dict[str, Any]) -> list[str]:
+        values = (SimpleNamespace(**options), *options.values())
         return [name for name in names if any(getattr(value, name, None) for value in values)]
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -210,17 +210,17 @@ class _Job:
             progress(str(place), k / len(files))
             name = place.with_name(name_of(place))
             name = name if names[name] == 1 else place
-            part = part_of(progress, k / len(files), (k + 1) / len(files))
-            rows.append(self.row(folder, place, name, earlier.get(place.as_posix(), EMPTY), part))
+            file_progress = part_of(progress, k / len(files), (k + 1) / len(files))
+            rows.append(self.row(folder, place, name, earlier.get(place.as_posix(), EMPTY), file_progress))
             error = rows[-1]["error"]
             if all(row["error"] for row in rows) and any(error.startswith(f"{path}: ") for path in shared):
                 raise InputError(error)
             if output is not None:
                 save_json(output / "summary.json", {"kind": "undrift.batch", "command": command, "rows": rows})
         standing = sum(row is earlier.get(row["name"]) for row in rows)
-        others = tuple(str(entry.relative_to(folder)) for entry in entries if entry not in files)
+        other_entries = tuple(str(entry.relative_to(folder)) for entry in entries if entry not in files)
         table = FolderTable(
-            command=command, folder=folder, rows=tuple(rows), standing=standing, output=output, others=others
+            command=command, folder=folder, rows=tuple(rows), standing=standing, output=output, others=other_entries
         )
         if output is not None:
             _write(table, output)
@@ -234,34 +234,35 @@ class _Job:
             self.function.__name__,
         )
         try:
-            stated = self.settle(file, place, dict(self.stated))
-            row["key"] = _key(command, file, stated)
+            options = self.settle(file, place, dict(self.stated))
+            row["key"] = _key(command, file, options)
             if self.output is not None and self.ending is not None:
-                stated["output"] = self.output / f"{name}{self.ending}"
-                stated["output"].parent.mkdir(parents=True, exist_ok=True)
-                row["output"] = str(stated["output"])
+                options["output"] = self.output / f"{name}{self.ending}"
+                options["output"].parent.mkdir(parents=True, exist_ok=True)
+                row["output"] = str(options["output"])
             same = all(earlier[key] == row[key] for key in ("key", "output", "error"))
             if same and (row["output"] is None or Path(row["output"]).exists()):
                 return earlier
-            opening = stated.get("opening", Opening())
-            watched = CountedOpening(**{one.name: getattr(opening, one.name) for one in fields(opening)})
-            summary = self.function(file, **stated | {"opening": watched, "progress": progress}).summary()
+            opening = options.get("opening", Opening())
+            watched = CountedOpening(**{field.name: getattr(opening, field.name) for field in fields(opening)})
+            summary = self.function(file, **options | {"opening": watched, "progress": progress}).summary()
         except (UndriftError, OSError, ValueError, ArithmeticError, LookupError, TypeError, MemoryError) as error:
             text = str(error) if isinstance(error, UndriftError | OSError) else f"{type(error).__name__}: {error}"
             kind = "damaged" if command == "info" else row["kind"]
             return row | {"kind": kind, "verdict": "error", "error": text.removeprefix(f"{file}: "), "output": None}
-        seen = watched.seen | (summary.data if command == "info" else {})
-        row |= _judged(summary) | {key: plain(seen[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in seen}
+        facts = watched.seen | (summary.data if command == "info" else {})
+        row |= _judged(summary) | {key: plain(facts[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in facts}
         none = {"verdict": ""} if row["kind"] in ("text", "settings") else {}
         return row | none if row["sample_rate_hz"] else row | none | {"gaps": None}
 
 
-def _key(command: str, file: Path, stated: Row) -> str:
+def _key(command: str, file: Path, options: Row) -> str:
     """Return the hash of all inputs of a row: recording, options and their files, version."""
     values = {
-        name: asdict(one) if is_dataclass(one) and not isinstance(one, type) else one for name, one in stated.items()
+        name: asdict(option) if is_dataclass(option) and not isinstance(option, type) else option
+        for name, option in options.items()
     }
-    read = origin_of(file, *files_in(tuple(stated.values()))).inputs
+    read = origin_of(file, *files_in(tuple(options.values()))).inputs
     return hashlib.sha256(json.dumps([__version__, command, plain(values), read]).encode()).hexdigest()
 
 
@@ -270,7 +271,7 @@ def _judged(summary: Summary) -> Row:
     calibration.
     """
     verdict = Verdict.of(*summary.findings).also(summary.verdict or Verdict())
-    worst = next((one.text for level in ("fail", "warn") for one in verdict.findings if one.level == level), "")
+    worst = next((item.text for level in ("fail", "warn") for item in verdict.findings if item.level == level), "")
     answer = str(summary.data.get("summary") or summary.answer)
     return {"verdict": verdict.status, "worst_finding": worst, "summary": answer}
 

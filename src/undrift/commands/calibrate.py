@@ -62,8 +62,8 @@ class Calibrated(Result):
     def lacking(self) -> list[str]:
         """Triads with readings and without a model."""
         records = self.session.records
-        left = [key for key in NAMES if getattr(self.calibration, key) is None]
-        return [NAMES[key] for key in left if any(getattr(record, key) is not None for record in records)]
+        missing = [key for key in NAMES if getattr(self.calibration, key) is None]
+        return [NAMES[key] for key in missing if any(getattr(record, key) is not None for record in records)]
 
     @cached_property
     def pieces(self) -> "tuple[Piece, ...]":
@@ -78,7 +78,7 @@ class Calibrated(Result):
         """Return matrices and offsets with their uncertainty, the data used, and the residuals."""
         from undrift.io.store import calibration_json
 
-        made, output, lacking = self.calibration, self.output, self.lacking
+        calibration, output, lacking = self.calibration, self.output, self.lacking
         recording, after = output and recording_of(self.files), list[str]()
         if lacking:
             raw = f"no model of the {' and '.join(lacking)} (see the verdict). Their readings stay raw"
@@ -86,20 +86,22 @@ class Calibrated(Result):
         if output is None:
             after.append("Nothing was written. To keep it, repeat the command with -o calibration.json")
         follows = recording is not None and NAMES["accel"] not in lacking
-        shown, more = calibration_summary(made), dict[str, Any]()
+        overview, extra_data = calibration_summary(calibration), dict[str, Any]()
         if self.in_motion is not None:
             figures = _motion_figures(self, self.in_motion)
-            shown = replace(shown, sections=(*shown.sections, _motion_section(figures), _field_section(figures)))
-            more |= {"motion": figures}
-        if self.log is not None:
-            shown = replace(
-                shown, sections=(*shown.sections, Section(title="Rates of the log", text=_log_lines(self.log)))
+            overview = replace(
+                overview, sections=(*overview.sections, _motion_section(figures), _field_section(figures))
             )
-            more |= {"rates": self.log}
+            extra_data |= {"motion": figures}
+        if self.log is not None:
+            overview = replace(
+                overview, sections=(*overview.sections, Section(title="Rates of the log", text=_log_lines(self.log)))
+            )
+            extra_data |= {"rates": self.log}
         return replace(
-            shown,
-            data=calibration_json(made) | {"lacking": lacking} | more,
-            pictures=shown.pictures
+            overview,
+            data=calibration_json(calibration) | {"lacking": lacking} | extra_data,
+            pictures=overview.pictures
             if self.seen is None
             else (Drawing(place="undrift.commands.calibrate:draw_rests", of=(self,)),),
             page=lambda: judged_sections(self) if self.in_motion is None else (),
@@ -182,17 +184,19 @@ def calibrate(
     if rates is not None:
         session, log = _turns_of_log(session, rates, settings)
     if calibrate_from == "motion":
-        made, in_motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)
-        seen = None
+        calibration, motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)
+        observed = None
     else:
-        (made, seen), in_motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
-    part = () if kind is None else ((PART, kind),)
-    made = replace(made, provenance=replace(made.provenance, settings=(*made.provenance.settings, *part)))
+        (calibration, observed), motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None
+    preset = () if kind is None else ((PART, kind),)
+    calibration = replace(
+        calibration, provenance=replace(calibration.provenance, settings=(*calibration.provenance.settings, *preset))
+    )
     calibrated = Calibrated(
-        files=files, calibration=made, session=session, seen=seen, settings=settings, in_motion=in_motion, output=output,
+        files=files, calibration=calibration, session=session, seen=observed, settings=settings, in_motion=motion, output=output,
         log=log)  # fmt: skip
     if output is not None:
-        at("undrift.io.store:write_calibration")(made, output)
+        at("undrift.io.store:write_calibration")(calibration, output)
     return calibrated
 
 
@@ -217,7 +221,7 @@ def _turns_of_log(session: "Session", path: Path, settings: "CalibrateSettings")
             f"{path}: expected steady dwells of {LEAST_S:g} s or more on the recording, got none ({missed} left out). "
             "Check the log."
         )
-    largest_dps = max(each.uncertainty for each in turns) / RADIAN_PER_DEGREE
+    largest_dps = max(turn.uncertainty for turn in turns) / RADIAN_PER_DEGREE
     figures = {
         "dwells": len(turns),
         "left_out": missed,
@@ -233,7 +237,7 @@ def _turns_of_log(session: "Session", path: Path, settings: "CalibrateSettings")
             for line in lines
         ],
     }
-    return replace(find_pieces(session, settings)[0], turns=tuple(each.turn for each in turns)), figures
+    return replace(find_pieces(session, settings)[0], turns=tuple(turn.turn for turn in turns)), figures
 
 
 NOTABLE_DRIFT = 1e-3  # of the clocks: a scale factor is wrong by as much if the clock of the table is the wrong one
@@ -245,26 +249,27 @@ def _log_lines(log: dict[str, Any]) -> tuple[str, ...]:
         f""
         f"{log['largest_uncertainty_dps']:.2g} deg/s"
     ]
-    for each in log["clocks"]:
+    for clock in log["clocks"]:
         lines.append(
-            f"recording - log: {each['offset_s']:.3f} +- {each['offset_uncertainty_s']:.3f} s, drift "
-            f"{each['drift'] * 1e6:+.0f} +- {each['drift_uncertainty'] * 1e6:.0f} ppm"
+            f"recording - log: {clock['offset_s']:.3f} +- {clock['offset_uncertainty_s']:.3f} s, drift "
+            f"{clock['drift'] * 1e6:+.0f} +- {clock['drift_uncertainty'] * 1e6:.0f} ppm"
         )
-        if abs(each["drift"]) > NOTABLE_DRIFT:
+        if abs(clock["drift"]) > NOTABLE_DRIFT:
             lines.append(
-                f"the clocks differ by {abs(each['drift']):.2%}. The rates are on the clock of the table. "
+                f"the clocks differ by {abs(clock['drift']):.2%}. The rates are on the clock of the table. "
                 f"Check both clocks."
             )
     return tuple(lines)
 
 
-def _check_idle(named: Mapping[str, object]) -> None:
+def _check_idle(options: Mapping[str, object]) -> None:
     """Refuse options that do not apply to a calibration from motion."""
-    stated = [name for name, value in named.items() if value is not None]
-    if stated:
+    used = [name for name, value in options.items() if value is not None]
+    if used:
         raise InputError(
-            f"calibrate: `calibrate_from` motion has no use for {' and '.join(f'`{name}`' for name in stated)}: leave "
-            f"{'it' if len(stated) == 1 else 'them'} out, or calibrate from pieces"
+            f"calibrate: {' and '.join(f'`{name}`' for name in used)} cannot be used with `calibrate_from` motion. "
+            f"Omit "
+            f"{'it' if len(used) == 1 else 'them'}, or set another `calibrate_from`."
         )
 
 
@@ -274,9 +279,9 @@ def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, A
 
     per_dps = fit.units[0] / RADIAN_PER_DEGREE
     names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
-    named = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
+    labels = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
     rows = zip(
-        named, fit.offsets * per_dps, fit.offset_uncertainty * per_dps, fit.acceleration, fit.rested, strict=True
+        labels, fit.offsets * per_dps, fit.offset_uncertainty * per_dps, fit.acceleration, fit.rested, strict=True
     )
     keys = ("recording", "offset_dps", "offset_uncertainty_dps", "acceleration_m_s2", "rested")
     figures = [dict(zip(keys, row, strict=True)) for row in rows]
@@ -291,19 +296,19 @@ def _motion_section(figures: list[dict[str, Any]]) -> Section:
     heads = ("recording", "x", "y", "z", "+-", "acceleration left in 5 s (m/s2)", "rest")
     rows = tuple(
         (
-            str(one["recording"]), *(number(float(axis), ".3f") for axis in one["offset_dps"]),
-            number(float(one["offset_uncertainty_dps"].max()), ".3f"), number(float(one["acceleration_m_s2"]), ".3f"),
-            "yes" if one["rested"] else "no",
+            str(row["recording"]), *(number(float(axis), ".3f") for axis in row["offset_dps"]),
+            number(float(row["offset_uncertainty_dps"].max()), ".3f"), number(float(row["acceleration_m_s2"]), ".3f"),
+            "yes" if row["rested"] else "no",
         )
-        for one in figures
+        for row in figures
     )  # fmt: skip
     return Section(title="Gyroscopes' offset of each recording, deg/s", columns=heads, rows=rows)
 
 
 def _field_section(figures: list[dict[str, Any]]) -> Section:
     """Return the magnetic field of each recording. Without magnetometers, the section is empty."""
-    there = [one for one in figures if FIELD[0] in one]
-    rows = tuple((str(one["recording"]), *(number(float(one[key]), ".2f") for key in FIELD)) for one in there)
+    there = [row for row in figures if FIELD[0] in row]
+    rows = tuple((str(row["recording"]), *(number(float(row[key]), ".2f") for key in FIELD)) for row in there)
     heads = ("recording", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
     return Section(title="Magnetic field of each recording", columns=heads, rows=rows)
 
@@ -311,27 +316,27 @@ def _field_section(figures: list[dict[str, Any]]) -> Section:
 # ---- a calibration
 
 
-def calibration_summary(made: "Calibration") -> Summary:
+def calibration_summary(calibration: "Calibration") -> Summary:
     """Return the content of a calibration: uncertainty, origin, matrices and offsets."""
-    pictures = (figure_of("calibration:draw_calibration", made),)
-    ideal = (*(departures_words(name, triad) for name, triad in _triads(made)), BARS)
+    pictures = (figure_of("calibration:draw_calibration", calibration),)
+    ideal = (*(departures_words(name, triad) for name, triad in _triads(calibration)), BARS)
     return Summary(
-        title=f"Calibration of {made.device or 'a device'}",
-        answer=answer_sentence(made),
+        title=f"Calibration of {calibration.device or 'a device'}",
+        answer=answer_sentence(calibration),
         pictures=pictures,
         sections=(
-            Section(title="What was calibrated", text=tuple(_origin(made))),
-            uncertainty_section(made),
+            Section(title="What was calibrated", text=tuple(_origin(calibration))),
+            uncertainty_section(calibration),
             Section(title="Matrix and offsets: departures", text=ideal, pictures=pictures, folded=True, on="page"),
-            *(replace(one, folded="page") for one in calibration_sections(made)),
+            *(replace(section, folded="page") for section in calibration_sections(calibration)),
         ),
-        verdict=made.verdict,
+        verdict=calibration.verdict,
     )
 
 
-def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
+def calibration_sections(calibration: "Calibration") -> tuple[Section, ...]:
     """Return matrix, offset and scale factor of each triad, values with their uncertainty."""
-    field = () if made.magnetometer is None else (("magnetometer", made.magnetometer.model),)
+    field = () if calibration.magnetometer is None else (("magnetometer", calibration.magnetometer.model),)
     return tuple(
         Section(
             title=f"{NAMES.get(name, name).capitalize()}: {triad.method}",
@@ -340,7 +345,7 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
                 f"standard uncertainty of "
                 "the last digits in brackets.",
                 *_triad_notes(triad),
-                *(_field_notes(made) if name == "magnetometer" else ()),
+                *(_field_notes(calibration) if name == "magnetometer" else ()),
             ),
             columns=(
                 "axis", "m x", "m y", "m z", f"offset ({triad.unit_in})",
@@ -348,17 +353,17 @@ def calibration_sections(made: "Calibration") -> tuple[Section, ...]:
             ),
             rows=_triad_rows(triad),
         )
-        for name, triad in (*_triads(made), *field)
+        for name, triad in (*_triads(calibration), *field)
     )  # fmt: skip
 
 
-def _triads(made: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
-    return tuple((name, triad) for name in NAMES if (triad := getattr(made, name)) is not None)
+def _triads(calibration: "Calibration") -> "tuple[tuple[str, TriadModel], ...]":
+    return tuple((name, triad) for name in NAMES if (triad := getattr(calibration, name)) is not None)
 
 
-def _field_notes(made: "Calibration") -> Iterator[str]:
+def _field_notes(calibration: "Calibration") -> Iterator[str]:
     """Yield what else is known of a magnetometer: its lag, its unit and its frame."""
-    if (mag := made.magnetometer) is not None:
+    if (mag := calibration.magnetometer) is not None:
         lag = concise(1e3 * mag.lag_s, 1e3 * mag.lag_uncertainty_s)
         yield f"axes of the gyroscopes, which it lags by {lag} ms, with determinant 1: the magnitude of the field is as measured"
 
@@ -397,17 +402,17 @@ def _each(triad: "TriadModel", kind: str) -> str:
     return ", ".join(concise(value, sigma) for name, value, sigma in rows if name.startswith(f"{kind}_"))
 
 
-def _origin(made: "Calibration") -> Iterator[str]:
+def _origin(calibration: "Calibration") -> Iterator[str]:
     """Yield device and gravity, phases found and used, sensors without calibration, and steps of the codes."""
-    known, settings = math.isfinite(made.reference_temp_c), dict(made.provenance.settings)
-    where = f" at {made.reference_temp_c:.1f} degC" if known else ""
+    has_temperature, settings = math.isfinite(calibration.reference_temp_c), dict(calibration.provenance.settings)
+    where = f" at {calibration.reference_temp_c:.1f} degC" if has_temperature else ""
     source = settings.get("gravity", "stated")
     how = {"standard": "standard, assumed", "latitude and height": "by latitude and height"}.get(source, source)
-    yield f"{made.device or 'device without a serial number'}{where}, gravity {made.gravity_m_s2:.5f} m/s2 ({how})"
+    yield f"{calibration.device or 'device without a serial number'}{where}, gravity {calibration.gravity_m_s2:.5f} m/s2 ({how})"
     if "stills" in settings:
         yield f"still phases: {settings['stills']}; faces: {settings['faces']}; turns: {settings['turns']}"
-    yield from (f"{what}: not calibrated" for name, what in NAMES.items() if getattr(made, name) is None)
-    for triad in made.triads if made.adc is not None else ():
+    yield from (f"{what}: not calibrated" for name, what in NAMES.items() if getattr(calibration, name) is None)
+    for triad in calibration.triads if calibration.adc is not None else ():
         if triad.lsb is not None:
             steps = ", ".join(f"{step:.6g}" for step in triad.lsb)
             yield f"ADC {triad.sensor}: step {steps}, rounded {triad.rounding.replace('_', ' ')}"
@@ -427,7 +432,7 @@ class CorrectedPiece:
 
 
 def judge_pieces(
-    session: "Session", pieces: "Sequence[Piece]", settings: "CalibrateSettings", made: "Calibration"
+    session: "Session", pieces: "Sequence[Piece]", settings: "CalibrateSettings", calibration: "Calibration"
 ) -> tuple[list["Record"], list[CorrectedPiece]]:
     """Return the corrected records of a session, and the corrected phases that the calibration used."""
     import numpy as np
@@ -436,9 +441,11 @@ def judge_pieces(
     from undrift.correction.correct import correct_whole
 
     # a triad that the calibration has no model of is left out: its unit may be counts
-    lacking: dict[str, Any] = {} if made.gyro else {"gyro": None, "gyro_unit": "rad/s"}
-    lacking |= {} if made.accel else {"accel": None, "accel_unit": "m/s2"}
-    records = [correct_whole(replace(each, **lacking), made, policy="hold").record for each in session.records]
+    lacking: dict[str, Any] = {} if calibration.gyro else {"gyro": None, "gyro_unit": "rad/s"}
+    lacking |= {} if calibration.accel else {"accel": None, "accel_unit": "m/s2"}
+    records = [
+        correct_whole(replace(source, **lacking), calibration, policy="hold").record for source in session.records
+    ]
     rates = {(turn.recording, turn.start): turn for turn in session.turns if turn.turn_rate is not None}
     unknown, judged = np.full(3, np.nan), []
     for piece in (piece for piece in pieces if not piece.why):
@@ -447,18 +454,18 @@ def judge_pieces(
         skip = settling(length, settings.settle_s, record.sample_rate_hz) if piece.kind == "turn" else 0
         inner = slice(piece.start + skip, max(piece.start + skip + 1, piece.stop))
         accel, gyro = (unknown if v is None else np.nanmean(v[inner], axis=0) for v in (record.accel, record.gyro))
-        stated = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
-        judged.append(CorrectedPiece(piece=piece, accel=accel, gyro=gyro, stated=stated))
+        turn_rate = unknown if turn is None else (turn.turn_rate or 0.0) * np.eye(3)["xyz".index(turn.axis or "x")]
+        judged.append(CorrectedPiece(piece=piece, accel=accel, gyro=gyro, stated=turn_rate))
     return records, judged
 
 
-def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatArray":
+def leverages(judged: Sequence[CorrectedPiece], calibration: "Calibration") -> "FloatArray":
     """Return the information of each phase: its leverage over the rank, mean over the triads, (n,)."""
     import numpy as np
 
     shares = []
-    for triad, name, kinds in ((made.accel, "accel", ("still",)), (made.gyro, "gyro", ("still", "turn"))):
-        rows = np.array([np.append(getattr(one, name), 1.0) for one in judged if one.piece.kind in kinds])
+    for triad, name, kinds in ((calibration.accel, "accel", ("still",)), (calibration.gyro, "gyro", ("still", "turn"))):
+        rows = np.array([np.append(getattr(item, name), 1.0) for item in judged if item.piece.kind in kinds])
         if triad is None or not len(rows) or np.isnan(rows).any():
             continue
         rows[:, :3] /= np.abs(rows[:, :3]).max()
@@ -467,7 +474,7 @@ def leverages(judged: Sequence[CorrectedPiece], made: "Calibration") -> "FloatAr
             rows = np.column_stack(((rows[:, :3, None] * rows[:, None, :3])[:, upper[0], upper[1]], rows[:, :3]))
         levers = np.einsum("ij,ji->i", rows, np.linalg.pinv(rows))
         share = np.zeros(len(judged))
-        share[[k for k, one in enumerate(judged) if one.piece.kind in kinds]] = levers / levers.sum()
+        share[[k for k, item in enumerate(judged) if item.piece.kind in kinds]] = levers / levers.sum()
         shares.append(share)
     return np.mean(shares, axis=0) if shares else np.full(len(judged), np.nan)
 
@@ -476,15 +483,15 @@ def rests_of(calibrated: Calibrated) -> "tuple[FloatArray, FloatArray]":
     """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest that was used, raw and corrected: (n, 2) each."""
     import numpy as np
 
-    session, made = calibrated.session, calibrated.calibration
-    judged = judge_pieces(session, calibrated.pieces, calibrated.settings, made)[1]
-    rests, sizes = [one for one in judged if one.piece.kind == "still"], list["FloatArray"]()
+    session, calibration = calibrated.session, calibrated.calibration
+    judged = judge_pieces(session, calibrated.pieces, calibrated.settings, calibration)[1]
+    rests, sizes = [item for item in judged if item.piece.kind == "still"], list["FloatArray"]()
     for name in ("accel", "gyro"):
-        raw, triad = list[Any](), getattr(made, name)
-        for piece in (one.piece for one in rests if triad is not None):
+        raw, triad = list[Any](), getattr(calibration, name)
+        for piece in (item.piece for item in rests if triad is not None):
             readings = getattr(session.records[piece.recording], name)
             raw.append(np.nanmean(readings[piece.start : piece.stop], axis=0))
-        sizes.append(raw_and_corrected(triad, triad and triad.unit_in, raw, [getattr(one, name) for one in rests]))
+        sizes.append(raw_and_corrected(triad, triad and triad.unit_in, raw, [getattr(item, name) for item in rests]))
     return sizes[0], sizes[1]
 
 
@@ -511,21 +518,23 @@ def draw_rests(calibrated: Calibrated) -> Any:
     return at("undrift.report.calibration:draw_rests")(*rests_of(calibrated), calibrated.calibration.gravity_m_s2)
 
 
-def residuals(judged: Sequence[CorrectedPiece], made: "Calibration") -> tuple["FloatArray", "FloatArray"]:
+def residuals(judged: Sequence[CorrectedPiece], calibration: "Calibration") -> tuple["FloatArray", "FloatArray"]:
     """Return |a| - g of each pose, mg, and rate errors of each dwell, deg/s (n, 3)."""
     import numpy as np
 
-    norms = np.array([np.linalg.norm(one.accel) - made.gravity_m_s2 for one in judged if one.piece.kind == "still"])
-    rates = np.array([one.gyro - one.stated for one in judged if one.piece.kind == "turn"]).reshape(-1, 3)
+    norms = np.array(
+        [np.linalg.norm(item.accel) - calibration.gravity_m_s2 for item in judged if item.piece.kind == "still"]
+    )
+    rates = np.array([item.gyro - item.stated for item in judged if item.piece.kind == "turn"]).reshape(-1, 3)
     poses, dwells = norms[np.isfinite(norms)], rates[np.isfinite(rates).all(axis=1)]
     return poses / (STANDARD_GRAVITY / 1e3), dwells / RADIAN_PER_DEGREE
 
 
 def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
     """Yield how the fit reproduces its readings, the specific force over the session, and what each recording brought."""
-    made = calibrated.calibration
-    records, judged = judge_pieces(calibrated.session, calibrated.pieces, calibrated.settings, made)
-    poses, dwells = residuals(judged, made)
+    calibration = calibrated.calibration
+    records, judged = judge_pieces(calibrated.session, calibrated.pieces, calibrated.settings, calibration)
+    poses, dwells = residuals(judged, calibration)
     parts = [f"gravity to {rms_of(poses):.2g} mg rms in {len(poses)} poses"] if len(poses) else []
     if len(dwells):
         parts.append(f"the table's rates to {rms_of(dwells):.2g} deg/s rms in {len(dwells)} dwells")
@@ -533,9 +542,9 @@ def judged_sections(calibrated: Calibrated) -> Iterator[Section]:
         text = f"The fit reproduces {' and '.join(parts)}. {RESIDUALS}"
         drawing = figure_of("calibration:draw_residuals", poses, dwells)
         yield Section(title="Residuals of the fit", text=(text,), pictures=(drawing,), folded=True)
-    if made.accel is not None:
+    if calibration.accel is not None:
         text = "Shaded: the stills that were used. Turns and handling lie between them."
-        drawing = figure_of("calibration:draw_norm", records, judged, made.gravity_m_s2)
+        drawing = figure_of("calibration:draw_norm", records, judged, calibration.gravity_m_s2)
         yield Section(title="Specific force over the session", text=(text,), pictures=(drawing,), folded=True)
     yield _contributions(calibrated, judged)
 
@@ -545,7 +554,7 @@ def _contributions(calibrated: Calibrated, judged: Sequence[CorrectedPiece]) -> 
     session, shares = calibrated.session, leverages(judged, calibrated.calibration)
     names, rows = [name for name, _ in session.inputs if not name.endswith(".toml")], []
     for k, record in enumerate(session.records):
-        here = [place for place, one in enumerate(judged) if one.piece.recording == k]
+        here = [place for place, item in enumerate(judged) if item.piece.recording == k]
         used = [judged[place].piece for place in here]
         kinds = [piece.kind for piece in used]
         unused = sum(piece.recording == k and bool(piece.why) for piece in calibrated.pieces)

@@ -27,41 +27,44 @@ class ChosenCalibration:
     notes: tuple[str, ...] = ()  # which file was taken from a folder
 
 
-def choose_calibration(named: Path | None, recordings: Sequence[Path], opening: Opening) -> ChosenCalibration:
+def choose_calibration(source: Path | None, recordings: Sequence[Path], opening: Opening) -> ChosenCalibration:
     """Return the calibration in a file, or the newest calibration in a folder with the recordings' serial number."""
     from undrift.io.store import read_calibration
 
-    if named is None:
+    if source is None:
         return ChosenCalibration()
-    if not named.is_dir():
-        return ChosenCalibration(path=named, model=read_calibration(named))
+    if not source.is_dir():
+        return ChosenCalibration(path=source, model=read_calibration(source))
     serials = {serial_of(path, opening) for path in recordings}
     if len(serials) > 1:
         raise InputError(
-            f"{named}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration is applied to all "
+            f"{source}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration "
+            f"is applied to all "
             "of them. Run the command once for each device."
         )
     (serial,) = serials
-    calibrations = [(path, read_calibration(path)) for path in calibration_files(named)]
+    calibrations = [(path, read_calibration(path)) for path in calibration_files(source)]
     matches = sorted(
         ((_created(model), path, model) for path, model in calibrations if model.device == serial), key=lambda x: x[:2]
     )
     if not matches:
-        others = (
+        other_serials = (
             ", ".join(sorted({model.device or "without serial number" for _, model in calibrations}))
             or "no calibration"
         )
-        raise InputError(f"{named}: no calibration of {serial} in this folder. It contains {others}. Name the file.")
+        raise InputError(
+            f"{source}: no calibration of {serial} in this folder. It contains {other_serials}. Name the file."
+        )
     newest = [match for match in matches if match[0] == matches[-1][0]]
     if len(newest) > 1:
-        names = ", ".join(str(path.relative_to(named)) for _, path, _ in newest)
+        names = ", ".join(str(path.relative_to(source)) for _, path, _ in newest)
         raise InputError(
-            f"{named}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
+            f"{source}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
         )
     (date, path, model), count = newest[0], len(matches)
-    made = "no stated date" if date == datetime.min.replace(tzinfo=UTC) else f"{date:%Y-%m-%d}"
+    date_text = "no stated date" if date == datetime.min.replace(tzinfo=UTC) else f"{date:%Y-%m-%d}"
     note = (
-        f"calibration {path}: the newest of {count} of {serial}, made {made}"
+        f"calibration {path}: the newest of {count} of {serial}, made {date_text}"
         if count > 1
         else f"calibration {path} of {serial}"
     )

@@ -93,14 +93,14 @@ class Certified(Result):
         from undrift.io.store import verdict_json
 
         model, content = self.calibration, self.content
-        named = {"file": str(self.output), "content_sha256": content["hash"]}
-        named |= {key: content[key] for key in ("statement", "conformity", "triads")}
+        identity = {"file": str(self.output), "content_sha256": content["hash"]}
+        identity |= {key: content[key] for key in ("statement", "conformity", "triads")}
         lines = tuple(f"{label}: {text}" for label, text in content["head"] if text)
         blank = ", ".join(label.lower() for label, text in content["head"] if not text)
         return Summary(
             title=f"Certificate of {model.device or 'a device'}",
             answer=answer_sentence(model),
-            data=named | {"verdict": verdict_json(model.verdict)},
+            data=identity | {"verdict": verdict_json(model.verdict)},
             pictures=(figure_of("calibration:draw_calibration", model),),
             sections=(
                 uncertainty_section(model),
@@ -204,7 +204,7 @@ def certificate_content(
                 f"certificate: expected a covariance of the {NAMES[name].lower()}, got none. Calibrate from "
                 f"recordings with undrift."
             )
-    made, entries = calibration.provenance, statement.entries()
+    provenance, entries = calibration.provenance, statement.entries()
     labels = {"number": "Certificate number", "laboratory": "Laboratory", "operator": "Calibrated by"}
     return {
         "statement": {name: text or None for name, text in entries.items()},
@@ -213,19 +213,19 @@ def certificate_content(
         "rule": RULE,
         "device": calibration.device or "without serial number",
         "hash": content_hash(calibration),
-        "date": made.created[:10] or "not stated",
+        "date": provenance.created[:10] or "not stated",
         "conditions": [*_conditions(calibration), *_procedure(calibration, triads)],
         "triads": [_triad(name, triad, gravity_uncertainty(calibration, name)) for name, triad in triads.items()],
         "traceability": [*_traceability(calibration, triads)],
         "limits": [*_limits(calibration, triads)],
         "verdict": calibration.verdict.status,
         "findings": [
-            ": ".join(part for part in (item.headline, item.detail) if part)
+            ": ".join(sentence for sentence in (item.headline, item.detail) if sentence)
             for item in most_consequential_first(calibration.verdict.findings)
             if item.level != "info"
         ],
-        "inputs": [list(pair) for pair in made.inputs],
-        "software": ", ".join(f"{name} {version}" for name, version in made.versions) or f"undrift {__version__}",
+        "inputs": [list(pair) for pair in provenance.inputs],
+        "software": ", ".join(f"{name} {version}" for name, version in provenance.versions) or f"undrift {__version__}",
     }
 
 
@@ -303,8 +303,8 @@ def _procedure(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -
 
 
 def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
-    made, (per, units) = expand(triad, gravity), budget_units(name, triad)
-    blocks = [block for block in BLOCKS if made.of_block(block)]
+    table, (per, units) = expand(triad, gravity), budget_units(name, triad)
+    blocks = [block for block in BLOCKS if table.of_block(block)]
     labels = BLOCKS | {"offset": OFFSETS[name]}
     return {
         "title": NAMES[name],
@@ -312,19 +312,19 @@ def _triad(name: str, triad: "TriadModel", gravity: float) -> dict[str, Any]:
         + ("" if triad.g_sensitivity is None else " − G a")
         + ("" if triad.moving_offset is None else " − d in motion"),
         "separated": triad.budget is not None,
-        "results": [_result(name, triad, made, n, per, units) for n in range(len(made.names))],
+        "results": [_result(name, triad, table, n, per, units) for n in range(len(table.names))],
         "blocks": [f"{labels[block]} ({units[block]})" for block in blocks],
-        "budget": [*_budget_rows(name, made, blocks, per)],
+        "budget": [*_budget_rows(name, table, blocks, per)],
         "si": triad.unit_out,
-        "student": bool((made.coverage > COVERAGE).any()),
+        "student": bool((table.coverage > COVERAGE).any()),
     }
 
 
 def _result(
-    name: str, triad: "TriadModel", made: ParameterTable, n: int, per: Mapping[str, float], units: Mapping[str, str]
+    name: str, triad: "TriadModel", table: ParameterTable, n: int, per: Mapping[str, float], units: Mapping[str, str]
 ) -> list[str]:
     """Return quantity, value with its unit, U, U in the units of the budget, k, and the value in SI units."""
-    block, parameter = block_of(made.names[n]), made.names[n]
+    block, parameter = block_of(table.names[n]), table.names[n]
     unit_in, (shown_unit, per_si) = triad.unit_in, SHOWN[name]
     unit, factor = unit_in, 1.0
     if block in ("g", "moving"):
@@ -333,15 +333,15 @@ def _result(
         unit, factor = f"{shown_unit} per {unit_in}", per_si
         if is_physical(unit_in):
             unit, factor = "1", 1.0 / si_factor(unit_in, "rate" if name == "gyro" else "accel")
-    value, expanded = made.value[n] * factor, made.expanded[n] * abs(factor)
-    shown, less = rounded(value, expanded)
+    value, expanded = table.value[n] * factor, table.expanded[n] * abs(factor)
+    value_text, less = rounded(value, expanded)
     fixed = not expanded > 0.0
-    relative = "–" if fixed else f"{two_digits(made.expanded[n] * abs(per[block]))} {units[block]}"
-    coverage, scale = "–" if fixed else f"{made.coverage[n]:.2f}", 1.0
+    relative = "–" if fixed else f"{two_digits(table.expanded[n] * abs(per[block]))} {units[block]}"
+    coverage, scale = "–" if fixed else f"{table.coverage[n]:.2f}", 1.0
     if block in ("offset", "code"):
         scale = abs(per[block]) / per_si
-    si = "–" if unit == "1" else rounded(made.value[n] * scale, made.expanded[n] * scale)[0]
-    return [parameter, shown, unit, "held" if fixed else less, relative, coverage, si]
+    si = "–" if unit == "1" else rounded(table.value[n] * scale, table.expanded[n] * scale)[0]
+    return [parameter, value_text, unit, "held" if fixed else less, relative, coverage, si]
 
 
 def rounded(value: float, uncertainty: float) -> tuple[str, str]:
@@ -356,24 +356,24 @@ def rounded(value: float, uncertainty: float) -> tuple[str, str]:
     return f"{value / 10.0**power:.{digits}f}e{power}", f"{uncertainty / 10.0**power:.{digits}f}e{power}"
 
 
-def _budget_rows(name: str, made: ParameterTable, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
+def _budget_rows(name: str, table: ParameterTable, blocks: list[str], per: Mapping[str, float]) -> Iterator[list[str]]:
     """Yield a row for each source: evaluation, rms over the parameters of each block. The last rows are combined and
     expanded.
     """
-    places = {block: made.of_block(block) for block in blocks}
+    places = {block: table.of_block(block) for block in blocks}
     for source, (label, kind, only) in SOURCE_ROWS.items():
-        if source == "gravity" and name == "accel" and source not in made.shares:
+        if source == "gravity" and name == "accel" and source not in table.shares:
             yield [label, kind, *("not included" if block == "scale" else "–" for block in blocks)]
-        share = made.shares.get(source)
+        share = table.shares.get(source)
         if share is None and (
             only not in ("", name)
             or source in ("angle", "axis", "fit", "gravity", "nonlinearity")
-            or "fit" in made.shares
+            or "fit" in table.shares
         ):
             continue
         cells = (0.0 if share is None else abs(per[b]) * rms_of(share[places[b]]) for b in blocks)
         yield [label, kind, *map(two_digits, cells)]
-    for label, values in (("Combined standard uncertainty", made.standard), ("Expanded uncertainty", made.expanded)):
+    for label, values in (("Combined standard uncertainty", table.standard), ("Expanded uncertainty", table.expanded)):
         yield [label, "", *(two_digits(abs(per[b]) * rms_of(values[places[b]])) for b in blocks)]
 
 
@@ -382,12 +382,12 @@ def _traceability(calibration: "Calibration", triads: "Mapping[str, TriadModel]"
     yield "Results are traceable only to the reference values below, which the user entered or left at their defaults."
     methods = {name: triad.method.partition("/")[0] for name, triad in triads.items()}
     if methods.get("gyro") == "rate-table":
-        named = (
+        quantities = (
             ("rate_uncertainty", "rates in common", "(relative)"), ("mount_tilt_deg", "mounting", "deg"),
             ("table_level_deg", "level of the table", "deg"), ("wobble_deg", "wobble", "deg"),
         )  # fmt: skip
-        each = ", ".join(f"{label} {settings[key]} {unit}" for key, label, unit in named if key in settings)
-        yield f"Rates: as entered for the rate table. Standard uncertainties: {each or 'not stated'}."
+        entered = ", ".join(f"{label} {settings[key]} {unit}" for key, label, unit in quantities if key in settings)
+        yield f"Rates: as entered for the rate table. Standard uncertainties: {entered or 'not stated'}."
     elif methods.get("gyro") == "known-rotation":
         angle, axis = (settings.get(f"{name}_uncertainty_deg", "not stated") for name in ("angle", "axis"))
         yield f"Angles: as entered for the turns. Standard uncertainties: angle {angle} deg, axis of the turns {axis} deg."
@@ -414,11 +414,13 @@ def _limits(calibration: "Calibration", triads: "Mapping[str, TriadModel]") -> I
             yield f"{NAMES[name]}: calibrated from {low:.4g} to {high:.4g} {unit}, at steady values. Larger values are not covered."
     if "accel" in triads:
         method, size = triads["accel"].method, "of a data sheet's size (2e-4 per m/s²) is included in U of their offset"
-        held = "is part of their offset, and not included in U"
+        remark = "is part of their offset, and not included in U"
         if method.startswith(("six-face", "multi-position")):
             six = method.startswith("six-face")
-            held = f"{size}. 18 free poses would determine it" if six else f"{size}, as far as the poses leave it open"
-        yield f"The accelerometers are taken as linear within 1 g. A quadratic term {held}."
+            remark = (
+                f"{size}. 18 free poses would determine it" if six else f"{size}, as far as the poses leave it open"
+            )
+        yield f"The accelerometers are taken as linear within 1 g. A quadratic term {remark}."
     tables = calibration.drift
     if tables is None or tables.static is None:
         yield "Offsets hold at the reference temperature. Change with temperature is not included in U."

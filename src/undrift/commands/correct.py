@@ -110,7 +110,7 @@ class CorrectedFiles(Result):
         remarks = tuple(
             f"{file.record.name}, {what}: {text}" if several else f"{what}: {text}"
             for file in self.files
-            for what, texts in (("warning", [one.text for one in file.findings]), ("note", file.notes))
+            for what, texts in (("warning", [warning.text for warning in file.findings]), ("note", file.notes))
             for text in texts
         )
         rests = figure_of("calibration:draw_rests", *self.files[0].rests, _gravity(self.model))
@@ -191,7 +191,7 @@ def correct(
     targets = targets_of(records, output, (calibration, opening.column_map))
     folder = targets[0].parent
     opening = opening.like(model, calibration)
-    made = not folder.exists()
+    created = not folder.exists()
     folder.mkdir(exist_ok=True)
     corrector = partial(Corrector, model, applying.policy, power_on_s=applying.power_on_s)
     settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
@@ -203,7 +203,7 @@ def correct(
     try:
         files = _correct_all(records, targets, corrected, scheduler, progress)
     except BaseException:
-        if made:
+        if created:
             folder.rmdir()
         raise
     return CorrectedFiles(calibration=calibration, model=model, files=files, notes=chosen.notes)
@@ -221,21 +221,23 @@ def _correct_all(
 
     with hidden_folder(targets[0].parent) as hidden:
         jobs, done = (
-            [(record, hidden / one.name) for record, one in zip(records, targets, strict=True)],
+            [(record, hidden / corrected.name) for record, corrected in zip(records, targets, strict=True)],
             dict[int, CorrectedFile](),
         )
         if scheduler is not None:
             from undrift.study.run import executor
 
-            there = [(record.resolve(), part.resolve()) for record, part in jobs]  # workers run in other folders
+            there = [(record.resolve(), target.resolve()) for record, target in jobs]  # workers run in other folders
             with executor(None, scheduler) as spread:
-                for place, one in enumerate(spread(correct_one, there)):
-                    done[place] = one
+                for place, corrected in enumerate(spread(correct_one, there)):
+                    done[place] = corrected
                     progress(records[place].name, len(done) / len(jobs))
         else:
             for k, job in enumerate(jobs):
                 done[k] = correct_one(job, progress=part_of(progress, k / len(jobs), (k + 1) / len(jobs)))
-        take_names({hidden.parent / part.name: part for part in sorted(hidden.iterdir())})  # and their sidecar files
+        take_names(
+            {hidden.parent / target.name: target for target in sorted(hidden.iterdir())}
+        )  # and their sidecar files
     return tuple(replace(done[k], record=record, output=targets[k]) for k, record in enumerate(records))
 
 
@@ -248,8 +250,8 @@ def targets_of(records: tuple[Path, ...], output: Path, read: tuple[Path | None,
         targets = [output]
     else:
         if output.suffix and not output.is_dir():
-            named = f"a name ending in {', '.join(endings[:-1])} or {endings[-1]}"
-            wanted = "a folder for several recordings" if len(records) > 1 else named
+            ending_text = f"a name ending in {', '.join(endings[:-1])} or {endings[-1]}"
+            wanted = "a folder for several recordings" if len(records) > 1 else ending_text
             raise InputError(f"output: expected {wanted}, got {output}. Correct the name.")
         check_folder(output)
         targets = [output / (name_of(record) + ".parquet") for record in records]
@@ -283,41 +285,47 @@ def _correct_one(
     from undrift.io.parquet import ParquetWriter, parquet_rows
     from undrift.io.write import write_record_as
 
-    (record, part), stream, notes, rest = job, corrector(), dict[str, None](), None
+    (record, target), stream, notes, rest = job, corrector(), dict[str, None](), None
     if find_offset is not None:
         rest = find_offset(record, model, opening, corrector())
         stream, notes = corrector(offset=rest), {item.text: None for item in rest.findings}
     suspicions: tuple[Finding, ...] = ()
     saturated: dict[object, Finding] = {}  # by channel and axis, over all chunks
-    whole, total = not part.name.endswith(".parquet"), parquet_rows(record) if detect(record) == "parquet" else None
+    unchunked, total = (
+        not target.name.endswith(".parquet"),
+        parquet_rows(record) if detect(record) == "parquet" else None,
+    )
     with (
         reading(progress, READ, record),
-        nullcontext() if whole else ParquetWriter(part) as writer,
+        nullcontext() if unchunked else ParquetWriter(target) as writer,
         ThreadPoolExecutor(1) as pool,  # writes a chunk while the next chunk is corrected
     ):
-        write = writer.write if writer else partial(write_record_as, path=part, made_by=made_by(record))
+        write = writer.write if writer else partial(write_record_as, path=target, made_by=made_by(record))
         written: Future[Any] = pool.submit(bool)
-        for read in (opening.read(record),) if whole else read_ahead(opening.chunks(record)):
+        for read in (opening.read(record),) if unchunked else read_ahead(opening.chunks(record)):
             chunk, left_out = calibrated_part(read, model)
-            for one in find_saturated(chunk):
-                saturated.setdefault((one.values["channel"], one.values["axis"]), one)
+            for saturation in find_saturated(chunk):
+                saturated.setdefault((saturation.values["channel"], saturation.values["axis"]), saturation)
             done = stream.push_checked(chunk)
             if stream.state.samples == len(chunk):  # the first chunk is enough
                 with named_columns(record):
                     check_force(done.record)
                     suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
-                suspicions += tuple(one for one in done.findings if one.code == "correct.device")
-                rests, at_rest = _at_rests(chunk, done.record, model)
+                suspicions += tuple(saturation for saturation in done.findings if saturation.code == "correct.device")
+                rests, rms = _at_rests(chunk, done.record, model)
             written.result()
             written = pool.submit(write, done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
             progress(record.name, stream.state.samples / total if total else READ)
         written.result()
-    suspicions = (*saturated.values(), *(one for one in suspicions if one.code != "recording.saturated"))
+    suspicions = (
+        *saturated.values(),
+        *(saturation for saturation in suspicions if saturation.code != "recording.saturated"),
+    )
     findings = (*suspicions, *stream.findings)
     return CorrectedFile(
-        record=record, output=part, state=stream.state, notes=tuple(notes), findings=findings,
-        rest=rest, rests=rests, at_rest=at_rest,
+        record=record, output=target, state=stream.state, notes=tuple(notes), findings=findings,
+        rest=rest, rests=rests, at_rest=rms,
     )  # fmt: skip
 
 
@@ -340,7 +348,7 @@ def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[lis
     ideals = {"accel": ("accel_mg", _gravity(model), si_factor("mg", "accel")), "gyro": ("rate_dps", 0.0, 1.0)}
     for name, (key, ideal, unit) in ideals.items():
         triads = [values for values in (getattr(raw, name), getattr(done, name)) if values is not None]
-        means = [[values[one.start : one.stop].mean(axis=0) for one in stills] for values in triads] or [[], []]
+        means = [[values[still.start : still.stop].mean(axis=0) for still in stills] for values in triads] or [[], []]
         both = raw_and_corrected(getattr(model, name), getattr(raw, f"{name}_unit"), *means)
         sizes.append(both := both[np.isfinite(both).all(axis=1)])
         away = np.sqrt(((both - ideal) ** 2).mean(axis=0)) / unit if len(both) else (np.nan, np.nan)
@@ -373,11 +381,11 @@ def _offset_left(
 
     with naming(record):
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
-        corrected = (corrector.push_checked(part).record for part in parts)
+        corrected = (corrector.push_checked(chunk).record for chunk in parts)
         if offset == "rest":
             return replace(find_rest_offset_in(corrected, stretch), moved=moved_by(model.gyro))
-        whole = joined(list(corrected))
-        return offset_left(whole, offset, known_rest_offset(whole, stretch), model.gyro)
+        joined_record = joined(list(corrected))
+        return offset_left(joined_record, offset, known_rest_offset(joined_record, stretch), model.gyro)
 
 
 def _provenance(
@@ -403,10 +411,10 @@ def _suspicions(done: "Record", model: "Calibration") -> "tuple[Finding, ...]":
     from undrift.findings import finding
     from undrift.io.inspect import check_gravity
 
-    named = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
+    triads = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     suspicions = [
         finding("correct.sensors_differ", "warn", what=f"no {what} in the recording. Check the names of the columns.")
-        for what, triad, values in named
+        for what, triad, values in triads
         if triad is not None and values is None
     ]
     return (*suspicions, *check_gravity(done))

@@ -68,12 +68,12 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
     tell("fitting calibration and tables, judging a worn trial", after_s)
     fit, trials = _judged(device, out)
     tell("report", 0.5 * REST_HOST_S[quick])
-    shown = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device))
+    overview = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device))
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
-    for name, page in zip(PAGES, (shown, _tables(fit)), strict=True):
+    for name, page in zip(PAGES, (overview, _tables(fit)), strict=True):
         at("undrift.report.page:write_page")(out / name, page, origin)
-    save_json(out / "summary.json", shown.data)
-    return shown
+    save_json(out / "summary.json", overview.data)
+    return overview
 
 
 def _check_fresh(out: Path) -> None:
@@ -109,19 +109,21 @@ def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial"
 
     fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
     write_calibration(fit.drift.calibration, out / "calibration.json")
-    made = worn_trial(device, seed=SEED)
-    write_record(made[0], out / "trial.parquet")
-    write_reference(made[1], out / "reference.parquet")
+    trial = worn_trial(device, seed=SEED)
+    write_record(trial[0], out / "trial.parquet")
+    write_reference(trial[1], out / "reference.parquet")
     record = read_record(out / "trial.parquet")  # judge the data that are on the disk
     corrected = correct_checked(record, read_calibration(out / "calibration.json"))
     write_record(corrected.record, out / "corrected.parquet")
     return fit, judge_levels(fit, record, read_reference(out / "reference.parquet"))
 
 
-def _summary(out: Path, made: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: "tuple[Check, ...]") -> Summary:
+def _summary(
+    out: Path, results: "tuple[BenchRun, BenchFit, tuple[Trial, ...]]", checks: "tuple[Check, ...]"
+) -> Summary:
     from undrift.io.store import calibration_json
 
-    run, fit, trials = made
+    run, fit, trials = results
     none, _, full, rest, both = (f"{trial.figures.max_abs_pitch_deg:.2f} deg" for trial in trials)
     return Summary(
         title="undrift demo: the note's method on a simulated bench",
@@ -251,9 +253,9 @@ def _rates(run: "BenchRun") -> Section:
 
 
 def _achieved(turns: "list[RecordedDwell]", rate: float, axis: str) -> str:
-    found = [piece for piece in turns if piece.axis == axis and piece.nominal_turn_rate == rate]
-    if not found:
+    matches = [piece for piece in turns if piece.axis == axis and piece.nominal_turn_rate == rate]
+    if not matches:
         return ""
-    uncertainty = math.hypot(*(piece.turn_rate_uncertainty for piece in found)) / len(found)
-    mean = math.fsum(piece.turn_rate for piece in found) / len(found)
+    uncertainty = math.hypot(*(piece.turn_rate_uncertainty for piece in matches)) / len(matches)
+    mean = math.fsum(piece.turn_rate for piece in matches) / len(matches)
     return plus_minus(mean / RADIAN_PER_DEGREE, uncertainty / RADIAN_PER_DEGREE)

@@ -114,12 +114,15 @@ def _fitted(
     from undrift.io.formats import detect
     from undrift.record import Session
 
-    read, bare, stated = list[Session](), list[Session](), list[Session]()
+    read, bare, session_list = list[Session](), list[Session](), list[Session]()
     for k, path in enumerate(sessions):
         with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
-        (stated if detect(path) == "session" else bare).append(read[-1])
-    together = [*stated, *one_power_on(bare)]  # recordings without a session form one session if their clock continues
+        (session_list if detect(path) == "session" else bare).append(read[-1])
+    together = [
+        *session_list,
+        *one_power_on(bare),
+    ]  # recordings without a session form one session if their clock continues
     return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
 
 
@@ -177,8 +180,8 @@ def _worth(fit: "DriftFit") -> "TableWorth | None":
 
     from undrift.validation.table_worth import expected_errors
 
-    known = np.isfinite(fit.rests.gyro_variance).all(axis=1)
-    variance = np.median(fit.rests.gyro_variance[known], axis=0) if known.any() else np.zeros(3)
+    finite = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[finite], axis=0) if finite.any() else np.zeros(3)
     return expected_errors(fit.calibration, rest_variance=variance)
 
 
@@ -239,8 +242,8 @@ def offset_title(name: str, summary: "TriadSummary") -> str:
     step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
     count = int(summary.extrapolated.sum())
     far = f", {count} of them extrapolated" if count else ""
-    seen = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
-    return f"{seen}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
+    title = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
+    return f"{title}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
 
 
 def scale_rows(fit: "DriftFit") -> list[dict[str, str]]:

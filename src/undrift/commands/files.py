@@ -93,10 +93,10 @@ class Opening:
 
         if self.column_map is not None:
             return read_map(self.column_map, **self._options())
-        kept = None if self.kept is None else self.kept.file_map
-        if entry_of(kept).columns is not None and not needs_map(path):
-            kept = None
-        return map_and_settings(kept, **self._options())
+        stored_map = None if self.kept is None else self.kept.file_map
+        if entry_of(stored_map).columns is not None and not needs_map(path):
+            stored_map = None
+        return map_and_settings(stored_map, **self._options())
 
     @contextmanager
     def _fitting(self, path: Path) -> Iterator[None]:
@@ -214,26 +214,28 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
     """Read a session folder, or make a session of bare recordings."""
     from undrift.io.session import NAME, read_session, session_from_files
 
-    stated = [file for file in files if (file / NAME).is_file() or file.name == NAME]
-    if not stated:
+    named_sessions = [file for file in files if (file / NAME).is_file() or file.name == NAME]
+    if not named_sessions:
         bare = [file for file in files if file.is_dir() and not is_recording(file)]
         if bare:  # raises a message about the content of a session folder
             read_session(bare[0])
         return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
         raise InputError(
-            f"{stated[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only "
+            f"{named_sessions[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only "
             f"the session, "
             "or list the recordings in its session.toml."
         )
-    session = read_session(stated[0])
-    given: dict[str, object] = {"--map": opening.column_map}
+    session = read_session(named_sessions[0])
+    options: dict[str, object] = {"--map": opening.column_map}
     if session.gravity_source != "standard":
-        given |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
-    given |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}
-    used = [name for name, value in (given | {"--serial": place.serial or None}).items() if value is not None]
+        options |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
+    options |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}
+    used = [name for name, value in (options | {"--serial": place.serial or None}).items() if value is not None]
     if used:
-        raise InputError(f"{stated[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml.")
+        raise InputError(
+            f"{named_sessions[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml."
+        )
     if session.gravity_source == "standard":
         gravity_m_s2, source = place.gravity(of_session=True)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
@@ -273,8 +275,8 @@ def _files_of(folder: Path) -> list[list[str]]:
     from undrift.base.codec import read
     from undrift.io.session import NAME, SessionFile
 
-    stated = (entry.file for entry in read(SessionFile, folder / NAME).recording)
-    return [[file] if isinstance(file, str) else file for file in stated]
+    entries = (entry.file for entry in read(SessionFile, folder / NAME).recording)
+    return [[file] if isinstance(file, str) else file for file in entries]
 
 
 def recording_of(files: tuple[Path, ...]) -> Path | None:
@@ -297,8 +299,8 @@ def recordings_of(
     folder = files[0] if files[0].is_dir() else files[0].parent
     if files[0].name != NAME and not (files[0] / NAME).is_file():
         return files, None
-    held = session_of(files, place, opening)
-    return tuple(folder / names[0] for names in _files_of(folder)), held
+    session = session_of(files, place, opening)
+    return tuple(folder / names[0] for names in _files_of(folder)), session
 
 
 def check_physical(record: "Record", path: Path) -> None:
@@ -323,7 +325,7 @@ def corrected(
         check_physical(readings, path)
         return readings, (), ()
     done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
-    return done.record, tuple(one for one in done.findings if one.level == "warn"), done.notes
+    return done.record, tuple(item for item in done.findings if item.level == "warn"), done.notes
 
 
 def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":
@@ -337,15 +339,15 @@ def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tu
 
     if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
         return record, ()
-    for name, what, held, si in (
+    for name, what, triad, si in (
         ("accel", "accelerometers", model.accel, "m/s2"),
         ("gyro", "gyroscopes", model.gyro, "rad/s"),
     ):
         unit = getattr(record, f"{name}_unit")
-        if held is None and not is_physical(unit):
-            left: dict[str, Any] = {name: None, f"{name}_unit": si}
+        if triad is None and not is_physical(unit):
+            removed: dict[str, Any] = {name: None, f"{name}_unit": si}
             note = f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
-            return replace(record, **left), (note,)
+            return replace(record, **removed), (note,)
     return record, ()
 
 
@@ -357,8 +359,8 @@ def named_columns(path: Path) -> Iterator[None]:
     try:
         yield
     except Implausible as error:
-        rate, named = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
-        raise Implausible(named + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
+        rate, message = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
+        raise Implausible(message + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
 
 
 def labels_of(markers: str | None) -> tuple[str, ...] | None:
@@ -493,9 +495,9 @@ def check_output(
         raise InputError(f"{path}: expected the name of a file to write, got a folder. Add the name of a file.")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist. Create it first.")
-    held = [read for read in reads if read is not None]
+    inputs = [read for read in reads if read is not None]
     for file in (path, *beside):
-        if file.exists() and any(_holds(read, file) for read in held):
+        if file.exists() and any(_holds(read, file) for read in inputs):
             raise InputError(f"{file}: this file is also read and cannot be written. Choose another name.")
 
 
@@ -530,7 +532,7 @@ def _holds(read: Path, target: Path) -> bool:
     if not read.is_dir():
         return read.exists() and target.samefile(read)
     if (read / NAME).is_file():
-        names = [NAME, *(name for held in _files_of(read) for name in held)]
+        names = [NAME, *(name for names_of_record in _files_of(read) for name in names_of_record)]
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder
     return any((read / name).exists() and target.samefile(read / name) for name in names)
@@ -541,12 +543,12 @@ def files_in(value: object) -> Iterator[Path]:
     if isinstance(value, Path):
         yield value
     elif isinstance(value, tuple):
-        for one in value:
-            yield from files_in(one)
+        for item in value:
+            yield from files_in(item)
     elif is_dataclass(value):
-        for one in fields(value):
-            if WRITTEN not in getattr(one.type, "__metadata__", ()):
-                yield from files_in(getattr(value, one.name))
+        for item in fields(value):
+            if WRITTEN not in getattr(item.type, "__metadata__", ()):
+                yield from files_in(getattr(value, item.name))
 
 
 def save_json(path: Path, value: object) -> None:

@@ -58,7 +58,7 @@ class Proposal:
     def check(self, *, reads: Sequence[Path | None]) -> None:
         """Raise an error if a unit is given without a map."""
         check_output(self.write_map, endings=(".toml",), reads=reads)
-        option = next((one.name for one in fields(self)[1:] if getattr(self, one.name) is not None), "")
+        option = next((field.name for field in fields(self)[1:] if getattr(self, field.name) is not None), "")
         if option and self.write_map is None:
             raise InputError(
                 f"`{option}`: this option requires `write_map`. Add `write_map` map.toml, or omit `{option}`."
@@ -111,37 +111,47 @@ def info(
         raise InputError(f"output: expected a folder of recordings for a table, got {file}. Omit `output`.")
     proposal.check(reads=(file, opening.column_map))
     with reading(progress, 0.8, file):
-        found, opening = _described(file, opening, reference_up)
+        description, opening = _described(file, opening, reference_up)
     if proposal.write_map is not None:
-        return _write_map(found, proposal.write_map, proposal, opening)
-    session = found.session
+        return _write_map(description, proposal.write_map, proposal, opening)
+    session = description.session
     records = () if session is None else session.records
-    disagree = tuple(one for record in records if (one := find_disagreement(record)) is not None)
-    found = replace(found, findings=(*found.findings, *disagree))
-    seen, reason = _look(session)
-    stills = [] if seen is None else [_span(records[still.recording], still) for still in seen.stills]
-    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, seen, name_of(file)))
-    effects = _effects(file) if found.kind == "device" else {}
-    calibration = read_calibration(file) if found.kind == "calibration" else None
+    disagree = tuple(entry for record in records if (entry := find_disagreement(record)) is not None)
+    description = replace(description, findings=(*description.findings, *disagree))
+    observed, reason = _look(session)
+    stills = [] if observed is None else [_span(records[still.recording], still) for still in observed.stills]
+    drawing = Drawing(place="undrift.commands.info:draw_found", of=(session, observed, name_of(file)))
+    effects = _effects(file) if description.kind == "device" else {}
+    calibration = read_calibration(file) if description.kind == "calibration" else None
     if calibration is not None:
         effects, span = _parts(calibration)
-        found = replace(found, temp_c=span)
+        description = replace(description, temp_c=span)
         drawing = figure_of("calibration:draw_calibration", calibration)
     verdict = None if calibration is None else calibration.verdict
     parts = effects if verdict is None else effects | {"verdict": [verdict.status, *verdict.reasons]}
-    lines = (*_lines(found, stills, reason), *(f"{part}: {', '.join(texts)}" for part, texts in effects.items()))
-    more: dict[str, object] = {"units": dict(found.units), "stills": stills, "map": found.example, "effects": parts}
-    more |= {"findings": findings_json(found.findings), "no_still_because": reason}
+    lines = (
+        *_lines(description, stills, reason),
+        *(f"{section}: {', '.join(texts)}" for section, texts in effects.items()),
+    )
+    extra_data: dict[str, object] = {
+        "units": dict(description.units),
+        "stills": stills,
+        "map": description.example,
+        "effects": parts,
+    }
+    extra_data |= {"findings": findings_json(description.findings), "no_still_because": reason}
     return Summary(
         title=f"What {name_of(file)} holds",
-        answer=f"{found.path}: {found.kind} ({found.format})",
-        data={key: getattr(found, key) for key in _KEYS} | more | {"verdict": verdict and verdict_json(verdict)},
+        answer=f"{description.path}: {description.kind} ({description.format})",
+        data={key: getattr(description, key) for key in _KEYS}
+        | extra_data
+        | {"verdict": verdict and verdict_json(verdict)},
         pictures=(drawing,) if records or calibration else (),
         sections=(Section(title="What was found", text=lines),),
         verdict=verdict,
-        findings=found.findings,
+        findings=description.findings,
         brief=verdict is None,
-        next=_next(found, len(stills), opening),
+        next=_next(description, len(stills), opening),
     )
 
 
@@ -157,24 +167,24 @@ def _described(file: Path, opening: Opening, up: Up) -> "tuple[Description, Open
     return describe(file, columns, settings=settings, up=up), opening
 
 
-def _write_map(found: "Description", path: Path, proposal: Proposal, opening: Opening) -> Summary:
+def _write_map(description: "Description", path: Path, proposal: Proposal, opening: Opening) -> Summary:
     """Write the map that a table seems to need, each unit with its reason."""
     from undrift.files import write_whole
     from undrift.io.proposal import map_of
 
-    stated = {"gyro": proposal.gyro_unit, "accel": proposal.accel_unit}
-    text = map_of(found, sample_rate_hz=opening.sample_rate_hz, units=stated)
+    units = {"gyro": proposal.gyro_unit, "accel": proposal.accel_unit}
+    text = map_of(description, sample_rate_hz=opening.sample_rate_hz, units=units)
     write_whole(path, text)
     lines, complete = text.splitlines(), '"?"' not in text
-    advice = f"replace each ? in {path}" + ", or repeat with `gyro_unit` or `accel_unit`" * (not of_poses(found))
-    made = {"kind": found.kind, "format": found.format, "output": str(path)}
+    advice = f"replace each ? in {path}" + ", or repeat with `gyro_unit` or `accel_unit`" * (not of_poses(description))
+    summary = {"kind": description.kind, "format": description.format, "output": str(path)}
     return Summary(
-        title=f"Map of {Path(found.path).name}",
-        answer=f"The map of {found.path} is complete." if complete else f"The map is not complete: {advice}.",
-        data=made | {"map": lines, "complete": complete},
+        title=f"Map of {Path(description.path).name}",
+        answer=f"The map of {description.path} is complete." if complete else f"The map is not complete: {advice}.",
+        data=summary | {"map": lines, "complete": complete},
         sections=(Section(title="Map", text=tuple(lines)),),
         written=(path,),
-        next=("info", found.path, "--map", path) if complete else (),
+        next=("info", description.path, "--map", path) if complete else (),
     )
 
 
@@ -201,21 +211,26 @@ def _write_session(
             with named_columns(file):
                 check_triads(record)
     progress("looking for rests and turns", 0.5)
-    found, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
-    text = session_text(found, files, folder, file_map=opening.file_map(), steady=steady)
+    session, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
+    text = session_text(session, files, folder, file_map=opening.file_map(), steady=steady)
     folder.mkdir(exist_ok=True)
     write_whole(folder / NAME, text)
-    faces = list(dict.fromkeys(still.face for still in found.stills if still.face is not None))
+    faces = list(dict.fromkeys(still.face for still in session.stills if still.face is not None))
     lines = (
         f"faces: {', '.join(faces) or 'not all six, free poses'}",
         f"steady turns whose rate must be entered: {len(steady)}",
-        f"gravity {found.gravity_m_s2:.5f} m/s2 ({found.gravity_source})",
+        f"gravity {session.gravity_m_s2:.5f} m/s2 ({session.gravity_source})",
     )
-    counts = {"recordings": len(found.records), "faces": faces, "stills": len(found.stills), "turns": len(found.turns)}
-    gravity = {name: getattr(found, name) for name in ("gravity_m_s2", "gravity_source")}
+    counts = {
+        "recordings": len(session.records),
+        "faces": faces,
+        "stills": len(session.stills),
+        "turns": len(session.turns),
+    }
+    gravity = {name: getattr(session, name) for name in ("gravity_m_s2", "gravity_source")}
     return Summary(
         title="A session of bare recordings",
-        answer=f"{len(found.stills)} still phases and {len(found.turns)} turns by a known angle were found.",
+        answer=f"{len(session.stills)} still phases and {len(session.turns)} turns by a known angle were found.",
         data={"kind": "session", "format": "session", "output": str(folder / NAME)}
         | counts
         | {"steady_turns": len(steady)}
@@ -229,20 +244,20 @@ def _write_session(
 # ---- A calibration and a device model
 
 
-def _parts(held: "Calibration") -> "tuple[dict[str, list[str]], tuple[float, float] | None]":
+def _parts(calibration: "Calibration") -> "tuple[dict[str, list[str]], tuple[float, float] | None]":
     """Return the content of each part of a calibration, and the range of all its tables, degC."""
     lines: dict[str, list[str]] = {}
-    for name, model in (("gyro", held.gyro), ("accel", held.accel)):
+    for name, model in (("gyro", calibration.gyro), ("accel", calibration.accel)):
         lines[name] = ["no model"] if model is None else [f"{model.method}, {model.unit_in} to {model.unit_out}"]
         if model is not None and model.g_sensitivity is not None:
             lines[name].append("g-sensitivity")
-    known = held.reference_temp_c == held.reference_temp_c  # not NaN
-    if held.mounting is not None:
-        lines["mounting"] = [sides_of(held.mounting)]
-    lines["reference temperature"] = [f"{held.reference_temp_c:.2f} degC" if known else "not known"]
-    if held.drift is None:
+    has_temperature = calibration.reference_temp_c == calibration.reference_temp_c  # not NaN
+    if calibration.mounting is not None:
+        lines["mounting"] = [sides_of(calibration.mounting)]
+    lines["reference temperature"] = [f"{calibration.reference_temp_c:.2f} degC" if has_temperature else "not known"]
+    if calibration.drift is None:
         return lines, None
-    tables, spans = _tables(held.drift)
+    tables, spans = _tables(calibration.drift)
     if tables:
         lines["tables"] = tables
     return lines, (float(max(s[0] for s in spans)), float(min(s[-1] for s in spans))) if spans else None
@@ -298,11 +313,11 @@ def _look(session: "Session | None") -> "tuple[Observed | None, str]":
         return None, ""
     settings = CalibrateSettings()
     try:
-        seen = look(session, settings)
+        observed = look(session, settings)
     except InputError:
         shortest, window = min(record.duration_s for record in session.records), settings.still.window_s
         return None, f"no still phase: {shortest:.3g} s are too short to look for one ({window:g} s and more)"
-    return seen, "" if seen.stills else next(search.reason for search in seen.searches)
+    return observed, "" if observed.stills else next(search.reason for search in observed.searches)
 
 
 def _span(record: "Record", piece: "Still | Piece") -> tuple[float, float]:
@@ -310,67 +325,69 @@ def _span(record: "Record", piece: "Still | Piece") -> tuple[float, float]:
     return float(record.time[piece.start]), float(record.time[piece.stop - 1])
 
 
-def draw_found(session: "Session", seen: "Observed | None", name: str) -> Any:
+def draw_found(session: "Session", observed: "Observed | None", name: str) -> Any:
     """Draw a recording or session with its phases."""
     from undrift.calibration.pieces import pieces_of
 
-    pieces, _ = pieces_of(session, observed=seen)
+    pieces, _ = pieces_of(session, observed=observed)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
 
 
-def _lines(found: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:
+def _lines(description: "Description", stills: Sequence[tuple[float, float]], no_still_because: str) -> list[str]:
     """Return the lines about a file for the terminal."""
-    lines = [found.summary.partition(", for example")[0] if found.example else found.summary]
-    lines += [f"{name}: {unit}" for name, unit in found.units]
-    if found.kind in ("recording", "session"):
-        lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(found.units)]
-    if found.columns and found.kind != "recording":
-        more = f", ... {len(found.columns)} in all" if len(found.columns) > 12 else ""
-        lines.append(f"columns: {', '.join(found.columns[:12])}{more}")
-    if found.temp_c:
-        lines.append(f"temperature: {found.temp_c[0]:.2f} to {found.temp_c[1]:.2f} degC")
-    if found.gaps:
-        lines.append(f"gaps: {found.gaps} samples")
+    lines = [description.summary.partition(", for example")[0] if description.example else description.summary]
+    lines += [f"{name}: {unit}" for name, unit in description.units]
+    if description.kind in ("recording", "session"):
+        lines += [f"{name}: none" for name in ("gyro", "accel") if name not in dict(description.units)]
+    if description.columns and description.kind != "recording":
+        remainder = f", ... {len(description.columns)} in all" if len(description.columns) > 12 else ""
+        lines.append(f"columns: {', '.join(description.columns[:12])}{remainder}")
+    if description.temp_c:
+        lines.append(f"temperature: {description.temp_c[0]:.2f} to {description.temp_c[1]:.2f} degC")
+    if description.gaps:
+        lines.append(f"gaps: {description.gaps} samples")
     if stills:
         spans = ", ".join(f"{start:.1f}-{stop:.1f}" for start, stop in stills[:8])
         lines.append(f"still phases: {len(stills)} ({spans}{', ...' if len(stills) > 8 else ''} s)")
     elif no_still_because:
         lines.append(no_still_because)
-    return [*lines, *found.lines(), *_hints(found)]
+    return [*lines, *description.lines(), *_hints(description)]
 
 
-def of_poses(found: "Description") -> bool:
+def of_poses(description: "Description") -> bool:
     """Return True if a table needs a map of orientations."""
-    return bool(found.example) and "quaternion = " in found.example[0]
+    return bool(description.example) and "quaternion = " in description.example[0]
 
 
-def _hints(found: "Description") -> list[str]:
+def _hints(description: "Description") -> list[str]:
     """Return the map that a table may need, and what to do with it."""
-    if not found.example:
+    if not description.example:
         return []
-    rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in found.example else ""
+    rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in description.example else ""
     return [
         f"write the lines below into map.toml (`write_map` map.toml{rate} does so and proposes units), replace each "
         f"?, and read the "
-        f"file with {'`reference_map`' if of_poses(found) else '`column_map`'} map.toml",
-        *found.example,
+        f"file with {'`reference_map`' if of_poses(description) else '`column_map`'} map.toml",
+        *description.example,
     ]
 
 
-def _next(found: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
+def _next(description: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
     """Return the next command, if one can be suggested."""
-    if found.example:
-        ready = "sample_rate_hz = ?" not in found.example
-        return ("info", found.path, "--write-map", "map.toml") if ready else ()
-    missing = next((item.values.get("missing") for item in found.findings if item.code == "recording.not_read"), "")
+    if description.example:
+        ready = "sample_rate_hz = ?" not in description.example
+        return ("info", description.path, "--write-map", "map.toml") if ready else ()
+    missing = next(
+        (item.values.get("missing") for item in description.findings if item.code == "recording.not_read"), ""
+    )
     if missing == "sensor":
-        return ("info", found.path, "--sensor", found.columns[0])
-    if missing == "sample_rate_hz" and found.format == "ximu":
-        return ("info", found.path, "--sample-rate-hz", "256")
-    if found.kind == "markers" and any(item.code == "recording.up_axis" for item in found.findings):
-        return ("info", found.path, "--reference-up", "y")
-    if found.kind == "session" and found.summary.startswith("calibration"):
-        return ("calibrate", found.path, "-o", "calibration.json")
-    if found.kind == "recording" and stills >= POSES:
-        return ("calibrate", found.path, *opening.words(), "-o", "calibration.json")
+        return ("info", description.path, "--sensor", description.columns[0])
+    if missing == "sample_rate_hz" and description.format == "ximu":
+        return ("info", description.path, "--sample-rate-hz", "256")
+    if description.kind == "markers" and any(item.code == "recording.up_axis" for item in description.findings):
+        return ("info", description.path, "--reference-up", "y")
+    if description.kind == "session" and description.summary.startswith("calibration"):
+        return ("calibrate", description.path, "-o", "calibration.json")
+    if description.kind == "recording" and stills >= POSES:
+        return ("calibrate", description.path, *opening.words(), "-o", "calibration.json")
     return ()

@@ -164,8 +164,8 @@ def levels_json(table: "LevelTable") -> dict[str, Any]:
     errors = list[dict[str, Any]]()
     for row in table.errors:
         items = findings_json([item for _, item in row.findings])
-        named = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
-        errors.append(asdict(replace(row, findings=())) | {"findings": named})
+        findings = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
+        errors.append(asdict(replace(row, findings=())) | {"findings": findings})
     return {
         "quantity": table.quantity,
         "measure": table.measure,
@@ -207,11 +207,11 @@ class PeopleValidated(Result):
     def _answer(self) -> str:
         table = self.table
         every = [summary for summary in table.summaries if summary.group == "all" and summary.trials]
-        complete = [summary for summary in every if summary.trials == max(one.trials for one in every)]
+        complete = [summary for summary in every if summary.trials == max(candidate.trials for candidate in every)]
         first, best = every[0], min(complete, key=lambda summary: summary.mean_deg)
         low, high = best.interval_deg
         spread = f" [95 % {max(low, 0.0):.2f} to {high:.2f}]" if best.people > 1 else ""
-        names = [label_of(table, one.level, one.method) for one in (best, first)]
+        names = [label_of(table, candidate.level, candidate.method) for candidate in (best, first)]
         return (
             f"least of {len(complete)} levels, {names[0]}: {table.quantity} error {best.mean_deg:.2f} deg{spread}, {names[1]} "
             f"{first.mean_deg:.2f}; {best.people} people, {best.trials} trials"
@@ -221,12 +221,11 @@ class PeopleValidated(Result):
         """Return a paragraph about the methods, for a paper."""
         table = self.table
         people, tasks, devices = (len({getattr(trial, name) for trial in table.trials}) for name in NEEDED[1:])
-        others = sum(trial.left_out or trial.calibration is None for trial in table.trials)
-        calibrated = (
-            f"{len(table.trials) - others} recordings were corrected by a calibration of their device made beforehand"
-        )
-        if others:
-            calibrated += f", {others} by a fit to the other recordings of their device (leave one out)"
+        corrected_otherwise = sum(trial.left_out or trial.calibration is None for trial in table.trials)
+        count = len(table.trials) - corrected_otherwise
+        calibrated = f"{count} recordings were corrected with an earlier calibration of their device"
+        if corrected_otherwise:
+            calibrated += f", {corrected_otherwise} with a fit to the other recordings of their device (leave-one-out)"
         return (
             f"{len(table.trials)} recordings of {people} people in {tasks} tasks with {devices} inertial sensors were "
             f"compared with optical motion capture by undrift {__version__}. {calibrated}. The offset of the gyroscopes was taken "

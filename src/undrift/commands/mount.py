@@ -96,7 +96,7 @@ def _mount_summary(
     if output is not None and model is not None:
         write_calibration(replace(model, mounting=worn), output)
     axes = ("body", "device x, y, z", "side", "angle to it (deg)", "turn", "uncertainty (deg)")
-    data |= {"output": output and str(output), "uncertainty": {f"{turn}_deg": one for turn, one in turns.items()}}
+    data |= {"output": output and str(output), "uncertainty": {f"{turn}_deg": angle for turn, angle in turns.items()}}
     data |= {"sides": {"forward": sides[0][0], "up": sides[2][0]}, "statement": sides_of(worn)}
     return replace(
         about,

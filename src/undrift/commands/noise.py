@@ -48,7 +48,7 @@ class Noise(Result):
         from undrift.calibration.noise import TERMS
         from undrift.io.store import verdict_json
 
-        fit, seen, sections = self.fit, [], []
+        fit, coefficients, sections = self.fit, [], []
         physical = all(is_physical(getattr(fit, f"{one}_unit")) for one in TERMS if getattr(fit, one))
         after = {"angle_after_60_s_deg": [{"axis": axis.axis} | angle_after(axis) for axis in fit.gyro]}
         follows = ("--calibration", "calibration.json")
@@ -58,11 +58,11 @@ class Noise(Result):
             names, walks = TERMS[triad], [axis.angle_random_walk for axis in axes]
             largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
             if math.isfinite(largest):
-                seen.append(f"{names['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
+                coefficients.append(f"{names['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
             drawing = figure_of("figures:draw_allan_fit", fit, triad, names)
             cells: list[tuple[str, Callable[[AxisNoise], str]]] = [("axis", lambda axis: axis.axis)]
-            for term, words in names.items():
-                cells.append((f"{words} ({getattr(axes[0], term).unit})", partial(_cell, term)))
+            for term, label in names.items():
+                cells.append((f"{label} ({getattr(axes[0], term).unit})", partial(_cell, term)))
             if physical and triad == "gyro":
                 cells.append(
                     (f"angle after {ANSWERED_S:.0f} s (deg)", lambda axis: f"{angle_after(axis)['angle']:.2g}")
@@ -74,7 +74,7 @@ class Noise(Result):
         return Summary(
             title=f"Noise of {self.record.name}",
             answer=_meaning(fit)
-            or f"{fit.duration_s:.4g} s at rest determine {' and '.join(seen) or 'no coefficient'}. A calibration "
+            or f"{fit.duration_s:.4g} s at rest determine {' and '.join(coefficients) or 'no coefficient'}. A calibration "
             f"converts them to degrees.",
             data=_data(fit)
             | (after if physical else {})
@@ -132,12 +132,12 @@ def angle_after(axis: "AxisNoise") -> dict[str, float]:
     """
     from undrift.calibration.noise import FLICKER
 
-    tau, each = ANSWERED_S, dict[str, float]()
+    tau, uncertainty = ANSWERED_S, dict[str, float]()
     for term, shape in ((_WALK, 1.0 / tau), (_FLOOR, FLICKER), (_RISE, tau / 3.0)):
-        one = getattr(axis, term)
-        size = one.interval[1] if math.isnan(one.value) else one.value
-        each[term] = COVERAGE * tau * math.sqrt(2.0 * shape) * size / RADIAN_PER_DEGREE
-    return each | {"angle": math.hypot(*each.values())}
+        coefficient = getattr(axis, term)
+        size = coefficient.interval[1] if math.isnan(coefficient.value) else coefficient.value
+        uncertainty[term] = COVERAGE * tau * math.sqrt(2.0 * shape) * size / RADIAN_PER_DEGREE
+    return uncertainty | {"angle": math.hypot(*uncertainty.values())}
 
 
 def _meaning(fit: "NoiseFit") -> str:
@@ -146,18 +146,20 @@ def _meaning(fit: "NoiseFit") -> str:
     """
     parts = []
     if fit.gyro and is_physical(fit.gyro_unit):
-        axis = max(fit.gyro, key=lambda one: angle_after(one)["angle"])
-        each = angle_after(axis)
-        words = ((_WALK, "white noise"), (_FLOOR, "bias instability"), (_RISE, "rate random walk"))
-        terms = (f"{name} {'under ' * math.isnan(getattr(axis, key).value)}{each[key]:.2g} deg" for key, name in words)
-        if not math.isfinite(each["angle"]):
+        axis = max(fit.gyro, key=lambda axis_fit: angle_after(axis_fit)["angle"])
+        angles = angle_after(axis)
+        labels = ((_WALK, "white noise"), (_FLOOR, "bias instability"), (_RISE, "rate random walk"))
+        terms = (
+            f"{name} {'under ' * math.isnan(getattr(axis, key).value)}{angles[key]:.2g} deg" for key, name in labels
+        )
+        if not math.isfinite(angles["angle"]):
             return ""
         parts.append(
-            f"After {ANSWERED_S:g} s the angle is good to {each['angle']:.2g} deg (95 %, offset from {ANSWERED_S:g} s at rest "
+            f"After {ANSWERED_S:g} s the angle is good to {angles['angle']:.2g} deg (95 %, offset from {ANSWERED_S:g} s at rest "
             f"before): {', '.join(terms)}."
         )
     if fit.accel and is_physical(fit.accel_unit):
-        walk = max(one.angle_random_walk.value for one in fit.accel)
+        walk = max(axis_fit.angle_random_walk.value for axis_fit in fit.accel)
         tilt_deg = COVERAGE * walk / STANDARD_GRAVITY / RADIAN_PER_DEGREE
         parts.append(f"White noise leaves an inclination from 1 s at rest good to {tilt_deg:.2g} deg.")
     return " ".join(parts)
@@ -191,21 +193,21 @@ def _data(fit: "NoiseFit") -> dict[str, object]:
 
 def _axis_json(axis: "AxisNoise") -> dict[str, object]:
     names = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
-    made: dict[str, object] = {"axis": axis.axis}
+    entry: dict[str, object] = {"axis": axis.axis}
     for name in names:
-        made[name] = {key: getattr(getattr(axis, name), key) for key in ("value", "interval", "unit", "reason")}
+        entry[name] = {key: getattr(getattr(axis, name), key) for key in ("value", "interval", "unit", "reason")}
     for (term, unit), (key, _, factor) in DATA_SHEET.items():
         if getattr(axis, term).unit == unit:
-            made[key] = factor * getattr(axis, term).value
-    return made
+            entry[key] = factor * getattr(axis, term).value
+    return entry
 
 
 def _cell(term: str, axis: "AxisNoise") -> str:
     """Return a coefficient with its interval, or its upper limit if it is not observable."""
-    one = getattr(axis, term)
-    if math.isnan(one.value):
-        return f"not observable, under {one.interval[1]:.2g}"
-    return f"{one.value:.3g} [{one.interval[0]:.3g}, {one.interval[1]:.3g}]"
+    coefficient = getattr(axis, term)
+    if math.isnan(coefficient.value):
+        return f"not observable, under {coefficient.interval[1]:.2g}"
+    return f"{coefficient.value:.3g} [{coefficient.interval[0]:.3g}, {coefficient.interval[1]:.3g}]"
 
 
 def _usual_units(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":

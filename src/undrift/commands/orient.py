@@ -58,7 +58,7 @@ class Oriented(Result):
             NORMAL_95 * drift,
             NORMAL_95 * scale * (angles.pitch - angles.pitch[self.anchor]),
         )
-        band: FloatArray = np.sqrt(sum(np.square(one) for one in parts))
+        band: FloatArray = np.sqrt(sum(np.square(component) for component in parts))
         return band
 
     @property
@@ -79,13 +79,21 @@ class Oriented(Result):
         """Return angles, tilt and warnings."""
         from undrift.io.store import verdict_json
 
-        found, data = self.orientation, _data(self.orientation)
-        angles = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
-        rows = tuple((name, *(number(one) for one in _spread(angle))) for name, angle in angles)
+        orientation, data = self.orientation, _data(self.orientation)
+        angles = (
+            ("inclination", orientation.inclination),
+            ("pitch", orientation.pitch),
+            ("heading", orientation.heading),
+        )
+        rows = tuple((name, *(number(item) for item in _spread(angle))) for name, angle in angles)
         lines = (
             "tilt from "
-            + ("the still phase {:.1f} to {:.1f} s".format(*data["still"]) if found.still else "gravity in motion")
-            + f": {found.tilt.statement}",
+            + (
+                "the still phase {:.1f} to {:.1f} s".format(*data["still"])
+                if orientation.still
+                else "gravity in motion"
+            )
+            + f": {orientation.tilt.statement}",
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
@@ -98,12 +106,12 @@ class Oriented(Result):
         ]
         uncertainty = f"Offset: standard uncertainty {data['offset_uncertainty_dps']:.4f} deg/s, all axes together."
         # A page shows all findings
-        offset = tuple(one.text for one in found.findings if one.code in _SHOWN)
-        warnings = tuple(f"warning: {one.text}" for one in found.findings if one.level != "info")
+        offset = tuple(item.text for item in orientation.findings if item.code in _SHOWN)
+        warnings = tuple(f"warning: {item.text}" for item in orientation.findings if item.level != "info")
         heads, files = ("angle", "least (deg)", "median (deg)", "greatest (deg)"), f"{self.record} -> {self.output}"
         sections = [
-            Section(title="Files", text=(f"{files}: {len(found.time)} samples",), on="terminal"),
-            Section(title=f"Angles, {len(found.time)} samples", columns=heads, rows=rows, on="page"),
+            Section(title="Files", text=(f"{files}: {len(orientation.time)} samples",), on="terminal"),
+            Section(title=f"Angles, {len(orientation.time)} samples", columns=heads, rows=rows, on="page"),
             Section(title="How it was found", text=lines),
             Section(title="Offset, north and mounting", text=offset, on="terminal"),
             rows_section("Rests", rests, text=(uncertainty,), folded=True),
@@ -111,14 +119,14 @@ class Oriented(Result):
         ]
         verdict = None if self.calibration is None else self.calibration.verdict
         data |= {"verdict": verdict and verdict_json(verdict)}
-        named = {"method": self.method, "recording": str(self.record), "output": str(self.output)}
+        identity = {"method": self.method, "recording": str(self.record), "output": str(self.output)}
         return Summary(
             title=f"Orientation of {self.record.name}",
             answer=self.answer,
-            data=data | named | {"notes": (*(one.text for one in self.earlier), *self.notes)},
-            pictures=(figure_of("figures:draw_orientation", found, self.band),),
+            data=data | identity | {"notes": (*(item.text for item in self.earlier), *self.notes)},
+            pictures=(figure_of("figures:draw_orientation", orientation, self.band),),
             sections=tuple(sections),
-            findings=found.findings,
+            findings=orientation.findings,
             verdict=verdict,
             judged="the calibration",
             brief=True,
@@ -195,35 +203,39 @@ def orient(
                 f"Pitch of the {worn.place} by the calibration's mounting, uncertain by {degrees:.1f} deg; {worn.basis}.",
             )
         rest = named_rest(readings, named.stretch)
-        found = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
-    found = replace(found, findings=tuple({one.text: one for one in (*earlier, *found.findings)}.values()))
-    write_orientation(found.time, found.q_nb, (found.inclination, found.heading, found.pitch), output)
+        orientation = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
+    orientation = replace(
+        orientation, findings=tuple({item.text: item for item in (*earlier, *orientation.findings)}.values())
+    )
+    write_orientation(
+        orientation.time, orientation.q_nb, (orientation.inclination, orientation.heading, orientation.pitch), output
+    )
     return Oriented(
-        record=record, output=output, method=method, orientation=found, calibration=model, earlier=earlier,
+        record=record, output=output, method=method, orientation=orientation, calibration=model, earlier=earlier,
         notes=(*chosen.notes, *notes),
     )  # fmt: skip
 
 
-def _data(found: "Orientation") -> dict[str, Any]:
+def _data(orientation: "Orientation") -> dict[str, Any]:
     from undrift.io.store import findings_json
 
     def times(still: "Still") -> list[float]:
-        return [float(found.time[k]) for k in (still.start, still.stop - 1)]
+        return [float(orientation.time[k]) for k in (still.start, still.stop - 1)]
 
     return {
-        "samples": len(found.time),
-        "still": found.still and times(found.still),
-        "tilt_uncertainty_deg": math.degrees(found.tilt.inclination_uncertainty),
-        "tilt_expanded_uncertainty_deg": math.degrees(found.tilt.expanded_uncertainty),
-        "tilt_uncertainty_parts_deg": {name: math.degrees(part) for name, part in found.tilt.parts},
-        "tilt_basis": found.tilt.basis,
-        "offset_dps": found.offset * (180.0 / math.pi),
-        "offset_uncertainty_dps": math.degrees(found.offset_uncertainty),
-        "rests": [times(still) for still in found.rests],
-        "rest_offsets_dps": found.rest_offsets * (180.0 / math.pi),
-        "inclination_deg": _spread(found.inclination)[::2],
-        "pitch_deg": _spread(found.pitch)[::2],
-        "findings": findings_json(found.findings),
+        "samples": len(orientation.time),
+        "still": orientation.still and times(orientation.still),
+        "tilt_uncertainty_deg": math.degrees(orientation.tilt.inclination_uncertainty),
+        "tilt_expanded_uncertainty_deg": math.degrees(orientation.tilt.expanded_uncertainty),
+        "tilt_uncertainty_parts_deg": {name: math.degrees(value) for name, value in orientation.tilt.parts},
+        "tilt_basis": orientation.tilt.basis,
+        "offset_dps": orientation.offset * (180.0 / math.pi),
+        "offset_uncertainty_dps": math.degrees(orientation.offset_uncertainty),
+        "rests": [times(still) for still in orientation.rests],
+        "rest_offsets_dps": orientation.rest_offsets * (180.0 / math.pi),
+        "inclination_deg": _spread(orientation.inclination)[::2],
+        "pitch_deg": _spread(orientation.pitch)[::2],
+        "findings": findings_json(orientation.findings),
     }
 
 

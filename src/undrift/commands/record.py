@@ -82,10 +82,10 @@ def record(
         Longest time to record, s.
     """
     ways = {"serial://": port, "lsl:": lsl, "udp://:": udp, "": address}
-    named = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
-    if not named and output is None:
+    addresses = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
+    if not addresses and output is None:
         return _senders(screen)
-    where = address_of(named)
+    where = address_of(addresses)
     if output is None:
         raise InputError(f"record: expected a file to write, got none. Add `output` walk.parquet to record {where}.")
     check_output(output, endings=FORMATS)
@@ -104,29 +104,39 @@ def record(
         return _record_lines(where, output, duration_s, screen)
     recording = _Recording(where, output, screen)
     guides = _guides(guide, folder, place)
-    screen.say(*(HOW[one.step] for one in guides))
-    whole, status = recording.run(guides, duration_s)
-    made = recording.summary(whole, status)
-    if guides and all(one.complete for one in guides):
-        own = _calibrated(guides, output, calibration, place)
-        sections = (Section(title="Recording", text=(made.answer,)), *own.sections)
-        notes, written = (*made.notes, *own.notes), (output, *own.written)
-        return replace(own, data={**own.data, "recording": made.data}, sections=sections, notes=notes, written=written)
-    done = ", ".join(f"{len(one.done)} of {len(one.order)} {one.step}s" for one in guides)
-    left = (f"the guide was left at {done}: nothing was calibrated",) if guides else ()
-    return replace(made, notes=(*made.notes, *left))
+    screen.say(*(HOW[step_guide.step] for step_guide in guides))
+    record, status = recording.run(guides, duration_s)
+    summary = recording.summary(record, status)
+    if guides and all(step_guide.complete for step_guide in guides):
+        calibrated = _calibrated(guides, output, calibration, place)
+        sections = (Section(title="Recording", text=(summary.answer,)), *calibrated.sections)
+        notes, written = (*summary.notes, *calibrated.notes), (output, *calibrated.written)
+        return replace(
+            calibrated,
+            data={**calibrated.data, "recording": summary.data},
+            sections=sections,
+            notes=notes,
+            written=written,
+        )
+    done = ", ".join(f"{len(step_guide.done)} of {len(step_guide.order)} {step_guide.step}s" for step_guide in guides)
+    abandoned = (f"the guide was left at {done}: nothing was calibrated",) if guides else ()
+    return replace(summary, notes=(*summary.notes, *abandoned))
 
 
-def address_of(named: list[str]) -> str:
+def address_of(addresses: list[str]) -> str:
     """Return the address of the one device that is named, or of the only port."""
     from undrift.live.transports import serial_ports
 
-    found = named or [f"serial://{name}" for name, _ in serial_ports()]
-    if len(found) != 1:
+    candidates = addresses or [f"serial://{name}" for name, _ in serial_ports()]
+    if len(candidates) != 1:
         raise InputError(
-            f"record: expected one device, got {len(found)} ({', '.join(found)}). Choose one with `port` NAME."
+            f"record: expected one device, got {len(candidates)} ({', '.join(candidates)}). Choose one with `port` NAME."
         )
-    return f"serial://{found[0]}" if found[0].startswith("/") or found[0].upper().startswith("COM") else found[0]
+    return (
+        f"serial://{candidates[0]}"
+        if candidates[0].startswith("/") or candidates[0].upper().startswith("COM")
+        else candidates[0]
+    )
 
 
 def _senders(screen: Screen) -> Summary:
@@ -271,29 +281,29 @@ class _Recording:
                 full = str(error)
         full = full or status.file_error
         try:
-            whole, where, failed = self._made(full)
+            record, where, failed = self._made(full)
         except UndriftError as error:
             got = (
                 full
                 or f"{self.source.name}: fewer than two readings arrived before the recording was stopped. Try again."
             )
             raise InputError(got) from error
-        kept = f"the {whole.duration_s:.1f} s until then are in {where}"
+        remaining = f"the {record.duration_s:.1f} s until then are in {where}"
         if failed:
-            raise InputError(f"{failed} ({kept})")
+            raise InputError(f"{failed} ({remaining})")
         if self.ended == "lost":
-            raise LinkError(f"{status.error} ({kept})")
-        return whole, status
+            raise LinkError(f"{status.error} ({remaining})")
+        return record, status
 
-    def summary(self, whole: "Record", status: "Status") -> Summary:
+    def summary(self, record: "Record", status: "Status") -> Summary:
         """Return how long and how complete a recording is."""
-        lost, garbled, rate_hz = status.lost, status.garbled, whole.sample_rate_hz
-        data = {"address": self.address, "output": str(self.output), "ended": self.ended, "seconds": whole.duration_s}
+        lost, garbled, rate_hz = status.lost, status.garbled, record.sample_rate_hz
+        data = {"address": self.address, "output": str(self.output), "ended": self.ended, "seconds": record.duration_s}
         return Summary(
             title=f"Recording {self.output.name}",
-            answer=f"{whole.duration_s:.1f} s recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings lost, "
+            answer=f"{record.duration_s:.1f} s recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings lost, "
             f"{garbled} damaged ones left out.",
-            data=data | {"sample_rate_hz": rate_hz, "readings": len(whole), "lost": lost, "garbled": garbled},
+            data=data | {"sample_rate_hz": rate_hz, "readings": len(record), "lost": lost, "garbled": garbled},
             sections=(Section(title="Address", text=(f"address: {self.address}",), folded=True),),
             notes=self.notes,
             written=(self.output,),
@@ -307,25 +317,25 @@ class _Recording:
         from undrift.io.write import write_record_as
 
         description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
-        whole = replace(read_record(self.file, settings=ReadSettings(gaps="keep")), device=description.device)
+        record = replace(read_record(self.file, settings=ReadSettings(gaps="keep")), device=description.device)
         # A rate that was found in seconds is better known now, by this computer's clock
         if (
             self.listened
             and not description.tick
-            and whole.duration_s > CLOCK_S
+            and record.duration_s > CLOCK_S
             and (clock := timeline.clock()).settled
         ):
-            whole = replace(whole, time=whole.time * clock.rate * description.clock_speed)
+            record = replace(record, time=record.time * clock.rate * description.clock_speed)
         try:
             if not full:
-                write_record_as(whole, self.output, {"address": self.address, "began": self.began})
+                write_record_as(record, self.output, {"address": self.address, "began": self.began})
         except InputError as error:
             full = str(error)
         if full:
-            return whole, self.file, full
+            return record, self.file, full
         if self.file != self.output:
             self.file.unlink()
-        return whole, self.output, ""
+        return record, self.output, ""
 
     def _watch(self, guides: Guides, duration_s: float) -> str:
         """Show the readings and the instructions of a guide until the end. Return the reason of the end."""
@@ -337,16 +347,16 @@ class _Recording:
             heard = heard if newest is None else now
             if newest is None and now - heard < PAUSE_S and not status.file_error:
                 continue
-            guide = next((one for one in guides if not one.complete), None)
+            guide = next((candidate for candidate in guides if not candidate.complete), None)
             if guide is not None:
                 guide.update(newest, now, source)
                 texts += [guide.light.text] if texts[-1:] != [guide.light.text] else []
             step = len(texts) if guides else int(status.file_s / LOG_S)
             self.shown = _line(status, newest)
             if guide is not None:
-                left = "" if guide.light.left_s is None else f" {guide.light.left_s:.0f} s"
+                countdown = "" if guide.light.left_s is None else f" {guide.light.left_s:.0f} s"
                 count = f"{guide.step.capitalize()}s: {len(guide.done)} of {len(guide.order)}"
-                self.shown = f"{count}\n{guide.light.text}{left}\n{self.shown}"
+                self.shown = f"{count}\n{guide.light.text}{countdown}\n{self.shown}"
             self.screen.over(self.shown, step=step)
             if now - heard > LOST_S:
                 return "lost"
@@ -366,8 +376,8 @@ def _line(status: "Status", newest: "Record | None") -> str:
     cells = [f"{status.file_s:7.1f} s", f"{rate:>5} Hz", f"{status.lost} lost"]
     if newest.accel is not None:
         accel = newest.accel[newest.time > newest.time[-1] - NOW_S]
-        length, whole = np.nanmean(np.linalg.norm(accel, axis=1)), newest.accel_unit in ("count", "mg")
-        cells.append(f"|a| {length:{'.0f' if whole else '.4g'}} {newest.accel_unit}")
+        length, coarse = np.nanmean(np.linalg.norm(accel, axis=1)), newest.accel_unit in ("count", "mg")
+        cells.append(f"|a| {length:{'.0f' if coarse else '.4g'}} {newest.accel_unit}")
     cells += [f"{status.temp_c:.1f} degC"] if math.isfinite(status.temp_c) else []
     return "   ".join(cells)
 

@@ -70,15 +70,17 @@ class Ran(Result):
         missing = sum(piece.missing for piece in result.pieces)
         off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / dps
         rows = [
-            {"axis": one.axis, "nominal_dps": one.nominal_turn_rate / dps, "achieved_dps": one.turn_rate / dps}
-            | {"standard_uncertainty_dps": one.turn_rate_uncertainty / dps}
-            | {"temp_c": one.temp_c if one.device_c is None else one.device_c, "missing_readings": one.missing}
-            for one in turns
+            {"axis": turn.axis, "nominal_dps": turn.nominal_turn_rate / dps, "achieved_dps": turn.turn_rate / dps}
+            | {"standard_uncertainty_dps": turn.turn_rate_uncertainty / dps}
+            | {"temp_c": turn.temp_c if turn.device_c is None else turn.device_c, "missing_readings": turn.missing}
+            for turn in turns
         ]
         data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
         beside = tuple(zip(self.others, result.others, strict=True))
-        data |= {"others": [{"folder": str(path), "dwells": len(one.pieces)} for path, one in beside]} if beside else {}
-        achieved = {one.name: plus_minus(one.turn_rate / dps, one.turn_rate_uncertainty / dps) for one in turns}
+        data |= (
+            {"others": [{"folder": str(path), "dwells": len(turn.pieces)} for path, turn in beside]} if beside else {}
+        )
+        achieved = {turn.name: plus_minus(turn.turn_rate / dps, turn.turn_rate_uncertainty / dps) for turn in turns}
         cells: Cells[RecordedDwell] = (
             ("dwell", lambda piece: piece.name),
             ("purpose", lambda piece: piece.purpose),
@@ -97,7 +99,7 @@ class Ran(Result):
                 f"are stored in session.toml, "
                 f"{missing} "
                 "readings missing"
-                + "".join(f", {path}: {len(each.pieces)} dwells of another device" for path, each in beside)
+                + "".join(f", {path}: {len(beside_run.pieces)} dwells of another device" for path, beside_run in beside)
             ),
             data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
             pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
@@ -166,30 +168,37 @@ def run(
     from undrift.rig.rig import check_programme, parse_address
     from undrift.rig.run import run_programme
 
-    asked, settings = read_protocol(protocol), shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2)
-    shown, judge = _Shown(screen), RunSettings(device_lag_s=device_lag_s)
-    kind, _, options = parse_address(rig, replace(settings, ask=shown.ask))
-    settings, limits, by_hand = replace(settings, ask=shown.ask, clock=options.clock), settings.limits, kind == "manual"
+    protocol_content, settings = (
+        read_protocol(protocol),
+        shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2),
+    )
+    display, judge = _Shown(screen), RunSettings(device_lag_s=device_lag_s)
+    kind, _, options = parse_address(rig, replace(settings, ask=display.ask))
+    settings, limits, by_hand = (
+        replace(settings, ask=display.ask, clock=options.clock),
+        settings.limits,
+        kind == "manual",
+    )
     simulated = _simulated(device, (rig, chamber), options, gravity_m_s2)
-    programme = programme_of(asked, ProgrammeSettings(encoder_lines=options.encoder_lines))
+    programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
-        folders = [stack.enter_context(RunFolder(path, asked, resume=resume)) for path in paths.values()]
+        folders = [stack.enter_context(RunFolder(path, protocol_content, resume=resume)) for path in paths.values()]
         done = frozenset.intersection(*(folder.done for folder in folders))
         check_programme(programme, limits, done, by_hand=by_hand)
-        shown.plan(programme, done, yes)
+        display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
-            first, *others = (_mounted(stack, *each, programme) for each in zip(paths, folders, strict=True))
-            bench = _bench(stack, first.readings, (rig, chamber), settings, shown, programme, resume=resume)
+            first, *others = (_mounted(stack, *pair, programme) for pair in zip(paths, folders, strict=True))
+            bench = _bench(stack, first.readings, (rig, chamber), settings, display, programme, resume=resume)
         else:
             bench, (first, *others) = _on_simulated(simulated, folders, with_chamber=chamber is not None)
         first.serial = serial or first.serial
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
-        result = run_programme(programme, bench, first.folder, report=shown, others=others, **how)
+        result = run_programme(programme, bench, first.folder, report=display, others=others, **how)
     return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
 
 
@@ -227,13 +236,13 @@ def _simulated(
     from undrift.sim.device.presets import PRESETS, random_device
 
     devices = (device,) if isinstance(device, str) else device
-    named = [text for text in (*addresses, *devices) if text is not None]
-    alike = [text.startswith("simulated:") for text in named]
-    if not any(alike):
+    texts = [text for text in (*addresses, *devices) if text is not None]
+    simulated = [text.startswith("simulated:") for text in texts]
+    if not any(simulated):
         return None
-    if not all(alike):
+    if not all(simulated):
         raise InputError(
-            f"rig run: rig, chamber and devices must be either all simulated or all real, got {', '.join(named)}. "
+            f"rig run: rig, chamber and devices must be either all simulated or all real, got {', '.join(texts)}. "
             f"Use simulated: for each."
         )
     models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
@@ -257,15 +266,23 @@ def _simulated(
 
 
 def _on_simulated(
-    made: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
+    bench_parts: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
 ) -> "tuple[RigBench, list[Mounted]]":
     """Return the parts of a simulated bench for a run, and its devices with their folders."""
     from undrift.rig.run import Mounted, RigBench
 
-    chamber = made.chamber if with_chamber else None
-    bench = RigBench(rig=made.table, readings=made.readings[0], mounting=made, chamber=chamber, clock=made.clock)
-    each = zip(made.devices, made.readings, folders, strict=True)
-    return bench, [Mounted(readings=readings, folder=folder, serial=one.model.serial) for one, readings, folder in each]
+    chamber = bench_parts.chamber if with_chamber else None
+    bench = RigBench(
+        rig=bench_parts.table,
+        readings=bench_parts.readings[0],
+        mounting=bench_parts,
+        chamber=chamber,
+        clock=bench_parts.clock,
+    )
+    rows = zip(bench_parts.devices, bench_parts.readings, folders, strict=True)
+    return bench, [
+        Mounted(readings=readings, folder=folder, serial=model.model.serial) for model, readings, folder in rows
+    ]
 
 
 def _mounted(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
@@ -287,7 +304,7 @@ def _bench(
     readings: "Readings",
     addresses: tuple[str, str | None],
     settings: "RigSettings",
-    shown: "_Shown",
+    display: "_Shown",
     programme: "Programme",
     *,
     resume: bool,
@@ -305,12 +322,11 @@ def _bench(
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=shown.ask)
+        oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=display.ask)
         stack.callback(oven.close)
-    mounting = AskedOperator(shown.ask)
-    table = open_rig(
-        rig, replace(settings, accept="on" if resume else "off")
-    )  # a run that was killed leaves its motor on
+    mounting = AskedOperator(display.ask)
+    # a run that was killed leaves its motor on
+    table = open_rig(rig, replace(settings, accept="on" if resume else "off"))
     stack.callback(table.close)
     return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
 
@@ -325,12 +341,13 @@ class _Shown:
         """Show how long each step and the whole takes, and ask whether to start."""
         from undrift.programme import forecast_of
 
-        left = forecast_of(programme, done)
+        remaining = forecast_of(programme, done)
         steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
         self._screen.say(
             *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
-            f"{left.dwells} dwells, {_clock(left.rig_s)} of rig time. With {left.mountings} mountings and the chamber about "
-            f"{_clock(left.total_s)}",
+            f"{remaining.dwells} dwells, {_clock(remaining.rig_s)} of rig time. With {remaining.mountings} "
+            f"mountings and the chamber about "
+            f"{_clock(remaining.total_s)}",
             *([f"{len(done)} dwells are on the disk already"] if done else []),
         )
         with suppress(EOFError):
@@ -368,8 +385,8 @@ class Accepted(Result):
         """Return the following error with its limit, and the servo's gains and sample period."""
         from undrift.io.store import verdict_json
 
-        found, settings, dps = self.found, self.settings, RADIAN_PER_DEGREE
-        error, servo, verdict = found.error, found.servo, verdict_json(found.verdict)
+        result, settings, dps = self.found, self.settings, RADIAN_PER_DEGREE
+        error, servo, verdict = result.error, result.servo, verdict_json(result.verdict)
         rms_deg, max_deg, limit_deg = error.rms / dps, error.largest / dps, settings.limit / dps
         lines = (
             f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate, limit {limit_deg:g} deg",
@@ -380,16 +397,16 @@ class Accepted(Result):
         errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg, "run_up_max": error.in_run_up / dps}
         return Summary(
             title="Acceptance of a table",
-            answer=f"{found.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
+            answer=f"{result.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
             sections=(Section(title="Following error and servo", text=lines),),
-            verdict=found.verdict,
+            verdict=result.verdict,
             data={
                 "kind": "undrift.rig_check",
                 "format": 1,
                 "rig": self.rig,
-                "identity": found.identity,
+                "identity": result.identity,
                 "wave": wave,
-                "error_deg": errors | {"pass": found.passed},
+                "error_deg": errors | {"pass": result.passed},
                 "servo": asdict(servo),
                 "verdict": verdict,
                 "findings": verdict["findings"],
@@ -427,25 +444,25 @@ def check(
     from undrift.rig.lock import one_run, stopping_on_signals
     from undrift.rig.rig import open_rig, parse_address
 
-    asked = shaft.settings(turn_rate_dps, acceleration_dps2)
+    rig_settings = shaft.settings(turn_rate_dps, acceleration_dps2)
     settings = CheckSettings(
-        turn_rate=asked.limits.turn_rate,
+        turn_rate=rig_settings.limits.turn_rate,
         duration_s=seconds,
-        acceleration=asked.limits.acceleration,
+        acceleration=rig_settings.limits.acceleration,
         limit=limit_deg * RADIAN_PER_DEGREE,
     )
-    kind, _, asked = parse_address(rig, asked)
+    kind, _, rig_settings = parse_address(rig, rig_settings)
     if kind == "manual":
         raise InputError("rig check: expected a table with a motor, got manual:. Name the address of a table.")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
-        table = open_rig(rig, replace(asked, accept="on"))
+        table = open_rig(rig, replace(rig_settings, accept="on"))
         stack.callback(table.close)
-        found = check_rig(table, asked.timing, settings, screen.over)
-    return Accepted(rig=rig, settings=settings, found=found)
+        result = check_rig(table, rig_settings.timing, settings, screen.over)
+    return Accepted(rig=rig, settings=settings, found=result)
 
 
 def _clock(seconds: float) -> str:
-    whole = round(max(seconds, 0.0))
-    return f"{whole // 3600:d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+    total_s = round(max(seconds, 0.0))
+    return f"{total_s // 3600:d}:{total_s // 60 % 60:02d}:{total_s % 60:02d}"

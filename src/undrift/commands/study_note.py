@@ -24,8 +24,8 @@ def note_flows() -> tuple[Section, ...]:
     titles = ("Figure 1: how the parameters are optimised", "Figure 2: how the drift is compensated")
     pictures = (figure_of(f"note:draw_figure{k}") for k in (1, 2))
     return tuple(
-        Section(title=title, text=text, pictures=(one,), folded=True)
-        for title, one in zip(titles, pictures, strict=True)
+        Section(title=title, text=text, pictures=(picture,), folded=True)
+        for title, picture in zip(titles, pictures, strict=True)
     )
 
 
@@ -78,7 +78,10 @@ def table_2(outcome: "StudyOutcome") -> Section:
     rows = list[tuple[str, ...]]()
     for group, printed in TABLE_2.items():
         people = cohort(group, rng=stream(outcome.study.seed, "cohort", group, 0))
-        ages, heights = np.array([one.age_years for one in people]), np.array([one.height for one in people])
+        ages, heights = (
+            np.array([person.age_years for person in people]),
+            np.array([person.height for person in people]),
+        )
         noted = (printed.age_years, printed.height)
         cells = []
         for values, (low, mean, high), unit in zip((ages, heights), noted, (1.0, 100.0), strict=True):

@@ -66,12 +66,12 @@ def _parts(calibration: Calibration) -> Iterator[tuple[Part, str]]:
                 yield cross, f"cross-axis terms of the {name}, up to {percent:.2g} %"
     gyro = calibration.gyro
     if gyro is not None:
-        to_dps = si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
+        dps_per_unit = si_factor(gyro.unit_out, "rate") / RADIAN_PER_DEGREE
         if gyro.g_sensitivity is not None:
-            largest = float(np.abs(gyro.g_sensitivity).max()) * to_dps * si_factor("g", "accel")
+            largest = float(np.abs(gyro.g_sensitivity).max()) * dps_per_unit * si_factor("g", "accel")
             yield "g", f"g-sensitivity, up to {largest:.2g} deg/s per g"
         if gyro.moving_offset is not None:
-            largest = float(np.abs(gyro.moving_offset).max()) * to_dps
+            largest = float(np.abs(gyro.moving_offset).max()) * dps_per_unit
             yield (
                 "moving",
                 (

@@ -36,7 +36,8 @@ def map_of(
     """Return the text of the map that a description proposes, each unit with its reason, or "?" for an unknown unit."""
     if not description.example:
         raise InputError(
-            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): {description.summary}. "
+            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): "
+            f"{description.summary}. "
             f"Omit "
             "--write-map."
         )

@@ -124,7 +124,8 @@ def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings
         return columns  # of another program
     if sidecar.get("format") != FORMAT:
         raise FileFormatError(
-            f"{beside}: expected {KIND} format {FORMAT}, got format {sidecar.get('format')}. Read it with the undrift that wrote it."
+            f"{beside}: expected {KIND} format {FORMAT}, got format {sidecar.get('format')}. Read it with the "
+            f"undrift that wrote it."
         )
     if [*sidecar.get("columns", ())] != [*names]:
         raise FileFormatError(

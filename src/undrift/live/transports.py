@@ -307,8 +307,8 @@ class LslSource(ByteSource):
         except (RuntimeError, OSError) as error:  # pylsl's LostError is a RuntimeError
             raise LinkError(f"{self.name}: the stream is lost ({error}). Start the sender again.") from error
         width = len(self.description.channels)
-        whole = [(stamp, *row) for stamp, row in zip(stamps, samples, strict=True) if len(row) == width - 1]
-        valid = finite(np.array(whole, dtype=float).reshape(-1, width))
+        complete = [(stamp, *row) for stamp, row in zip(stamps, samples, strict=True) if len(row) == width - 1]
+        valid = finite(np.array(complete, dtype=float).reshape(-1, width))
         self.errors += len(stamps) - len(valid)
         return valid
 

@@ -68,10 +68,10 @@ def draw_tables(drift: DriftTables) -> "Figure":
             doubt = getattr(drift.static, f"{name}_uncertainty")
             panels.append((f"{triad}: offset (raw unit)", drift.static.temp_c, offset - offset.mean(axis=0), doubt))
         if drift.scale is not None and (matrix := getattr(drift.scale, f"{name}_matrix")) is not None:
-            own = np.einsum("nii->ni", matrix)
+            diagonal = np.einsum("nii->ni", matrix)
             doubt = getattr(drift.scale, f"{name}_uncertainty")
-            relative = 100.0 * (own / own.mean(axis=0) - 1.0)
-            doubt = None if doubt is None else 100.0 * np.einsum("nii->ni", doubt) / np.abs(own.mean(axis=0))
+            relative = 100.0 * (diagonal / diagonal.mean(axis=0) - 1.0)
+            doubt = None if doubt is None else 100.0 * np.einsum("nii->ni", doubt) / np.abs(diagonal.mean(axis=0))
             panels.append((f"{triad}: scale factor (%)", drift.scale.temp_c, relative, doubt))
     figure, axes = figures.new_figure(len(panels), height=1.3, width=7.2, share_x=False)
     for panel, (title, temp_c, value, doubt) in zip(axes, panels, strict=True):
@@ -103,12 +103,12 @@ def draw_calibration(calibration: Calibration) -> "Figure":
     elements = [row + column for row in AXES for column in AXES]
     style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
     for (name, triad), matrix, offset in zip(triads, panels[::2], panels[1::2], strict=True):
-        made = expand(triad)
-        expanded = dict(zip(made.names, made.expanded, strict=True))
+        table = expand(triad)
+        expanded = dict(zip(table.names, table.expanded, strict=True))
         gain, ideal = float(triad.scale_factor.mean()), "mean scale"
         if is_physical(triad.unit_in):
             gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
-        bars = [100.0 * gain * expanded.get(f"m_{one}", 0.0) for one in elements]
+        bars = [100.0 * gain * expanded.get(f"m_{element}", 0.0) for element in elements]
         matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
         matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
         matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
@@ -122,8 +122,8 @@ def draw_calibration(calibration: Calibration) -> "Figure":
 
 def draw_rests(accel: FloatArray, rate: FloatArray, gravity_m_s2: float) -> "Figure":
     """Draw |a|, m/s2, and |w|, deg/s, of each rest, raw next to corrected, (n, 2), with gravity and zero."""
-    shown = [(accel, "|a| (m/s2)", "local gravity", gravity_m_s2), (rate, "|w| (deg/s)", "at rest", 0.0)]
-    panels = [one for one in shown if len(one[0])]
+    rows = [(accel, "|a| (m/s2)", "local gravity", gravity_m_s2), (rate, "|w| (deg/s)", "at rest", 0.0)]
+    panels = [row for row in rows if len(row[0])]
     figure, axes = figures.new_figure(max(1, len(panels)), height=1.9, share_x=False)
     figures.entitle(figure, "Each rest, raw and corrected")
     for panel, (sizes, label, ideal, value) in zip(axes, panels, strict=False):
@@ -170,11 +170,11 @@ def draw_norm(records: Sequence["Record"], judged: Sequence["CorrectedPiece"], g
             panel.plot(
                 *figures.envelope(time, np.linalg.norm(record.accel, axis=1), 600), color=figures.DEVICE, linewidth=0.8
             )
-        for one in judged:
-            if one.piece.recording == number_ and one.piece.kind == "still":
-                ends = float(time[one.piece.start]), float(time[one.piece.stop - 1])
+        for item in judged:
+            if item.piece.recording == number_ and item.piece.kind == "still":
+                ends = float(time[item.piece.start]), float(time[item.piece.stop - 1])
                 panel.axvspan(*ends, facecolor=figures.SHADE, linewidth=0.0, zorder=0)
-                panel.plot(ends, [np.linalg.norm(one.accel)] * 2, label="mean of a still", **bar)
+                panel.plot(ends, [np.linalg.norm(item.accel)] * 2, label="mean of a still", **bar)
         start = float(time[-1]) + 1.0 / record.sample_rate_hz
     panel.axhline(gravity_m_s2, color=figures.OPTICS, linewidth=0.6, linestyle="--", label="local gravity")
     where = "time, recordings one after the other (s)" if len(records) > 1 else "time (s)"

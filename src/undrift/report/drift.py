@@ -71,7 +71,7 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
     if not len(temp):
         return np.zeros(0)
     table = np.interp(temp, summary.temp_c, summary.departure[:, k] * factor)
-    held: FloatArray = summary.block_departure[::step, k] * factor - table + np.interp(temp, summary.temp_c, value)
+    departure: FloatArray = summary.block_departure[::step, k] * factor - table + np.interp(temp, summary.temp_c, value)
     marks = (
         (state < 0.0, "^", _WARM, "warming"),
         (state > 0.0, "v", _COOL, "cooling"),
@@ -81,15 +81,15 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
     style: Any = {"linewidths": 0.0, "s": 9.0 if many else 14.0, "alpha": 0.4 if many else 0.75}
     for which, mark, colour, name in marks:
         if which.any():
-            axes.scatter(temp[which], held[which], marker=mark, color=colour, label=name, **style)
-    return held
+            axes.scatter(temp[which], departure[which], marker=mark, color=colour, label=name, **style)
+    return departure
 
 
 def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
     """Draw blocks and table about a level. They fill the panel. A band that is wide outside the data leaves the panel."""
     temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
     _shade(axes, temp, summary.extrapolated)
-    held = _draw_blocks(axes, summary, k, factor, value)
+    departures = _draw_blocks(axes, summary, k, factor, value)
     axes.fill_between(
         temp, value - doubt, value + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2
     )
@@ -99,7 +99,7 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
         for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
             course = value + sign * half[k] * factor
             axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=name, zorder=3)
-    spread = np.quantile(held, (0.002, 0.998)) if len(held) else held
+    spread = np.quantile(departures, (0.002, 0.998)) if len(departures) else departures
     every = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))
     low, high = float(every.min()), float(every.max())
     margin = 0.08 * max(high - low, 1e-12)
@@ -119,9 +119,9 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
     """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes
     that turned are drawn.
     """
-    turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
-    figure, panels = figures.new_figure(len(turned), height=1.8)
-    for k, axes in zip(turned, panels, strict=True):
+    axes_turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
+    figure, panels = figures.new_figure(len(axes_turned), height=1.8)
+    for k, axes in zip(axes_turned, panels, strict=True):
         temp, value, doubt = summary.temp_c, summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
         _shade(axes, temp, summary.extrapolated)
         if np.isfinite(doubt).all():
@@ -142,11 +142,11 @@ def draw_scale(summary: "ScaleSummary") -> "Figure":
 
 def draw_dynamic(drift: "DynamicDrift") -> "Figure":
     """Draw dynamic drift over the measured rate for a few temperatures. Only axes that turned are drawn."""
-    turned = [k for k in range(3) if drift.error[:, :, k].any()]
-    figure, panels = figures.new_figure(len(turned), height=1.7)
+    axes_turned = [k for k in range(3) if drift.error[:, :, k].any()]
+    figure, panels = figures.new_figure(len(axes_turned), height=1.7)
     chosen = np.unique(np.linspace(0, len(drift.temp_c) - 1, min(_CURVES, len(drift.temp_c))).round().astype(int))
     rate = drift.turn_rate / RADIAN_PER_DEGREE
-    for k, axes in zip(turned, panels, strict=True):
+    for k, axes in zip(axes_turned, panels, strict=True):
         axis = AXES[k]
         for place, row in enumerate(chosen):
             marker = "ov^sDP"[place % 6]
@@ -155,7 +155,7 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
             error = drift.error[row, :, k] / RADIAN_PER_DEGREE
             axes.plot(rate, error, color=colour, linestyle=":", linewidth=1.0)
             near = error if drift.extrapolated is None else np.where(drift.extrapolated[row], np.nan, error)
-            name = f"{drift.temp_c[row]:.0f} degC" if k == turned[0] else None
+            name = f"{drift.temp_c[row]:.0f} degC" if k == axes_turned[0] else None
             axes.plot(rate, near, color=colour, marker=marker, markersize=3.0, label=name)
         axes.set_ylabel(f"{axis}: correction (deg/s)")
     panels[-1].set_xlabel("measured rate (deg/s)")

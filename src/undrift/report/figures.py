@@ -55,11 +55,11 @@ def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN)
     edges = np.linspace(0, len(values), columns + 1).astype(np.int64)
     parts = [slice(a, b) for a, b in pairwise(edges.tolist())]
     low, high = np.where(gaps, np.inf, values), np.where(gaps, -np.inf, values)
-    ends = [part.start + int(np.argmin(low[part])) for part in parts]
-    ends += [part.start + int(np.argmax(high[part])) for part in parts]
+    ends = [block.start + int(np.argmin(low[block])) for block in parts]
+    ends += [block.start + int(np.argmax(high[block])) for block in parts]
     edge = np.flatnonzero(np.diff(gaps))
-    kept = np.unique(np.concatenate((ends, edge, edge + 1)))
-    return time[kept], values[kept]
+    indices = np.unique(np.concatenate((ends, edge, edge + 1)))
+    return time[indices], values[indices]
 
 
 # ---- figures
@@ -94,8 +94,8 @@ def new_figure(
 
     with mpl.rc_context(_STYLE):
         figure = _notebook_figure()(figsize=(width, 0.4 + height * rows), layout="constrained")
-        made = np.asarray(figure.subplots(rows, columns, sharex="col" if share_x else False, squeeze=False))
-    return figure, list(made.ravel())
+        grid = np.asarray(figure.subplots(rows, columns, sharex="col" if share_x else False, squeeze=False))
+    return figure, list(grid.ravel())
 
 
 @cache
@@ -124,12 +124,12 @@ def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
     """
     from matplotlib.text import Text
 
-    for part in figure.findobj(Text):
-        part.set_fontsize(max(part.get_fontsize(), LEAST_SIZE))
+    for label in figure.findobj(Text):
+        label.set_fontsize(max(label.get_fontsize(), LEAST_SIZE))
     fonts = {"svg.fonttype": "path"} if outlines else {}
     text = _saved(figure, fonts, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
-    named = f'<svg role="img" aria-label="{escape(_described(figure))}" '
-    return text[text.index("<svg") :].replace("<svg ", named, 1)
+    opening_tag = f'<svg role="img" aria-label="{escape(_described(figure))}" '
+    return text[text.index("<svg") :].replace("<svg ", opening_tag, 1)
 
 
 def _described(figure: "Figure") -> str:
@@ -144,8 +144,8 @@ def _described(figure: "Figure") -> str:
         dict.fromkeys(filter(None, (getattr(axes, get)() for axes in figure.axes)))
         for get in ("get_ylabel", "get_xlabel")
     )
-    shown = " against ".join(filter(None, map(", ".join, labels)))
-    return " ".join(": ".join(filter(None, (title, shown))).split())
+    described = " against ".join(filter(None, map(", ".join, labels)))
+    return " ".join(": ".join(filter(None, (title, described))).split())
 
 
 def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
@@ -267,9 +267,9 @@ def draw_comparison(
 
 def _without_wraps(angle_deg: FloatArray) -> FloatArray:
     """Return the angle with a gap where it jumps from +180 to -180 deg, so that no line is drawn across."""
-    shown = np.array(angle_deg)
-    shown[1:][np.abs(np.diff(angle_deg)) > 180.0] = np.nan
-    return shown
+    angle = np.array(angle_deg)
+    angle[1:][np.abs(np.diff(angle_deg)) > 180.0] = np.nan
+    return angle
 
 
 def draw_agreement(
@@ -308,8 +308,8 @@ def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, titl
     starts, marks = _one_after_the_other(records), dict[str, Any]()
     for number, record in enumerate(records):
         time = record.time - record.time[0] + starts[number]
-        own = [piece for piece in pieces if piece.recording == number]
-        _draw_pieces(strip, panels, time, own, starts[-1] - starts[0])
+        phases = [piece for piece in pieces if piece.recording == number]
+        _draw_pieces(strip, panels, time, phases, starts[-1] - starts[0])
         for panel, name in zip(panels, names, strict=True):
             marks |= {} if getattr(record, name) is None else _draw_readings(panel, time, getattr(record, name))
         marks |= _draw_gaps(panels, time, record)
@@ -335,12 +335,12 @@ def _strip_and_panels(panels: int, pieces: Sequence["Piece"]) -> tuple["Figure",
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(8.2, 0.9 + 0.3 * len(levels) + 1.75 * panels), layout="constrained")
         ratios = {"height_ratios": [0.22 * len(levels)] + [1.0] * panels}
-        made = figure.subplots(1 + panels, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
-    made[0].set(yticks=list(levels.values()), yticklabels=list(levels), ylim=(min(levels.values()) - 0.4, 2.95))
-    made[0].grid(False)
-    made[0].spines[["left", "bottom"]].set_visible(False)
-    made[0].tick_params(left=False, bottom=False, labelbottom=False)
-    return figure, list(made)
+        grid = figure.subplots(1 + panels, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
+    grid[0].set(yticks=list(levels.values()), yticklabels=list(levels), ylim=(min(levels.values()) - 0.4, 2.95))
+    grid[0].grid(False)
+    grid[0].spines[["left", "bottom"]].set_visible(False)
+    grid[0].tick_params(left=False, bottom=False, labelbottom=False)
+    return figure, list(grid)
 
 
 def _one_after_the_other(records: Sequence[Record]) -> list[float]:
@@ -408,12 +408,12 @@ def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, An
 
     reasons: dict[tuple[str, str], list[str]] = {}
     for kind, colour in (("still", DEVICE), ("turn", ERROR)):
-        kept = [piece for piece in pieces if piece.kind == kind and not piece.why]
+        accepted = [piece for piece in pieces if piece.kind == kind and not piece.why]
         out = [piece for piece in pieces if piece.kind == kind and piece.why]
         what = "pause" if kind == "still" else kind
         style: Any = {"facecolor": colour, "edgecolor": "white"}
-        if kept:
-            marks[f"{len(kept)} {kind}{'s' * (len(kept) > 1)} {'used' if used else 'found'}"] = Patch(**style)
+        if accepted:
+            marks[f"{len(accepted)} {kind}{'s' * (len(accepted) > 1)} {'used' if used else 'found'}"] = Patch(**style)
         if out:
             hatched = Patch(**style, hatch="////", alpha=0.5)
             marks[f"{len(out)} {what}{'s' * (len(out) > 1)} left out"] = hatched
@@ -430,12 +430,12 @@ def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, An
 def draw_record(record: "Record") -> "Figure":
     """Draw the readings of a record over time: each triad and the temperature, in the unit of the record."""
     triads = (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit))
-    held: list[tuple[str, FloatArray, Sequence[str]]]
-    held = [(f"{name} ({unit})", np.asarray(values).T, AXES) for name, values, unit in triads if values is not None]
+    triples: list[tuple[str, FloatArray, Sequence[str]]]
+    triples = [(f"{name} ({unit})", np.asarray(values).T, AXES) for name, values, unit in triads if values is not None]
     if record.temp_c is not None:
-        held.append(("temperature (degC)", record.temp_c[None], ("",)))
-    figure, panels = new_figure(len(held), height=1.9)
-    for axes, (label, courses, names) in zip(panels, held, strict=True):
+        triples.append(("temperature (degC)", record.temp_c[None], ("",)))
+    figure, panels = new_figure(len(triples), height=1.9)
+    for axes, (label, courses, names) in zip(panels, triples, strict=True):
         for k, (course, name) in enumerate(zip(courses, names, strict=True)):
             style = axis_style(k, marked=True) if name else {"color": DEVICE}
             axes.plot(*envelope(record.time, course), label=name, linewidth=0.8, **style)
@@ -446,23 +446,23 @@ def draw_record(record: "Record") -> "Figure":
     return figure
 
 
-def draw_orientation(found: "Orientation", band: FloatArray | None = None) -> "Figure":
+def draw_orientation(orientation: "Orientation", band: FloatArray | None = None) -> "Figure":
     """Draw inclination, pitch and heading over time, with the rest shaded. The 95 % limit of the pitch error is in rad
     (N,).
     """
-    named = (("inclination", found.inclination), ("pitch", found.pitch), ("heading", found.heading))
+    angles = (("inclination", orientation.inclination), ("pitch", orientation.pitch), ("heading", orientation.heading))
     figure, panels = new_figure(3 if band is None else 4, height=1.5)
-    for axes, (name, angle) in zip(panels, named, strict=False):
-        axes.plot(*envelope(found.time, shown := _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
+    for axes, (name, angle) in zip(panels, angles, strict=False):
+        axes.plot(*envelope(orientation.time, degrees := _without_wraps(angle / RADIAN_PER_DEGREE)), color=DEVICE)
         if name == "pitch" and band is not None:
-            few = slice(None, None, max(1, len(shown) // COLUMNS_DRAWN))  # a band is smooth but where the pitch is
-            low, high = (shown[few] + sign * band[few] / RADIAN_PER_DEGREE for sign in (-1.0, 1.0))
-            axes.fill_between(found.time[few], low, high, color=DEVICE, alpha=0.2, linewidth=0.0)
-            panels[-1].plot(found.time[few], band[few] / RADIAN_PER_DEGREE, color=ERROR)
+            few = slice(None, None, max(1, len(degrees) // COLUMNS_DRAWN))  # a band is smooth but where the pitch is
+            low, high = (degrees[few] + sign * band[few] / RADIAN_PER_DEGREE for sign in (-1.0, 1.0))
+            axes.fill_between(orientation.time[few], low, high, color=DEVICE, alpha=0.2, linewidth=0.0)
+            panels[-1].plot(orientation.time[few], band[few] / RADIAN_PER_DEGREE, color=ERROR)
             panels[-1].set(ylabel="pitch, 95 %\nwithin (deg)", ylim=(0.0, None))
         axes.set_ylabel(f"{name} (deg)")
-        if found.still is not None:
-            rest_s = (float(found.time[k]) for k in (found.still.start, found.still.stop - 1))
+        if orientation.still is not None:
+            rest_s = (float(orientation.time[k]) for k in (orientation.still.start, orientation.still.stop - 1))
             axes.axvspan(*rest_s, color=SHADE, zorder=0)
     panels[-1].set_xlabel("time (s)")
     return figure
@@ -487,18 +487,18 @@ def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, ti
 # ---- Allan deviation
 
 
-def draw_allan(found: "NoiseFit", *, title: str = "Overlapping Allan deviation") -> "Figure":
+def draw_allan(fit: "NoiseFit", *, title: str = "Overlapping Allan deviation") -> "Figure":
     """Draw Allan deviation over averaging time, with the band of its intervals and the fitted model."""
-    triads = [name for name in ("gyro", "accel") if getattr(found, name)]
+    triads = [name for name in ("gyro", "accel") if getattr(fit, name)]
     figure, panels = new_figure(len(triads), height=2.9)
     for panel, name in zip(panels, triads, strict=True):
-        for k, axis in enumerate(getattr(found, name)):
+        for k, axis in enumerate(getattr(fit, name)):
             _draw_deviation(panel, axis, name, k)
             taus_s = axis.curve.taus_s
             panel.plot(taus_s, np.sqrt(sum(axis.terms(taus_s).values())), **axis_style(k), linewidth=0.9)
-        panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(found, f'{name}_unit')})")
+        panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(fit, f'{name}_unit')})")
         legend_above(panel)
-    entitle(figure, f"{title}, lines: fitted model, band: {100.0 * found.confidence:g} %")
+    entitle(figure, f"{title}, lines: fitted model, band: {100.0 * fit.confidence:g} %")
     panels[-1].set_xlabel("averaging time (s)")
     return figure
 
@@ -513,24 +513,24 @@ def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None
     )
 
 
-def draw_allan_fit(found: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
+def draw_allan_fit(fit: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
     """Draw each axis of a triad with the fitted line of each term, and a mark where its coefficient is read."""
     figure, panels = new_figure(3, height=2.1)
     dashes = dict(zip(terms, (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
-    for k, (panel, axis) in enumerate(zip(panels, getattr(found, triad), strict=True)):
+    for k, (panel, axis) in enumerate(zip(panels, getattr(fit, triad), strict=True)):
         _draw_deviation(panel, axis, triad, k)
         taus_s = axis.curve.taus_s
         parts, low = axis.terms(taus_s), float(np.nanmin(axis.curve.lower))
         total = np.sqrt(sum(parts.values()))
         panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="model")
-        for name, (dash, marker, at_s) in dashes.items():
+        for name, (dash, marker, term_tau_s) in dashes.items():
             if (line := np.sqrt(parts[name])).any():
-                at = float(taus_s[total.argmin()]) if at_s is None else at_s
+                at = float(taus_s[total.argmin()]) if term_tau_s is None else term_tau_s
                 far = (line > 0.5 * low) | (taus_s >= 0.5 * at if name == "rate_random_walk" else False)
-                shown = np.where(far, line, np.nan)
-                panel.plot(taus_s, shown, color=LIMIT, linestyle=dash, label=terms[name])
+                asymptote = np.where(far, line, np.nan)
+                panel.plot(taus_s, asymptote, color=LIMIT, linestyle=dash, label=terms[name])
                 panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
-        panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(found, f'{triad}_unit')})")
+        panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(fit, f'{triad}_unit')})")
         legend_above(panel)
     entitle(figure, "Allan deviation and its terms. Each mark shows the point at which a coefficient is read.")
     panels[-1].set_xlabel("averaging time (s)")
@@ -679,18 +679,20 @@ def draw_level_errors(table: "LevelTable") -> "Figure":
 # ---- twin
 
 
-def draw_held_out(held: Sequence["HeldOutTrial"]) -> "Figure":
+def draw_held_out(trials: Sequence["HeldOutTrial"]) -> "Figure":
     """Draw the largest pitch differences in windows: every window, and the median of each recording."""
-    figure, (panel,) = new_figure(1, height=0.6 + 0.35 * len(held))
-    entitle(figure, f"Held out: largest pitch difference in windows of {held[0].window_s:g} s")
-    for k, one in enumerate(held):
-        errors = one.pitch[np.isfinite(one.pitch)] / RADIAN_PER_DEGREE
+    figure, (panel,) = new_figure(1, height=0.6 + 0.35 * len(trials))
+    entitle(figure, f"Held out: largest pitch difference in windows of {trials[0].window_s:g} s")
+    for k, trial in enumerate(trials):
+        errors = trial.pitch[np.isfinite(trial.pitch)] / RADIAN_PER_DEGREE
         panel.plot(
             errors, np.full(len(errors), k), "|", color=LIMIT, markersize=8.0, label="window" if k == 0 else None
         )
         panel.plot(np.median(errors), k, "D", color=DEVICE, label="median" if k == 0 else None)
-    panel.set_yticks(range(len(held)), [textwrap.fill(f"{one.recording} {one.window_s:g} s", 20) for one in held])
-    panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(held) - 0.4, -0.6))
+    panel.set_yticks(
+        range(len(trials)), [textwrap.fill(f"{trial.recording} {trial.window_s:g} s", 20) for trial in trials]
+    )
+    panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(trials) - 0.4, -0.6))
     legend_above(panel)
     return figure
 

@@ -105,14 +105,14 @@ _LETTER = 0.56 * _SIZE  # mean width of a letter
 
 def draw_figure1() -> "Figure":
     """Draw the note's Figure 1, how the parameters of the calibration are optimised."""
-    left, wide = _EDGE + 22.0, 72.0 * figures.WIDTH - 2.0 * _EDGE - 22.0
-    boxes, bottom = _stacked(FIGURE_1, left, _EDGE, wide)
+    left_edge, wide = _EDGE + 22.0, 72.0 * figures.WIDTH - 2.0 * _EDGE - 22.0
+    boxes, bottom = _stacked(FIGURE_1, left_edge, _EDGE, wide)
     figure, axes = _sheet(bottom + _EDGE, "Figure 1: how the parameters are optimised")
     _draw_boxes(axes, boxes)
     start, stop, word = LOOP
     ends = [0.5 * (boxes[k].top + boxes[k].bottom) for k in (start, stop)]
-    axes.plot([left, _EDGE + 11.0, _EDGE + 11.0, left - 6.0], [ends[0], *ends, ends[1]], color=figures.ERROR)
-    _arrow(axes, (left - 8.0, ends[1]), (left, ends[1]), figures.ERROR)
+    axes.plot([left_edge, _EDGE + 11.0, _EDGE + 11.0, left_edge - 6.0], [ends[0], *ends, ends[1]], color=figures.ERROR)
+    _arrow(axes, (left_edge - 8.0, ends[1]), (left_edge, ends[1]), figures.ERROR)
     axes.text(
         _EDGE + 8.0, sum(ends) / 2.0, word, rotation=90.0, ha="right", va="center", fontsize=_SIZE, color=figures.ERROR
     )
@@ -127,19 +127,19 @@ def draw_figure2() -> "Figure":
     top = bottom + _GAP
     sides, ends = [], []
     for k, branch in enumerate((STATIC, DYNAMIC)):
-        left = _EDGE + k * (half + _EDGE)
-        inner, end = _stacked(branch.steps, left + _EDGE, top + _LINE * 2.6 + _EDGE, half - 2.0 * _EDGE)
+        left_edge = _EDGE + k * (half + _EDGE)
+        inner, end = _stacked(branch.steps, left_edge + _EDGE, top + _LINE * 2.6 + _EDGE, half - 2.0 * _EDGE)
         sides.append(inner)
         ends.append(end + _EDGE)
     low = max(ends)
     after, bottom = _stacked(AFTER, _EDGE, low + _GAP, wide)
     figure, axes = _sheet(bottom + _EDGE, "Figure 2: how the drift is compensated")
     for k, (branch, inner) in enumerate(zip((STATIC, DYNAMIC), sides, strict=True)):
-        left = _EDGE + k * (half + _EDGE)
-        middle = left + 0.5 * half
-        axes.add_patch(_patch(left, top, half, low - top, face=figures.SHADE, edge=figures.LIMIT))
+        left_edge = _EDGE + k * (half + _EDGE)
+        middle = left_edge + 0.5 * half
+        axes.add_patch(_patch(left_edge, top, half, low - top, face=figures.SHADE, edge=figures.LIMIT))
         heads = textwrap.fill(f"{('static', 'dynamic')[k]} drift: {branch.blocks}", int((half - 8.0) / _LETTER))
-        axes.text(left + _EDGE, top + 3.0, heads, va="top", fontsize=_SIZE, color=figures.OPTICS, weight="bold")
+        axes.text(left_edge + _EDGE, top + 3.0, heads, va="top", fontsize=_SIZE, color=figures.OPTICS, weight="bold")
         _arrow(axes, (middle, before[0].bottom), (middle, top))
         _arrow(axes, (middle, low), (middle, after[0].top))
         _draw_boxes(axes, inner)
@@ -160,19 +160,19 @@ class _NoteBox(NamedTuple):
 def place_of(dotted: str) -> tuple[str, str]:
     """Return the name of a function, and its file."""
     parts = dotted.split(".")
-    first = next((k for k, part in enumerate(parts) if part[0].isupper()), len(parts) - 1)
+    first = next((k for k, name in enumerate(parts) if name[0].isupper()), len(parts) - 1)
     return ".".join(parts[first:]), "/".join(parts[:first]) + ".py"
 
 
-def _stacked(steps: Sequence[NoteStep], left: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
+def _stacked(steps: Sequence[NoteStep], left_edge: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
     """Arrange boxes below each other. Return them and the end of the last."""
     boxes, letters = [], int((width - 2.0 * _PAD) / _LETTER)
     for step in steps:
         note = tuple(textwrap.wrap(step.note, letters))
-        named = [place_of(dotted) for dotted in step.ours]
-        ours = tuple(line for name, file in named for line in textwrap.wrap(f"{name}  {file}", letters))
+        places = [place_of(dotted) for dotted in step.ours]
+        ours = tuple(line for name, file in places for line in textwrap.wrap(f"{name}  {file}", letters))
         bottom = top + 2.0 * _PAD + _LINE * (len(note) + len(ours))
-        boxes.append(_NoteBox(left, top, width, bottom, note, ours))
+        boxes.append(_NoteBox(left_edge, top, width, bottom, note, ours))
         top = bottom + _GAP
     return boxes, boxes[-1].bottom
 
@@ -188,10 +188,10 @@ def _sheet(height: float, label: str) -> tuple["Figure", "Axes"]:
     return figure, axes
 
 
-def _patch(left: float, top: float, width: float, height: float, *, face: str, edge: str) -> Any:
+def _patch(left_edge: float, top: float, width: float, height: float, *, face: str, edge: str) -> Any:
     from matplotlib.patches import Rectangle
 
-    return Rectangle((left, top), width, height, facecolor=face, edgecolor=edge, linewidth=0.8)
+    return Rectangle((left_edge, top), width, height, facecolor=face, edgecolor=edge, linewidth=0.8)
 
 
 def _draw_boxes(axes: "Axes", boxes: Sequence[_NoteBox]) -> None:
@@ -220,30 +220,30 @@ FLOWS = {"note-figure-1.svg": draw_figure1, "note-figure-2.svg": draw_figure2}
 
 
 def draw_figure3(
-    found: "Figure3", names: Sequence[str], drawn: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None
+    figure3: "Figure3", names: Sequence[str], rows: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None
 ) -> "Figure":
     """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
     from matplotlib.lines import Line2D
 
-    figure, (pitch, error, apart, largest) = figures.new_figure(4, height=1.75, width=figures.WIDTH, share_x=False)
-    pitch.plot(found.time, found.reference_pitch, color=figures.OPTICS)
+    figure, (pitch, error, difference, largest) = figures.new_figure(4, height=1.75, width=figures.WIDTH, share_x=False)
+    pitch.plot(figure3.time, figure3.reference_pitch, color=figures.OPTICS)
     for k in range(len(figures.COMPARED_COLOURS)):
-        error.plot(found.time, found.actual[k], **figures.compared_style(k))
-        error.plot(found.time, found.simulated[k], **figures.compared_style(k), linestyle="--")
-        apart.plot(found.time, found.actual[k] - found.simulated[k], **figures.compared_style(k))
+        error.plot(figure3.time, figure3.actual[k], **figures.compared_style(k))
+        error.plot(figure3.time, figure3.simulated[k], **figures.compared_style(k), linestyle="--")
+        difference.plot(figure3.time, figure3.actual[k] - figure3.simulated[k], **figures.compared_style(k))
     for limit in (-0.15, 0.15):
-        apart.axhline(limit, color=figures.OPTICS, linewidth=0.7, linestyle=":")
-    _draw_largest(largest, found, drawn, twin)
-    beside = ("diamond: typical unit", *(("bar: drawn units",) if drawn else ()), *(("cross: twin",) if twin else ()))
+        difference.axhline(limit, color=figures.OPTICS, linewidth=0.7, linestyle=":")
+    _draw_largest(largest, figure3, rows, twin)
+    beside = ("diamond: typical unit", *(("bar: drawn units",) if rows else ()), *(("cross: twin",) if twin else ()))
     for panel, label, title in (
         (pitch, "pitch (deg)", "sit-to-stand by the optics"),
         (error, "error (deg)", "error: actual solid, simulated dashed"),
-        (apart, "difference (deg)", "actual minus simulated (dotted: 0.15 deg, from the note)"),
+        (difference, "difference (deg)", "actual minus simulated (dotted: 0.15 deg, from the note)"),
         (largest, "largest error (deg)", "; ".join(beside)),
     ):
         panel.set_ylabel(label)
         panel.set_title(title, loc="left", fontsize=_SIZE)
-    apart.set_xlabel("time (s)")
+    difference.set_xlabel("time (s)")
     lines = [
         Line2D([], [], **figures.compared_style(k) | {"markevery": None}) for k in range(len(figures.COMPARED_COLOURS))
     ]
@@ -251,14 +251,12 @@ def draw_figure3(
     return figure
 
 
-def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
+def _draw_largest(panel: "Axes", figure3: "Figure3", rows: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
     """Draw the largest error of each compensation, for the simulated (left) and the actual device (right). Bars are
     quartiles.
     """
     for k, colour in enumerate(figures.COMPARED_COLOURS):
-        spreads = (
-            (drawn[k].simulated_deg, (drawn[k].lower_deg, drawn[k].median_deg, drawn[k].upper_deg)) if drawn else ()
-        )
+        spreads = (rows[k].simulated_deg, (rows[k].lower_deg, rows[k].median_deg, rows[k].upper_deg)) if rows else ()
         for side, name in enumerate(("simulated_max_deg", "actual_max_deg")):
             x, face = k + 0.36 * side - 0.18, colour if side else "white"
             if spreads:
@@ -266,7 +264,7 @@ def _draw_largest(panel: "Axes", found: "Figure3", drawn: "Sequence[DrawnRow]", 
                 panel.bar(x, high - low, 0.3, bottom=low, facecolor=face, edgecolor=colour, alpha=0.55)
                 panel.plot([x - 0.15, x + 0.15], [middle, middle], color=figures.OPTICS)
             style: Any = {"markersize": 4.5, "markerfacecolor": face, "markeredgecolor": colour}
-            panel.plot(x, getattr(found, name)[k], marker="D", **style)
+            panel.plot(x, getattr(figure3, name)[k], marker="D", **style)
             if twin is not None:
                 panel.plot(x, getattr(twin, name)[k], marker="x", markersize=5.5, color=figures.OPTICS)
     panel.set_axisbelow(True)

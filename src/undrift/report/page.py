@@ -30,15 +30,17 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
     template = environment.get_template("page.html.j2")
     sections = (*summary.sections, *summary.page(), Section(title="Notes", text=summary.notes))
     filled = [
-        one for one in sections if one.on != "terminal" and (one.text or one.findings or one.rows or one.pictures)
+        entry
+        for entry in sections
+        if entry.on != "terminal" and (entry.text or entry.findings or entry.rows or entry.pictures)
     ]
     verdict = summary.verdict
-    shown, number = [section for section in filled if not section.folded], count(1)
-    lines = sum(4 + 2 * len(one.text) + len(one.rows) + 14 * len(one.pictures) for one in shown)
+    visible, number = [section for section in filled if not section.folded], count(1)
+    lines = sum(4 + 2 * len(entry.text) + len(entry.rows) + 14 * len(entry.pictures) for entry in visible)
     with showing():
         text = template.render(
             summary=summary,
-            shown=shown,
+            shown=visible,
             folded=[section for section in filled if section.folded],
             findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
             contents=lines > SCREEN_LINES,
@@ -66,7 +68,7 @@ def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
     return [*(item for item in ordered if item in first), *(item for item in ordered if item not in first)]
 
 
-def _inlined(svg: str, number: int, known: set[str]) -> str:
+def _inlined(svg: str, number: int, palette: set[str]) -> str:
     """Return a picture as a part of a page: no names of other places, own ids, colours that follow the scheme."""
     svg = re.sub(r"<metadata>.*?</metadata>|<\?xml.*?\?>|<!DOCTYPE.*?>| xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.S)
     svg = re.sub(
@@ -79,7 +81,7 @@ def _inlined(svg: str, number: int, known: set[str]) -> str:
         r'(<rect[^>]*) fill="(#[0-9a-f]{6})"', r'\1 style="fill: \2"', svg
     )  # of a hatch: an attribute takes no variable
     return re.sub(
-        r"(?<=: )#([0-9a-f]{6})\b", lambda m: f"var(--c{m[1]}, #{m[1]})" if m[1] in known else f"#{m[1]}", svg
+        r"(?<=: )#([0-9a-f]{6})\b", lambda m: f"var(--c{m[1]}, #{m[1]})" if m[1] in palette else f"#{m[1]}", svg
     )
 
 

@@ -54,8 +54,8 @@ class Access:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                held = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
-                new = {k.lower(): _for_host(v, scope) for k, v in HEADERS.items() if k.lower() not in held}
+                names = {name.decode("latin-1").lower() for name, _ in message.get("headers", ())}
+                new = {k.lower(): _for_host(v, scope) for k, v in HEADERS.items() if k.lower() not in names}
                 added = [(k.encode(), v.encode()) for k, v in new.items()]
                 message = {**message, "headers": [*message.get("headers", ()), *added]}
             await send(message)
@@ -86,13 +86,13 @@ def _name(host: str) -> str:
 
 
 def _for_host(policy: str, scope: Scope) -> str:
-    found = re.fullmatch(r"(([\w.-]+|\[[\w:.]+\])(:\d{1,5})?)", Headers(scope=scope).get("host", ""))
-    return policy.replace("OWN", found[1] if found else "127.0.0.1")
+    match = re.fullmatch(r"(([\w.-]+|\[[\w:.]+\])(:\d{1,5})?)", Headers(scope=scope).get("host", ""))
+    return policy.replace("OWN", match[1] if match else "127.0.0.1")
 
 
 def _cookie_of(headers: Mapping[str, str]) -> str:
     """Return the name of the cookie. It contains the port, because a browser sends all cookies of a host to every port."""
-    return f"{COOKIE}_{found[1]}" if (found := re.search(r":(\d{1,5})$", headers.get("host", ""))) else COOKIE
+    return f"{COOKIE}_{match[1]}" if (match := re.search(r":(\d{1,5})$", headers.get("host", ""))) else COOKIE
 
 
 def _given(scope: Scope, headers: Mapping[str, str]) -> str:
@@ -100,7 +100,7 @@ def _given(scope: Scope, headers: Mapping[str, str]) -> str:
     if "token" in query:
         return str(query["token"][0])
     try:
-        held = SimpleCookie(headers.get("cookie", "")).get(_cookie_of(headers))
+        cookie = SimpleCookie(headers.get("cookie", "")).get(_cookie_of(headers))
     except CookieError:
-        held = None
-    return str(held.value) if held is not None else ""
+        cookie = None
+    return str(cookie.value) if cookie is not None else ""

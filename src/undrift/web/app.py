@@ -76,17 +76,17 @@ class Prompt(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
 
 def listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind((host, port))
-        made.listen(128)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(128)
     except OSError as error:
-        made.close()
+        listener.close()
         raise InputError(
             f"bench: cannot listen at {host}:{port} ({error.strerror or error}). Choose another `port`, or 0 for a free port."
         ) from error
-    return made
+    return listener
 
 
 def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
@@ -97,9 +97,9 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
         ready()
         yield
 
-    made = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=life)
+    api = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=life)
 
-    @made.get("/files/{name:path}")
+    @api.get("/files/{name:path}")
     def get_file(name: str, download: str = "") -> Response:
         try:
             path = bench.inside(name)
@@ -112,7 +112,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
             )
         return answer
 
-    @made.post("/upload")
+    @api.post("/upload")
     async def upload(request: Request) -> Response:
         try:
             path = await receive_upload(request, bench.folder / "uploads", bench.settings.upload_mb)
@@ -124,8 +124,8 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     for path, name in texts()["pages"].items():
         _add_page(bench, path, name)
     look: dict[str, Any] = {"title": "undrift bench", "dark": None, "language": "en-US", "tailwind": False}
-    ui.run_with(made, reconnect_timeout=10.0, show_welcome_message=False, **look)
-    return made
+    ui.run_with(api, reconnect_timeout=10.0, show_welcome_message=False, **look)
+    return api
 
 
 def _add_page(bench: Bench, path: str, name: str) -> None:

@@ -129,10 +129,10 @@ class Bench:
 
     def new_job(self, serial: str = "") -> Job:
         """Begin with another device: a new folder."""
-        stamp, named = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
-        folder, k = self.folder / "jobs" / f"{stamp}-{named}", 1
+        stamp, label = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
+        folder, k = self.folder / "jobs" / f"{stamp}-{label}", 1
         while folder.exists():
-            folder, k = self.folder / "jobs" / f"{stamp}-{named}-{k}", k + 1
+            folder, k = self.folder / "jobs" / f"{stamp}-{label}-{k}", k + 1
         folder.mkdir(parents=True)
         self.job = Job(folder=folder, serial=serial)
         self.job.save()
@@ -141,11 +141,11 @@ class Bench:
 
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options."""
-        made, report = job.folder / "calibration.json", job.folder / "report.html"
+        calibration, report = job.folder / "calibration.json", job.folder / "report.html"
         job.words = self._below(words)
         job.save()
         place = () if _states_gravity(self.folder / job.words[0]) else self.place.words()
-        outcome = await self.command("calibrate", *words, *place, "-o", made, "--report", report)
+        outcome = await self.command("calibrate", *words, *place, "-o", calibration, "--report", report)
         self._take(job, outcome)
         return outcome
 
@@ -173,9 +173,9 @@ class Bench:
             now.cancel()
             self.working.remove(now)
 
-    def _below(self, words: Sequence[object]) -> tuple[str, ...]:
+    def _below(self, arguments: Sequence[object]) -> tuple[str, ...]:
         """Return the words of a command with files by their paths below the folder, in which it runs."""
-        return tuple(str(word).removeprefix(f"{self.folder}/") for word in words)
+        return tuple(str(word).removeprefix(f"{self.folder}/") for word in arguments)
 
     def inside(self, name: str) -> Path:
         """Return a file of the bench from its path below the folder. Raise InputError for a missing file or a path
@@ -184,10 +184,10 @@ class Bench:
         root = self.folder.resolve()
         try:
             path = (root / name).resolve()
-            held = path.is_relative_to(root) and path.is_file()
+            exists = path.is_relative_to(root) and path.is_file()
         except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
-            held = False
-        if not held:
+            exists = False
+        if not exists:
             raise InputError("bench: only files that the bench wrote can be opened. Choose a file on the page Check.")
         return path
 

@@ -12,10 +12,10 @@ AXIS = {"type": "value", "axisLabel": GREY, "nameTextStyle": GREY, "splitLine": 
 
 def chart_of(trace: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of the chart, as ECharts takes them."""
-    shown = [name for name in QUANTITIES if name in trace["readings"]]
-    both, length, height = {"xAxisIndex": "all"}, trace["time"][-1], 78 // len(shown)
+    quantities = [name for name in QUANTITIES if name in trace["readings"]]
+    both, length, height = {"xAxisIndex": "all"}, trace["time"][-1], 78 // len(quantities)
     grids, times, values, series = list[Any](), list[Any](), list[Any](), list[Any]()
-    for k, name in enumerate(shown):
+    for k, name in enumerate(quantities):
         title = {"name": f"{QUANTITIES[name]} ({trace['units'][name]})", "nameTextStyle": GREY | {"align": "left"}}
         grids.append({"left": 64, "right": 16, "top": f"{9 + k * height}%", "height": f"{height - 11}%"})
         times.append(AXIS | {"gridIndex": k, "min": 0, "max": length, "name": "s", "nameGap": 4})

@@ -42,24 +42,27 @@ def remarks_of(answer: Mapping[str, Any]) -> list[Remark]:
     each once.
     """
     once: dict[str, Remark] = {}
-    for whole, remark in sorted(_remarks(answer), key=lambda one: LEVELS.index(one[1].level)):
-        once.setdefault(whole, remark)
+    for full_text, remark in sorted(_remarks(answer), key=lambda one: LEVELS.index(one[1].level)):
+        once.setdefault(full_text, remark)
     return list(once.values())
 
 
 def _remarks(answer: Mapping[str, Any]) -> Iterator[tuple[str, Remark]]:
     """Yield each remark with its whole text."""
     lists = {key: value for key, value in answer.items() if isinstance(value, list)}
-    for one in lists.get("findings", ()):
-        action, whole = str(one.get("action") or ""), str(one["text"])
-        text = whole.removesuffix(action).rstrip("; ")
-        yield whole, Remark(level=one.get("level") or "info", text=text, action=action)
+    for finding in lists.get("findings", ()):
+        action, full_text = str(finding.get("action") or ""), str(finding["text"])
+        text = full_text.removesuffix(action).rstrip("; ")
+        yield full_text, Remark(level=finding.get("level") or "info", text=text, action=action)
     for key in ("notes", "problems"):
-        for whole in lists.get(key, ()):
-            yield str(whole), Remark(level="info", text=str(whole))
-    for part in (*(part for key, value in lists.items() if key != "findings" for part in value), answer.get("verdict")):
-        if isinstance(part, Mapping):
-            yield from _remarks(part)
+        for full_text in lists.get(key, ()):
+            yield str(full_text), Remark(level="info", text=str(full_text))
+    for section in (
+        *(section for key, value in lists.items() if key != "findings" for section in value),
+        answer.get("verdict"),
+    ):
+        if isinstance(section, Mapping):
+            yield from _remarks(section)
 
 
 def without_folders(text: str, folder: Path) -> str:
@@ -68,11 +71,11 @@ def without_folders(text: str, folder: Path) -> str:
 
 
 async def run_command(
-    words: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
+    argv: Sequence[object], folder: Path, heard: Callable[[str], None], *, longest_s: float = LONGEST_S
 ) -> CommandOutcome:
     """Run a command in a folder. Each line of its stderr is passed on immediately."""
     child = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "undrift", *map(str, words), "--json"),
+        *(sys.executable, "-m", "undrift", *map(str, argv), "--json"),
         cwd=folder, limit=LARGEST_LINE, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
@@ -90,7 +93,7 @@ async def run_command(
             code = await child.wait()
     except TimeoutError:
         return CommandOutcome(
-            code=2, error=f"{words[0]}: the command did not finish within {longest_s:g} s. Use a shorter recording."
+            code=2, error=f"{argv[0]}: the command did not finish within {longest_s:g} s. Use a shorter recording."
         )
     finally:
         if child.returncode is None:

@@ -32,7 +32,7 @@ def rail(visit: "Visit", path: str) -> None:
 
 
 def _state(visit: "Visit", step: str) -> str:
-    bench, one, job = visit.bench, visit.recordings.chosen, visit.job
+    bench, chosen, job = visit.bench, visit.recordings.chosen, visit.job
     if step == "Get readings":
         count = sum(file.kind == "recording" for file in visit.library.files)
         return (
@@ -43,9 +43,13 @@ def _state(visit: "Visit", step: str) -> str:
             else "none yet"
         )
     if step == "Check":
-        if one is None:
+        if chosen is None:
             return "no file chosen"
-        return "to confirm" if one.needs_map or one.needs_rate else one.kind or ("refused" if one.error else "reading")
+        return (
+            "to confirm"
+            if chosen.needs_map or chosen.needs_rate
+            else chosen.kind or ("refused" if chosen.error else "reading")
+        )
     if step == "Calibrate":
         return "not yet" if job is None else (job.answer.get("verdict") or {}).get("status") or "done"
     return "no calibration" if visit.calibration is None else "calibration chosen"
@@ -117,8 +121,8 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
 def _found(visit: "Visit") -> None:
     """List the devices found. A click connects a device."""
     ways = {"serial_ports": "serial://", "lsl_streams": "lsl:"}
-    pairs = [(kind, one) for way, kind in ways.items() for one in visit.ways.get(way, ())]
-    senders = [(kind + next(iter(one.values())), one["device"]) for kind, one in pairs]
+    pairs = [(kind, device) for way, kind in ways.items() for device in visit.ways.get(way, ())]
+    senders = [(kind + next(iter(device.values())), device["device"]) for kind, device in pairs]
     for address, about in senders:
         parts.button(f"{address.partition(':')[2].lstrip('/')}: {about}", partial(visit.bench.connect, address))
     if visit.ways and not senders:

@@ -20,19 +20,19 @@ def listing(
     choose: Callable[[Any], Any],
 ) -> None:
     """Add a list that follows the files and jobs of the bench. static/drawings.js redraws only the list."""
-    made, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
+    widget, state = ui.element("undrift-list").props(f'label="{title}"'), list[object]()
 
     def show() -> None:
         now = [(e.folder.name, e.name, e.error, e is chosen() and e.summary) for e in every()]
         if state != [now]:
             state[:] = [now]
             rows = [(e.folder.name, e.name, f"{e.summary} ({came_words(e)})", e is chosen()) for e in every()]
-            parts.set_prop(made, "what", json.dumps(rows))
+            parts.set_prop(widget, "what", json.dumps(rows))
 
     def handle(event: Any) -> Any:
         return next((choose(e) for e in every() if e.folder.name == event.args["detail"]), None)
 
-    made.on("choose", parts.acted(handle), ["detail"])
+    widget.on("choose", parts.acted(handle), ["detail"])
     parts.bound(show)
 
 

@@ -87,8 +87,8 @@ def guided_of(bench: "Bench") -> Guided | None:
     if source is None:
         return None if job is None else job.capture
     if job is not None and job.capture is not None and job.serial == source.name:
-        held: Guided = job.capture
-        return held
+        guided: Guided = job.capture
+        return guided
     if job is None or job.calibration is not None or job.capture is not None or job.serial != source.name:
         job = bench.new_job(source.name)
     job.capture = Guided(bench, job)
@@ -198,19 +198,19 @@ def _watched(bench: "Bench", guided: Guided, guide: Guide) -> None:
     parts.error_line(lambda: guided.error)
 
 
-def _guide_part(guide: Guide, box: Callable[[], Sequence[str]], words: Callable[[], str], countdown_s: float) -> None:
+def _guide_part(guide: Guide, box: Callable[[], Sequence[str]], message: Callable[[], str], countdown_s: float) -> None:
     """Add the instructions as a drawing and in words, next to the light with shape, words and countdown. Changes are
     read aloud.
     """
 
     def spoken() -> str:
-        left = math.ceil(guide.light.left_s or 0.0)
-        return f"{left} seconds" if left in SAID_AT else ""
+        seconds = math.ceil(guide.light.left_s or 0.0)
+        return f"{seconds} seconds" if seconds in SAID_AT else ""
 
     with ui.element("div").classes("guide"):
         parts.drawing("box", box)
         with ui.element("div"):
-            parts.text("p", words, "asked")
+            parts.text("p", message, "asked")
             with ui.element("div").classes("light"):
                 parts.drawing("lamp", lambda: [guide.light.state])
                 parts.status_line(lambda: guide.light.text, "light-words").props('aria-live="polite"')

@@ -65,19 +65,19 @@ async def look(client: Client) -> None:
             with parent:
                 if isawaitable(waited := show()):
                     await waited
-    bound_in(client)[:] = [each for each in bound_in(client) if not each[0].is_deleted]
+    bound_in(client)[:] = [binding for binding in bound_in(client) if not binding[0].is_deleted]
 
 
-def text(tag: str, words: Words = "", classes: str = "", *, role: str = "") -> Any:
+def text(tag: str, content: Words = "", classes: str = "", *, role: str = "") -> Any:
     """Add an element with plain text. The text is never interpreted as markup."""
-    made = ui.element(tag).classes(classes)
+    element = ui.element(tag).classes(classes)
     if role:
-        made.props(f'role="{role}"')
-    if callable(words):
-        bound(lambda: set_text(made, words()))
+        element.props(f'role="{role}"')
+    if callable(content):
+        bound(lambda: set_text(element, content()))
     else:
-        made._text = words
-    return made
+        element._text = content
+    return element
 
 
 def says(name: str) -> None:
@@ -85,10 +85,10 @@ def says(name: str) -> None:
     text("p", texts()["says"][name])
 
 
-def set_text(element: Any, words: str) -> None:
+def set_text(element: Any, content: str) -> None:
     """Change the text of an element if it differs."""
-    if element._text != words:
-        element._text = words
+    if element._text != content:
+        element._text = content
         element.update()
 
 
@@ -104,9 +104,9 @@ def set_prop(element: Any, name: str, value: object) -> None:
 
 def drawing(kind: str, what: Callable[[], Sequence[object]], classes: str = "") -> Any:
     """Add a drawing of a kind in static/drawings.js. It is redrawn when its content changes."""
-    made = ui.element("undrift-drawing").props(f'kind="{kind}"').classes(classes)
-    bound(lambda: set_prop(made, "what", json.dumps(what())))
-    return made
+    element = ui.element("undrift-drawing").props(f'kind="{kind}"').classes(classes)
+    bound(lambda: set_prop(element, "what", json.dumps(what())))
+    return element
 
 
 def shown_if(element: Any, true: Callable[[], bool]) -> Any:
@@ -117,7 +117,7 @@ def shown_if(element: Any, true: Callable[[], bool]) -> Any:
 
 def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
     """Add a part that is drawn again whenever the state changes, in this browser or another."""
-    seen, place = [state()], ui.element("div")
+    current, place = [state()], ui.element("div")
 
     def fill() -> None:
         place.clear()
@@ -125,8 +125,8 @@ def redrawn(state: Callable[[], object], draw: Callable[[], object]) -> None:
             draw()
 
     def show() -> None:
-        if (now := state()) != seen[0]:
-            seen[0] = now
+        if (now := state()) != current[0]:
+            current[0] = now
             fill()
 
     fill()
@@ -170,14 +170,14 @@ def acted(handler: Callable[[Any], Any]) -> Callable[..., Any]:
 
 def button(label: Words, handler: Handler, classes: str = "", *, name: str = "", pressed: bool | None = None) -> Any:
     """Add a plain button with label, handler, name for screen readers, and whether it is the selected one of several."""
-    made = text("button", label, classes).props('type="button"')
+    element = text("button", label, classes).props('type="button"')
     if name:
-        made.props["aria-label"] = name
+        element.props["aria-label"] = name
     if pressed is not None:
-        made.props["aria-pressed"] = str(pressed).lower()
+        element.props["aria-pressed"] = str(pressed).lower()
     # the second click of a double click is ignored: it would undo the first
-    made.on("click", acted(lambda _: handler()), js_handler="(event) => { if (event.detail < 2) emit() }")
-    return made
+    element.on("click", acted(lambda _: handler()), js_handler="(event) => { if (event.detail < 2) emit() }")
+    return element
 
 
 def next_step(label: Words, handler: Handler | str) -> Any:
@@ -213,8 +213,8 @@ class Field:
             if options and kind != "list":
                 with ui.element("select") as self.element:
                     for option in options:
-                        made = text("option", option).props("selected" if option == value else "")
-                        made.props["value"] = option
+                        choice = text("option", option).props("selected" if option == value else "")
+                        choice.props["value"] = option
             else:
                 step = ' step="any"' if kind == "number" else ""
                 self.element = ui.element("input").props(f'type="{kind}" autocomplete="off"{step}')
@@ -252,8 +252,8 @@ def form(holder: Any, *names: str, proposed: Sequence[str] = ()) -> dict[str, Fi
     """Add a row of inputs for the ``asked`` fields of a dataclass, with proposed values. Entries are stored in its
     fields.
     """
-    more: dict[str, Any] = {"kind": "list", "options": proposed} if proposed else {}
-    how = {one.name: {**one.metadata, **more} for one in fields(holder)}
+    extras: dict[str, Any] = {"kind": "list", "options": proposed} if proposed else {}
+    how = {field.name: {**field.metadata, **extras} for field in fields(holder)}
     with row("form"):
         return {
             name: Field(value=getattr(holder, name), keep=partial(setattr, holder, name), **how[name]) for name in names
@@ -265,7 +265,7 @@ def settings_form(settings: type, typed: dict[str, str]) -> None:
     about = dict(re.findall(r"\n    (\w+) : .*\n        (.+)", settings.__doc__ or ""))
     with row("form"):
         for name, hint in get_type_hints(settings).items():
-            options = tuple(option for part in get_args(hint) for option in get_args(part))
+            options = tuple(option for argument in get_args(hint) for option in get_args(argument))
             how = {"hint": about.get(name, ""), "options": ("", *options) if options else ()}
             Field(f"--{name.replace('_', '-')}", typed.get(name, ""), keep=partial(typed.__setitem__, name), **how)
 
@@ -282,8 +282,8 @@ def choices(label: str, every: Sequence[str], holder: Any, name: str) -> None:
                 text("span", option)
 
                 def take(event: Any, option: str = option) -> None:
-                    kept = {*getattr(holder, name)} - {option} | ({option} if event.args else set())
-                    setattr(holder, name, tuple(one for one in every if one in kept))
+                    chosen = {*getattr(holder, name)} - {option} | ({option} if event.args else set())
+                    setattr(holder, name, tuple(item for item in every if item in chosen))
 
                 box.on("change", take, js_handler="(event) => emit(event.target.checked)")
 
@@ -291,46 +291,46 @@ def choices(label: str, every: Sequence[str], holder: Any, name: str) -> None:
 # ---- Words for a person
 
 
-def status_line(words: Words, classes: str = "soft") -> Any:
+def status_line(content: Words, classes: str = "soft") -> Any:
     """Add a line that is read out when it changes."""
-    return text("p", words, classes, role="status")
+    return text("p", content, classes, role="status")
 
 
-def error_line(words: Words) -> Any:
+def error_line(content: Words) -> Any:
     """Add a line for errors, empty if there are none."""
-    return text("p", lambda: page_words(words() if callable(words) else words), "bench-error", role="alert")
+    return text("p", lambda: page_words(content() if callable(content) else content), "bench-error", role="alert")
 
 
 @contextmanager
-def folded(words: str) -> Iterator[Any]:
+def folded(title: str) -> Iterator[Any]:
     """Add parts that are folded below a line."""
-    with ui.element("details") as made:
-        text("summary", words)
-        yield made
+    with ui.element("details") as details:
+        text("summary", title)
+        yield details
 
 
 def remarks_list(remarks: Sequence[Remark]) -> None:
     """List the remarks of a command with the recommended actions. Notes after the first few are folded."""
-    count = max(SHOWN_FIRST, sum(one.level != "info" for one in remarks))
+    count = max(SHOWN_FIRST, sum(remark.level != "info" for remark in remarks))
     with ui.element("ul").classes("remarks"):
-        for one in remarks[:count]:
-            with ui.element("li").classes(one.level):
-                text("strong", f"{texts()['levels'][one.level]}: ")
-                text("span", page_words(one.text).rstrip(".") + ".")
-                if action := page_words(one.action):
+        for remark in remarks[:count]:
+            with ui.element("li").classes(remark.level):
+                text("strong", f"{texts()['levels'][remark.level]}: ")
+                text("span", page_words(remark.text).rstrip(".") + ".")
+                if action := page_words(remark.action):
                     text("p", f"{sentence(action)}.", "soft")
     if len(remarks) > count:
         with folded(f"{len(remarks) - count} more"):
-            for one in remarks[count:]:
-                remarks_list([one])
+            for remark in remarks[count:]:
+                remarks_list([remark])
 
 
-def page_words(words: str) -> str:
+def page_words(text: str) -> str:
     """Return a text of a command or of the library with the options that a page offers called as they are there."""
     for option, label in texts()["controls"].items():
         argument = option.removeprefix("--").replace("-", "_")
-        words = re.sub(rf"{option}(?![\w-])|`{argument}`", f"“{label}”", words)
-    return words
+        text = re.sub(rf"{option}(?![\w-])|`{argument}`", f"“{label}”", text)
+    return text
 
 
 def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str], object] = bool) -> None:
@@ -338,8 +338,8 @@ def refused(visit: "Visit", job: "Job | None", error: str, keep: Callable[[str],
     them.
     """
     error_line(error)
-    of_gyro = re.search("gyro|turn|rotation|rate", error)
-    if job is None or not job.words or "--gyro" in job.words or error != job.error or not of_gyro:
+    about_gyro = re.search("gyro|turn|rotation|rate", error)
+    if job is None or not job.words or "--gyro" in job.words or error != job.error or not about_gyro:
         return
 
     async def again() -> str | None:

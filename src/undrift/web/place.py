@@ -74,11 +74,11 @@ def place_of(town: str, height: str = "", gravity: str = "") -> Site:
     return Site(latitude_deg=latitude_deg, height_m=height_m, stated_m_s2=stated_m_s2)
 
 
-def _number(name: str, words: str, wanted: str) -> float:
+def _number(name: str, entry: str, wanted: str) -> float:
     try:
-        return float(words.replace(",", "."))
+        return float(entry.replace(",", "."))
     except ValueError as error:
-        raise InputError(f"{name}: expected {wanted}, got '{words.strip()}'. Correct the entry.") from error
+        raise InputError(f"{name}: expected {wanted}, got '{entry.strip()}'. Correct the entry.") from error
 
 
 def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:

@@ -112,7 +112,7 @@ class Recordings:
         opening = Opening(column_map=stored.map, sample_rate_hz=stored.sample_rate_hz)
         stored.about |= await self._trace(stored, stored.about, opening)
         stored.serial = stored.serial or str(stored.about.get("device") or "")
-        noticed = [one for one in remarks_of(stored.about) if one.text != stored.about.get("summary")]
+        noticed = [remark for remark in remarks_of(stored.about) if remark.text != stored.about.get("summary")]
         stored.remarks = {"info": noticed}
         stored.save()
 
@@ -175,33 +175,33 @@ class Recordings:
         if not (serial := stored.serial.strip()):
             raise InputError("serial number: enter the number on the device, or a name of your own.")
         job = self.bench.new_job(serial)
-        by_motion = ("--from", "motion", *(("--magnetometer",) if self.form.magnetometer else ()))
-        words = by_motion if motion else stated(turn_deg=turn_deg)
-        outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *words, *stated(serial=serial))
+        motion_options = ("--from", "motion", *(("--magnetometer",) if self.form.magnetometer else ()))
+        options = motion_options if motion else stated(turn_deg=turn_deg)
+        outcome = await self.visit.calibrate(job, stored.path, *stored.options(), *options, *stated(serial=serial))
         stored.error = outcome.error
         return outcome.done
 
     async def run(self, stored: StoredFile, command: str) -> None:
         """Correct or orient a recording. The output can be downloaded."""
         base, (ending, names) = safe_name(stored.path.name.split(".")[0], "recording"), MADE[command]
-        made, report = (stored.path.with_name(f"{base}{end}") for end in (ending, f"-{command}.html"))
-        words = *stored.options(), *self._stated(*names), "-o", made, "--report", report
-        self._take(stored, command, await self.bench.command(command, stored.path, *words), [made, report])
+        output, report = (stored.path.with_name(f"{base}{end}") for end in (ending, f"-{command}.html"))
+        options = *stored.options(), *self._stated(*names), "-o", output, "--report", report
+        self._take(stored, command, await self.bench.command(command, stored.path, *options), [output, report])
 
     async def compare_offsets(self, stored: StoredFile) -> None:
         """Compute the offset of a recording with each method: the subtracted offset, or the reason for refusal."""
-        words, made = dict[str, str](), stored.folder / "offset.parquet"
+        texts, output = dict[str, str](), stored.folder / "offset.parquet"
         for offset in ("none", "rest", "motion"):
             asking = *stored.options(), *stated(calibration=self.visit.calibration, offset=offset)
-            outcome = await self.bench.command("correct", stored.path, *asking, "-o", made)
-            made.unlink(missing_ok=True)
-            words[offset] = outcome.error or "nothing is subtracted"
-            if outcome.done and (found := outcome.answer["recordings"][0]["rest"]):
-                rates, known = found["offset_dps"], found["offset_uncertainty_dps"]
-                within = 2.0 * math.hypot(*(known if isinstance(known, list) else [known]))
-                shown = ", ".join(f"{round(rate, 3) + 0.0:.3f}" for rate in rates)  # no -0.000
-                words[offset] = f"{shown} deg/s about x, y, z, within {within:.2g} (95 %)"
-        self.offsets = {stored.path: words}
+            outcome = await self.bench.command("correct", stored.path, *asking, "-o", output)
+            output.unlink(missing_ok=True)
+            texts[offset] = outcome.error or "nothing is subtracted"
+            if outcome.done and (rest := outcome.answer["recordings"][0]["rest"]):
+                rates, uncertainty = rest["offset_dps"], rest["offset_uncertainty_dps"]
+                within = 2.0 * math.hypot(*(uncertainty if isinstance(uncertainty, list) else [uncertainty]))
+                listing = ", ".join(f"{round(rate, 3) + 0.0:.3f}" for rate in rates)  # no -0.000
+                texts[offset] = f"{listing} deg/s about x, y, z, within {within:.2g} (95 %)"
+        self.offsets = {stored.path: texts}
 
     async def mount(self, stored: StoredFile) -> None:
         """Determine how the device is worn, and store it in a copy of the calibration, which is then used. Without a
@@ -211,9 +211,9 @@ class Recordings:
         if not form.worn:
             raise InputError("mounting: choose the body segment on which the device is worn.")
         copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
-        words = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
-        words = *stored.options(), *words, *stated(output=calibration and copy)
-        outcome = await self.bench.command("mount", stored.path, *words)
+        options = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
+        options = *stored.options(), *options, *stated(output=calibration and copy)
+        outcome = await self.bench.command("mount", stored.path, *options)
         self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
         stored.mounting = str(outcome.answer.get("statement") or "")
         if stored.mounting and calibration:
@@ -224,14 +224,14 @@ class Recordings:
     async def validate(self, stored: StoredFile, reference: StoredFile) -> None:
         """Compare a recording with its optics, in degrees."""
         place = stored.path.parent / "validation"
-        words = *self._optics(stored, reference), *self._stated("offset", "forward", "up"), "-o", place
-        self._take(stored, "validate", await self.bench.command("validate", *words), sorted(place.glob("*")))
+        options = *self._optics(stored, reference), *self._stated("offset", "forward", "up"), "-o", place
+        self._take(stored, "validate", await self.bench.command("validate", *options), sorted(place.glob("*")))
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile) -> bool:
         """Calibrate from a recording and its optics. The result becomes the job of the bench."""
         job = self.bench.new_job(stored.path.stem)
-        words = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
-        outcome = await self.bench.command("validate", *words, "-o", job.folder)
+        options = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
+        outcome = await self.bench.command("validate", *options, "-o", job.folder)
         stored.error = outcome.error
         if outcome.done:
             job.look()
@@ -257,7 +257,7 @@ class Recordings:
     def references(self) -> list[StoredFile]:
         """Return the files that hold optical poses."""
         kinds, files = ("reference", "markers"), self.bench.library.files
-        return [one for one in files if one.kind in kinds or "optical" in one.summary]
+        return [file for file in files if file.kind in kinds or "optical" in file.summary]
 
 
 # ---- The page
@@ -292,70 +292,79 @@ def _listed(visit: "Visit") -> None:
 
 def _state(visit: "Visit") -> object:
     """Return the state whose change redraws the part about a file."""
-    one, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
-    if one is None:
+    stored, references = visit.recordings.chosen, [other.path for other in visit.recordings.references()]
+    if stored is None:
         return None
-    known = one.path, one.kind, one.map, one.error, len(one.made), str(one.remarks), one.mounting, id(one.about)
-    return known, references, visit.calibration, id(visit.recordings.offsets.get(one.path))
+    state = (
+        stored.path,
+        stored.kind,
+        stored.map,
+        stored.error,
+        len(stored.made),
+        str(stored.remarks),
+        stored.mounting,
+        id(stored.about),
+    )
+    return state, references, visit.calibration, id(visit.recordings.offsets.get(stored.path))
 
 
-def _headed(visit: "Visit", one: StoredFile) -> None:
+def _headed(visit: "Visit", stored: StoredFile) -> None:
     """Add the name of a file, with its errors or missing information."""
-    parts.text("h2", one.name)
-    if one.needs_rate:
-        _rate_form(visit.recordings, one)
+    parts.text("h2", stored.name)
+    if stored.needs_rate:
+        _rate_form(visit.recordings, stored)
     else:
-        parts.error_line(one.error)
+        parts.error_line(stored.error)
 
 
-def _checked(visit: "Visit", one: StoredFile | None) -> None:
+def _checked(visit: "Visit", stored: StoredFile | None) -> None:
     """Add the content of a file, and the information it needs."""
-    if one is None:
+    if stored is None:
         return
-    _headed(visit, one)
-    if one.needs_map:
-        _map_form(visit.recordings, one)
-    elif one.kind == "calibration":
+    _headed(visit, stored)
+    if stored.needs_map:
+        _map_form(visit.recordings, stored)
+    elif stored.kind == "calibration":
         parts.text("p", "Recordings are corrected with this calibration.")
-    elif one.kind == "recording" or (one.about and not one.needs_rate):
-        parts.text("p", one.summary)
-        parts.remarks_list(one.remarks["info"])
-    if one.kind == "recording":
+    elif stored.kind == "recording" or (stored.about and not stored.needs_rate):
+        parts.text("p", stored.summary)
+        parts.remarks_list(stored.remarks["info"])
+    if stored.kind == "recording":
         parts.next_step(*(("Use it", "/use") if visit.calibration else ("Calibrate from it", "/calibrate")))
-        _trace(one.about)
-        if one.map is not None:
-            parts.button("Choose other columns or units", lambda: visit.recordings.choose_again(one))
+        _trace(stored.about)
+        if stored.map is not None:
+            parts.button("Choose other columns or units", lambda: visit.recordings.choose_again(stored))
 
 
-def _used(visit: "Visit", one: StoredFile | None) -> None:
+def _used(visit: "Visit", stored: StoredFile | None) -> None:
     """Add the actions for a recording, and its results."""
-    if one is None or one.kind != "recording":
+    if stored is None or stored.kind != "recording":
         parts.text("p", "Choose a recording of this list, or drop one.")
         parts.next_step("Check files", "/check")
         return
-    _headed(visit, one)
-    _actions(visit, one)
-    for command, remarks in one.remarks.items():
+    _headed(visit, stored)
+    _actions(visit, stored)
+    for command, remarks in stored.remarks.items():
         if remarks and command != "info":
             parts.text("h3", f"What {command} noticed")
             parts.remarks_list(remarks)
-    if one.made:
+    if stored.made:
         parts.text("h3", "Results")
         with ui.element("ul"):
-            for label, path in one.made.items():
+            for label, path in stored.made.items():
                 end = "" if (opened := path.suffix in (".html", ".svg")) else "?download=1"
                 with ui.element("li"):
                     ui.link(label, visit.bench.link(path) + end, new_tab=opened)
 
 
-def _rate_form(recordings: Recordings, one: StoredFile) -> None:
+def _rate_form(recordings: Recordings, stored: StoredFile) -> None:
     """Ask for the sample rate of a file without time."""
-    if one.kind == "recording":
-        parts.error_line(one.error)
+    if stored.kind == "recording":
+        parts.error_line(stored.error)
     else:
         parts.says("no time")
     rate = parts.form(recordings.form, "rate_hz")["rate_hz"]
-    parts.next_step("Read the file", lambda: recordings.state_rate(one, rate.number()))
+    parts.next_step("Read the file", lambda: recordings.state_rate(stored, rate.number()))
 
 
 def draft_of(lines: Sequence[str]) -> dict[str, Any]:
@@ -363,10 +372,10 @@ def draft_of(lines: Sequence[str]) -> dict[str, Any]:
     return tomllib.loads("\n".join(lines).replace("= ?", '= "?"'))
 
 
-def _map_form(recordings: Recordings, one: StoredFile) -> None:
+def _map_form(recordings: Recordings, stored: StoredFile) -> None:
     """Ask for unknown columns and units, and show the data read with them as a check."""
-    draft = recordings.draft = recordings.draft or draft_of(one.about["map"])
-    names, units = [str(name) for name in one.about.get("columns") or ()], draft.get("units", {})
+    draft = recordings.draft = recordings.draft or draft_of(stored.about["map"])
+    names, units = [str(name) for name in stored.about.get("columns") or ()], draft.get("units", {})
 
     def take(place: Any, key: Any, value: str) -> None:
         if key == "sample_rate_hz":
@@ -375,17 +384,19 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
         else:
             sign = isinstance(place[key], float)
             place[key] = float(f"{value}1") if sign else type(place[key])(value)  # a name, or a position from 0
-        background_tasks.create(recordings.try_map(one), name="map that is chosen")
+        background_tasks.create(recordings.try_map(stored), name="map that is chosen")
 
     parts.says("units")
-    parts.text("p", "; ".join(words for line in one.about["map"] if (words := line.partition("# ")[2])), "soft")
+    parts.text("p", "; ".join(comment for line in stored.about["map"] if (comment := line.partition("# ")[2])), "soft")
     with parts.row("form"):
         if draft.get("sample_rate_hz") is not None:
             asking: Any = {"kind": "number", "keep": partial(take, draft, "sample_rate_hz")}
             rate = parts.Field("Samples per second, Hz", recordings.form.rate_hz, **asking)
         for key, unit in units.items():
-            if (own := UNITS.get(key)) is not None:
-                parts.Field(f"Unit of the {SENSORS[key]}", unit, options=("?", *own), keep=partial(take, units, key))
+            if (units_for_key := UNITS.get(key)) is not None:
+                parts.Field(
+                    f"Unit of the {SENSORS[key]}", unit, options=("?", *units_for_key), keep=partial(take, units, key)
+                )
     with parts.folded("Columns"), parts.row("form"):
         for key, columns in draft.get("columns", {}).items():
             if key in SENSORS and isinstance(columns, list) and set(map(str, columns)) <= set(names):
@@ -402,9 +413,9 @@ def _map_form(recordings: Recordings, one: StoredFile) -> None:
         _trace(recordings.shown)
 
     parts.redrawn(lambda: id(recordings.shown), shown)
-    parts.next_step("Read the file", lambda: recordings.use_map(one))
+    parts.next_step("Read the file", lambda: recordings.use_map(stored))
     if not recordings.shown:
-        background_tasks.create(recordings.try_map(one), name="map that is proposed")
+        background_tasks.create(recordings.try_map(stored), name="map that is proposed")
 
 
 def proof_words(trace: Mapping[str, Any]) -> str:
@@ -413,9 +424,9 @@ def proof_words(trace: Mapping[str, Any]) -> str:
     if not rest:
         return "No rest was found: nothing proves columns and units."
     names = {"accel": "|a| at rest", "gyro": "rate at rest"}
-    shown = [f"{name} = {rest[key]:.2f} {units[key]}" for key, name in names.items() if key in rest]
+    readings = [f"{name} = {rest[key]:.2f} {units[key]}" for key, name in names.items() if key in rest]
     far = units.get("accel") == "g" and abs(rest.get("accel", 1.0) - 1.0) > 0.05
-    return ", ".join(shown) + (", but gravity is 1.00 g. Check the columns and the unit." if far else ".")
+    return ", ".join(readings) + (", but gravity is 1.00 g. Check the columns and the unit." if far else ".")
 
 
 def _trace(about: Mapping[str, Any]) -> None:
@@ -426,14 +437,14 @@ def _trace(about: Mapping[str, Any]) -> None:
     stretches = trace["stretches"]
     counts = [sum(s[0] == kind and not s[2] for s in stretches) for kind in ("still", "turn")]
     faces = len({label for kind, label, why, *_ in stretches if kind == "still" and label and not why})
-    found = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
+    counts_text = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     parts.text("p", proof_words(trace), "proof")
-    parts.text("p", f"{trace['time'][-1]:.1f} s: {found}.", "found")
-    words = f"Turn rate and specific force over {trace['time'][-1]:.1f} s: {found}"
-    ui.echart(chart_of(trace)).classes("trace").props(f'role="img" aria-label="{words}"')
+    parts.text("p", f"{trace['time'][-1]:.1f} s: {counts_text}.", "found")
+    caption = f"Turn rate and specific force over {trace['time'][-1]:.1f} s: {counts_text}"
+    ui.echart(chart_of(trace)).classes("trace").props(f'role="img" aria-label="{caption}"')
 
 
-def _actions(visit: "Visit", one: StoredFile) -> None:
+def _actions(visit: "Visit", stored: StoredFile) -> None:
     recordings, calibration = visit.recordings, visit.calibration
     if calibration is None:
         parts.text("p", "No calibration chosen: drop one on the page Check, or calibrate the device.", "soft")
@@ -442,31 +453,31 @@ def _actions(visit: "Visit", one: StoredFile) -> None:
     parts.says("offset")
     parts.form(recordings.form, "offset")
     if calibration is not None:
-        for offset, words in recordings.offsets.get(one.path, {}).items():
-            parts.text("p", f"{offset}: {words.rstrip('.')}.", "soft")
-        parts.button("How accurate is each sensor here?", lambda: recordings.compare_offsets(one))
-        parts.next_step("Correct", lambda: recordings.run(one, "correct"))
-    _wearing_form(visit, one)
-    parts.button("Orient", lambda: recordings.run(one, "orient") if _worn(recordings, one) else None)
+        for offset, result in recordings.offsets.get(stored.path, {}).items():
+            parts.text("p", f"{offset}: {result.rstrip('.')}.", "soft")
+        parts.button("How accurate is each sensor here?", lambda: recordings.compare_offsets(stored))
+        parts.next_step("Correct", lambda: recordings.run(stored, "correct"))
+    _wearing_form(visit, stored)
+    parts.button("Orient", lambda: recordings.run(stored, "orient") if _worn(recordings, stored) else None)
     if recordings.references():
-        _optics_form(recordings, one)
+        _optics_form(recordings, stored)
 
 
-def _calibration(visit: "Visit", one: StoredFile | None) -> None:
+def _calibration(visit: "Visit", stored: StoredFile | None) -> None:
     """Add what calibrates the device from the recording that is chosen."""
-    if one is None or one.kind != "recording":
+    if stored is None or stored.kind != "recording":
         return
     recordings = visit.recordings
     with parts.section("Calibrate from a recording"):
-        parts.text("h2", f"Calibrate from {one.name}")
-        parts.refused(visit, visit.bench.job, one.error, partial(setattr, one, "error"))
+        parts.text("h2", f"Calibrate from {stored.name}")
+        parts.refused(visit, visit.bench.job, stored.error, partial(setattr, stored, "error"))
         parts.says("faces")
         hint = "required to calibrate, or a name of your own"
-        parts.Field("Serial number", one.serial, hint=hint, keep=partial(setattr, one, "serial"))
+        parts.Field("Serial number", stored.serial, hint=hint, keep=partial(setattr, stored, "serial"))
         typed = parts.form(recordings.form, "turn_deg")
 
         async def calibrate(*, motion: bool = False) -> str | None:
-            done = await recordings.calibrate(one, turn_deg=typed["turn_deg"].number(), motion=motion)
+            done = await recordings.calibrate(stored, turn_deg=typed["turn_deg"].number(), motion=motion)
             return "/calibrate" if done else None
 
         parts.button("Calibrate", calibrate, "next" if visit.job is None else "")
@@ -477,7 +488,7 @@ def _calibration(visit: "Visit", one: StoredFile | None) -> None:
         parts.button("Calibrate from its motion", lambda: calibrate(motion=True))
 
 
-def _wearing_form(visit: "Visit", one: StoredFile) -> None:
+def _wearing_form(visit: "Visit", stored: StoredFile) -> None:
     """Show the mounting in use. Offer to determine it, or to choose the sides, which the drawing follows."""
     recordings, form, mounting = visit.recordings, visit.recordings.form, mounting_of(visit.calibration)
     with parts.section("How it is worn"):
@@ -487,14 +498,14 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
         else:
             why = "" if visit.calibration else " Without a calibration the nearest sides are taken."
             parts.text("p", f"On which part of the body is the device worn? The pitch requires its mounting.{why}")
-            if one.mounting:
-                parts.text("p", f"{one.mounting}.")
+            if stored.mounting:
+                parts.text("p", f"{stored.mounting}.")
         with parts.folded("Find the mounting from this recording") as find:
             if not mounting:
                 find.props("open")
             parts.says("walk")
             parts.form(form, "worn", "posture", "movement")
-            parts.button("Find the mounting", lambda: recordings.mount(one))
+            parts.button("Find the mounting", lambda: recordings.mount(stored))
         with parts.folded("Name the sides of the device") as sides:
             if form.forward or form.up:
                 sides.props("open")
@@ -505,37 +516,37 @@ def _wearing_form(visit: "Visit", one: StoredFile) -> None:
                     parts.form(form, "forward", "up")
 
 
-def _worn(recordings: Recordings, one: StoredFile) -> bool:
+def _worn(recordings: Recordings, stored: StoredFile) -> bool:
     """Return True if the mounting is known, from the calibration or two sides. Otherwise show an error."""
     forward, up = recordings.form.forward, recordings.form.up
     sided = bool(forward and up) and forward[1] != up[1]
-    shown = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))
+    determined = sided or (not (forward or up) and bool(mounting_of(recordings.visit.calibration)))
     got = f"{forward or 'none'} and {up or 'none'}"
     wrong = (
         f"pitch: expected the mounting, or the sides that point forward and up, got {got}. Determine one or the other."
     )
-    one.error = "" if shown else wrong
-    return shown
+    stored.error = "" if determined else wrong
+    return determined
 
 
-def _optics_form(recordings: Recordings, one: StoredFile) -> None:
+def _optics_form(recordings: Recordings, stored: StoredFile) -> None:
     """Ask for the optics of a recording: its own, or a file of poses or markers."""
-    found = {("its own" if other is one else other.path.name): other for other in recordings.references()}
+    choices = {("its own" if other is stored else other.path.name): other for other in recordings.references()}
     with parts.section("Optics"):
         parts.text("h3", "Compare with optics")
         with parts.row():
-            chosen = parts.Field("Optical reference", next(iter(found)), options=tuple(found))
-        if labels := next((other.about.get("columns") for other in found.values() if other.kind == "markers"), None):
+            chosen = parts.Field("Optical reference", next(iter(choices)), options=tuple(choices))
+        if labels := next((other.about.get("columns") for other in choices.values() if other.kind == "markers"), None):
             first = ", ".join(map(str, labels[:6]))
             parts.text("p", f"Markers (three or more of the same rigid cluster): {first} ...", "soft")
             parts.form(recordings.form, "markers", "reference_up")
 
         async def validate() -> None:
-            if _worn(recordings, one):
-                await recordings.validate(one, found[chosen.value])
+            if _worn(recordings, stored):
+                await recordings.validate(stored, choices[chosen.value])
 
         async def calibrate() -> str | None:
-            return "/calibrate" if await recordings.calibrate_by(one, found[chosen.value]) else None
+            return "/calibrate" if await recordings.calibrate_by(stored, choices[chosen.value]) else None
 
         with parts.row():
             parts.button("Validate", validate)

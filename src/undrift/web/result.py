@@ -71,8 +71,8 @@ def _result(visit: "Visit", job: "Job") -> None:
         parts.button("Make the certificate", lambda: certify(bench, job, visit.statement))
     if job.report is not None and job.report.exists():
         parts.text("h2", "Report")
-        made = ui.element("iframe").classes("report").props('title="Report of the calibration" tabindex="0"')
-        made.props["src"] = bench.link(job.report)
+        frame = ui.element("iframe").classes("report").props('title="Report of the calibration" tabindex="0"')
+        frame.props["src"] = bench.link(job.report)
 
 
 def _gravity(visit: "Visit", job: "Job") -> None:
@@ -95,8 +95,8 @@ def _gravity(visit: "Visit", job: "Job") -> None:
 async def certify(bench: "Bench", job: "Job", statement: Mapping[str, str]) -> None:
     """Write the certificate with the entries of the laboratory."""
     path = job.folder / "certificate.html"
-    words = stated(**{name: text.strip() for name, text in statement.items()})
-    outcome = await bench.command("certificate", job.calibration, "-o", path, *words)
+    options = stated(**{name: text.strip() for name, text in statement.items()})
+    outcome = await bench.command("certificate", job.calibration, "-o", path, *options)
     job.error, job.later = outcome.error, [*job.later, outcome.answer]
     if outcome.done:
         job.certificate = path

@@ -37,8 +37,8 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
             f"upload: expected a recording ({', '.join(ENDINGS[:4])} ...), got '{name}'. Choose another file."
         )
     largest = int(largest_mb * 1e6)
-    stated = request.headers.get("content-length", "")
-    if stated.isdigit() and int(stated) > largest:
+    length = request.headers.get("content-length", "")
+    if length.isdigit() and int(length) > largest:
         raise InputError(_too_large(name, largest_mb))
     group, together = request.query_params.get("group", ""), request.query_params.get("folder", "")
     if group and not GROUP.fullmatch(group):

@@ -99,9 +99,9 @@ class _Stretch:
 
     def record(self, start_s: float = -math.inf, stop_s: float = math.inf) -> Record:
         """Return its readings in a span of time."""
-        whole = joined([part for part in self.parts if part.time[-1] >= start_s and part.time[0] < stop_s])
-        first, last = np.searchsorted(whole.time, (start_s, stop_s)).tolist()
-        return whole.part(first, last)
+        stretch = joined([chunk for chunk in self.parts if chunk.time[-1] >= start_s and chunk.time[0] < stop_s])
+        first, last = np.searchsorted(stretch.time, (start_s, stop_s)).tolist()
+        return stretch.part(first, last)
 
 
 class Capture:
@@ -132,10 +132,10 @@ class Capture:
             raise InputError(
                 "capture: gyroscope and accelerometer are both required, but one is missing. Name both in the device's address."
             )
-        known = self._stretches[-1].parts[-1] if self._stretches else record
-        if (known.gyro_unit, known.accel_unit) != (record.gyro_unit, record.accel_unit):
+        latest = self._stretches[-1].parts[-1] if self._stretches else record
+        if (latest.gyro_unit, latest.accel_unit) != (record.gyro_unit, record.accel_unit):
             raise InputError(
-                f"capture: expected readings in {known.accel_unit}, got {record.accel_unit}. Start a new session."
+                f"capture: expected readings in {latest.accel_unit}, got {record.accel_unit}. Start a new session."
             )
         if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
             self._key, self.newest_s = key, -math.inf
@@ -151,10 +151,10 @@ class Capture:
         if self._stretches:
             self._forget()
 
-    def _keep(self, part: Record, step: int) -> None:
-        self._stretches[-1].parts.append(part)
-        for first in range(0, len(part), step):
-            mean = np.asarray(part.accel)[first : first + step].mean(axis=0)
+    def _keep(self, chunk: Record, step: int) -> None:
+        self._stretches[-1].parts.append(chunk)
+        for first in range(0, len(chunk), step):
+            mean = np.asarray(chunk.accel)[first : first + step].mean(axis=0)
             moved = not self._cloud or np.linalg.norm(mean - self._cloud[-1]) > 0.02 * self._extent
             if moved and np.isfinite(mean).all():
                 self._cloud.append(mean)
@@ -164,13 +164,13 @@ class Capture:
         """Drop readings in which nothing was captured for long."""
         now = self._stretches[-1]
         pieces = {piece.stretch for piece in self._pieces()}
-        self._stretches = [each for each in self._stretches if each is now or each.number in pieces]
+        self._stretches = [stretch for stretch in self._stretches if stretch is now or stretch.number in pieces]
         last = max((piece.stop_s for piece in self._pieces() if piece.stretch == now.number), default=-math.inf)
         newest = float(now.parts[-1].time[-1])
         if newest - max(last, float(now.parts[0].time[0])) < 2.0 * KEEP_S:
             return
-        fresh = _Stretch(now.number + 1, [part for part in now.parts if part.time[-1] > newest - KEEP_S])
-        now.parts = [part for part in now.parts if part.time[0] < last + BESIDE_S]
+        fresh = _Stretch(now.number + 1, [chunk for chunk in now.parts if chunk.time[-1] > newest - KEEP_S])
+        now.parts = [chunk for chunk in now.parts if chunk.time[0] < last + BESIDE_S]
         self._stretches = [*(self._stretches if now.parts else self._stretches[:-1]), fresh]
 
     def _pieces(self) -> Iterator[CapturedSpan]:
@@ -204,10 +204,10 @@ class Capture:
         start, stop = 0, len(record)
         try:
             for still in (StillSettings(threshold_floors=4.0), StillSettings()):  # the quicker one first
-                found = find_still(record, still).stills
-                if not found or found[-1].stop != stop:
+                stills = find_still(record, still).stills
+                if not stills or stills[-1].stop != stop:
                     return None
-                start = max(start, found[-1].start)
+                start = max(start, stills[-1].start)
         except InputError:  # shorter than a window
             return None
         within = np.asarray(record.accel)[start:stop]
@@ -216,11 +216,11 @@ class Capture:
         self._noise = float(np.linalg.norm(within.std(axis=0)))
         if self._swaying(within, mean, record.sample_rate_hz):
             return None
-        made = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
-        alike = (np.linalg.norm(mean - known) < 0.05 * np.linalg.norm(known) for known in self._rests)
-        if made.duration_s >= SETTLE_S and not any(alike):
+        rest = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
+        similar = (np.linalg.norm(mean - earlier) < 0.05 * np.linalg.norm(earlier) for earlier in self._rests)
+        if rest.duration_s >= SETTLE_S and not any(similar):
             self._rests.append(mean)
-        return made
+        return rest
 
     def _swaying(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
         """Return True if readings in counts vary by more than a bench allows, as shares of gravity. `find_still` judges
@@ -255,7 +255,7 @@ class Capture:
         if is_physical(self._stretches[-1].parts[-1].accel_unit):
             return np.zeros(3), TILT_DEG
         if len(self.faces) >= 5:
-            return sphere_of(np.array([held.mean for held in self.faces.values()]))[0], TILT_DEG
+            return sphere_of(np.array([captured.mean for captured in self.faces.values()]))[0], TILT_DEG
         rests = np.array([*self._rests, mean])
         length = np.linalg.norm(rests, axis=1)
         along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
@@ -268,29 +268,29 @@ class Capture:
     def add_face(self, face: Face, rest: Rest) -> None:
         """Capture the newest of a rest as a face, in place of the one before."""
         start_s, (x, y, z) = max(rest.start_s, rest.stop_s - COUNTDOWN_S), rest.mean.tolist()
-        held = CapturedFace(stretch=self.stretch, start_s=start_s, stop_s=rest.stop_s, face=face, mean=(x, y, z))
-        self.faces = {**self.faces, face: held}
+        captured = CapturedFace(stretch=self.stretch, start_s=start_s, stop_s=rest.stop_s, face=face, mean=(x, y, z))
+        self.faces = {**self.faces, face: captured}
         self.saved = False
 
     def add_turn(self, turn: CapturedTurn) -> None:
         """Capture a turn, in place of an earlier turn about the same axis in the same direction."""
-        same = [one for one in self.turns if way_of(one) == way_of(turn)]
-        self.turns = [*(one for one in self.turns if one not in same), turn]
+        same = [other for other in self.turns if way_of(other) == way_of(turn)]
+        self.turns = [*(other for other in self.turns if other not in same), turn]
         self.saved = False
 
     def session(self) -> Session:
         """Return the captured data as a session."""
         pieces = list(self._pieces())
-        used = [each for each in self._stretches if any(piece.stretch == each.number for piece in pieces)]
+        used = [stretch for stretch in self._stretches if any(piece.stretch == stretch.number for piece in pieces)]
         if not used:
             raise InputError("session: expected a captured face or turn, got none. Capture one first.")
         records, number = list[Record](), dict[int, int]()
-        for each in used:
-            own = [piece for piece in pieces if piece.stretch == each.number]
-            starts = [p.before.start_s if isinstance(p, CapturedTurn) else p.start_s for p in own]
-            stops = [p.after.stop_s if isinstance(p, CapturedTurn) else p.stop_s for p in own]
-            number[each.number] = len(records)
-            records.append(each.record(min(starts) - BESIDE_S, max(stops) + BESIDE_S))
+        for stretch in used:
+            captures = [piece for piece in pieces if piece.stretch == stretch.number]
+            starts = [p.before.start_s if isinstance(p, CapturedTurn) else p.start_s for p in captures]
+            stops = [p.after.stop_s if isinstance(p, CapturedTurn) else p.stop_s for p in captures]
+            number[stretch.number] = len(records)
+            records.append(stretch.record(min(starts) - BESIDE_S, max(stops) + BESIDE_S))
 
         def samples(piece: CapturedSpan) -> tuple[int, int]:
             time = records[number[piece.stretch]].time
@@ -298,11 +298,11 @@ class Capture:
             return start, max(stop, start + 1)
 
         stills = [
-            Still(start=start, stop=stop, face=held.face, recording=number[held.stretch])
-            for held in self.faces.values()
-            for start, stop in [samples(held)]
+            Still(start=start, stop=stop, face=captured.face, recording=number[captured.stretch])
+            for captured in self.faces.values()
+            for start, stop in [samples(captured)]
         ]
-        for piece in (rest for held in self.turns for rest in (held.before, held.after)):
+        for piece in (rest for captured in self.turns for rest in (captured.before, captured.after)):
             start, stop = samples(piece)
             at = number[piece.stretch]
             for still in stills:  # a rest between two turns counts once, and readings of a face belong to the face
@@ -311,9 +311,9 @@ class Capture:
             if stop - start >= LEAST_REST_S * records[at].sample_rate_hz:
                 stills.append(Still(start=start, stop=stop, recording=at))
         turns = []
-        for held in self.turns:
-            start, stop = samples(held)
-            turns.append(replace(held.turn, start=start, stop=stop, recording=number[held.stretch]))
+        for captured in self.turns:
+            start, stop = samples(captured)
+            turns.append(replace(captured.turn, start=start, stop=stop, recording=number[captured.stretch]))
         for turn in turns:
             stills = [
                 replace(still, stop=turn.start)
@@ -333,10 +333,10 @@ class Capture:
 
     def save(self, session: Session | None = None) -> None:
         """Write the captured data to the folder, for ``undrift calibrate``."""
-        made = self.session() if session is None else session
-        write_session(made, self.folder)
+        content = self.session() if session is None else session
+        write_session(content, self.folder)
         for path in self.folder.glob("recording_*.parquet"):
-            if int(path.stem.rpartition("_")[2]) >= len(made.records):
+            if int(path.stem.rpartition("_")[2]) >= len(content.records):
                 path.unlink()
         self.saved = True
 
@@ -355,8 +355,8 @@ def _turned_over(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArr
         np.linalg.norm(sides.mean(axis=0)) < LOPSIDED and np.linalg.eigvalsh(sides.T @ sides / len(sides))[0] > FLAT
     )
     off = np.abs(np.linalg.norm(rests - zero, axis=1) - radius)
-    on_it = length.std() < THICK * radius and off.max() < OFF * radius
-    return zero if all_around and on_it and radius > NOISES * noise else None
+    on_sphere = length.std() < THICK * radius and off.max() < OFF * radius
+    return zero if all_around and on_sphere and radius > NOISES * noise else None
 
 
 def _longest_s(record: Record) -> float:
@@ -376,6 +376,6 @@ def _without_lost(record: Record) -> Record | None:
     return replace(record, time=record.time[at], gyro=gyro, accel=accel, temp_c=None, mag_ut=None)
 
 
-def way_of(held: CapturedTurn) -> str:
+def way_of(captured: CapturedTurn) -> str:
     """Return which turn it is: ``+x`` for one about x by a positive angle."""
-    return f"{'+' if (held.turn.angle or 0.0) > 0.0 else '-'}{held.turn.axis}"
+    return f"{'+' if (captured.turn.angle or 0.0) > 0.0 else '-'}{captured.turn.axis}"

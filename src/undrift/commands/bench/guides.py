@@ -175,7 +175,7 @@ class Poses(Guide):
         up, _ = self.capture.up(rest)
         if up is None:
             return Light(state="unknown face", text=UNKNOWN)
-        if any(float(up @ known) > NEW_POSE for known in self._ups):
+        if any(float(up @ earlier) > NEW_POSE for earlier in self._ups):
             return Light(state="captured", text="This pose is captured. Tilt it by 30 deg or more, any way.")
         if rest.duration_s < REST_S:
             return Light(state="settling", text="Still. Do not touch it.", left_s=REST_S - rest.duration_s)
@@ -259,47 +259,47 @@ class Turns(Guide):
         time = record.time
         if self.capture.lost(float(time[first.stop]), float(time[last.start])):
             return GAP
-        found = find_turns(record, (first, last))
-        if not found.rotations:
+        turns = find_turns(record, (first, last))
+        if not turns.rotations:
             return "That was no turn."
-        turn, reading = found.rotations[0], found.rotation_angle[0]
+        turn, reading = turns.rotations[0], turns.rotation_angle[0]
         up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
         if up is None or down is None or not float(up @ down) > SAME_POSE:
             return ""  # laid on another face
         if turn.axis is None:
             return "That was about no axis of the device. Lay it flat, and turn it on the bench."
         along = float(reading["xyz".index(turn.axis)])
-        whole, reason = self._whole(turn.axis, along, record.gyro_unit)
-        if not whole:
+        count, reason = self._whole(turn.axis, along, record.gyro_unit)
+        if not count:
             return reason
         piece = CapturedTurn(
             stretch=self.capture.stretch,
             start_s=float(time[first.stop]),
             stop_s=float(time[last.start]),
-            turn=replace(turn, angle=whole * FULL_TURN),
+            turn=replace(turn, angle=count * FULL_TURN),
             before=CapturedSpan(
                 stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])
             ),
             after=CapturedSpan(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
-            reading=along / whole,
+            reading=along / count,
         )
         self.capture.add_turn(piece)
         way = way_of(piece)
         self._captured(way)
-        return f"Captured: {named(way)}{'' if abs(whole) == 1 else f', {abs(whole)} turns'}."
+        return f"Captured: {named(way)}{'' if abs(count) == 1 else f', {abs(count)} turns'}."
 
     def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
         """Return the number of whole turns of a reading, or 0 and the reason."""
         if is_physical(unit):
             turns = along * si_factor(unit, "rate") / FULL_TURN
-            whole = round(turns)
-            if not whole or abs(turns - whole) > NEAR * abs(turns):
+            count = round(turns)
+            if not count or abs(turns - count) > NEAR * abs(turns):
                 return 0, f"That was {abs(turns) * 360.0:.0f} deg. Turn by 360 deg, back to the mark."
-            return whole, ""
-        others = [abs(held.reading) for held in self.capture.turns]
-        if len(others) == 1 and _like(along, self._unlike) and not _like(along, others[0]):
+            return count, ""
+        lengths = [abs(captured.reading) for captured in self.capture.turns]
+        if len(lengths) == 1 and _like(along, self._unlike) and not _like(along, lengths[0]):
             self.capture.turns.clear()  # two turns agree and contradict the first, which was not a whole turn
-        elif others and not _like(along, float(np.median(others))):
+        elif lengths and not _like(along, float(np.median(lengths))):
             self._unlike = abs(along)
             return 0, "That was shorter or longer than the other turns. Turn once, back to the mark."
         return (1 if along > 0.0 else -1), ""
@@ -313,8 +313,8 @@ def _like(along: float, reading: float) -> bool:
 def _nearest(record: Record, first: Still, last: Still) -> tuple[Still, Still]:
     """Return two rests that reach as near to the turn between them as short windows show."""
     short, lost = find_still(record, SHARP).stills, round(LOST_S * record.sample_rate_hz)
-    stop = max((each.stop for each in short if each.start <= first.stop + lost), default=first.stop)
-    start = min((each.start for each in short if each.stop >= last.start - lost), default=last.start)
+    stop = max((still.stop for still in short if still.start <= first.stop + lost), default=first.stop)
+    start = min((still.start for still in short if still.stop >= last.start - lost), default=last.start)
     if not first.stop <= stop < start <= last.start:
         return first, last
     return replace(first, stop=stop), replace(last, start=start)

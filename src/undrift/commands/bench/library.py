@@ -48,8 +48,8 @@ class Entry:
     def save(self) -> None:
         """Save the description into its folder, unless the folder was deleted."""
         if self.folder.is_dir():
-            known = {name: getattr(self, name) for name in self.SAVED}
-            write_whole(self.folder / ABOUT, json.dumps(known, default=self._plain) + "\n")
+            values = {name: getattr(self, name) for name in self.SAVED}
+            write_whole(self.folder / ABOUT, json.dumps(values, default=self._plain) + "\n")
 
     def _plain(self, value: Any) -> object:
         return value.relative_to(self.folder).as_posix() if isinstance(value, Path) else asdict(value)
@@ -170,12 +170,12 @@ class Library:
 
     def find_jobs(self) -> None:
         """Add the jobs in the folder."""
-        known = {job.folder: job for job in self.jobs}
-        self.jobs = [known.get(place) or _job_in(place) for place in _newest(self.folder / "jobs")]
+        loaded = {job.folder: job for job in self.jobs}
+        self.jobs = [loaded.get(place) or _job_in(place) for place in _newest(self.folder / "jobs")]
 
     def file_at(self, path: Path) -> StoredFile:
         """Return the file at a path: a known one, or a new one before all others."""
-        stored = next((one for one in self.files if one.path == path), None)
+        stored = next((file for file in self.files if file.path == path), None)
         if stored is None:
             self.files.insert(0, stored := StoredFile(path=path))
         stored.save()
@@ -183,7 +183,7 @@ class Library:
 
     def name_of(self, path: Path) -> str:
         """Return the name of a calibration, from its job or from the uploaded file."""
-        name = next((one.name for one in (*self.jobs, *self.files) if one.folder == path.parent), "")
+        name = next((entry.name for entry in (*self.jobs, *self.files) if entry.folder == path.parent), "")
         return name if name and path.name == "calibration.json" else f"{name}: {path.name}".removeprefix(": ")
 
 
@@ -204,8 +204,8 @@ def came_words(entry: StoredFile | Job) -> str:
 def _newest(folder: Path) -> list[Path]:
     """Return the subfolders of a folder, the newest first. Create the folder if needed, and delete incomplete uploads."""
     folder.mkdir(parents=True, exist_ok=True)
-    for part in folder.glob("*/**/sent.part"):
-        part.unlink()
+    for upload in folder.glob("*/**/sent.part"):
+        upload.unlink()
     places = [place for place in folder.iterdir() if place.is_dir()]
     return sorted(places, key=lambda place: (_came(place), place.name), reverse=True)
 
@@ -219,9 +219,9 @@ def _file_in(place: Path) -> StoredFile | None:
     about = read_object(place / ABOUT)
     with suppress(TypeError, KeyError, ValueError, AttributeError):  # of another version, or touched by hand
         paths = {name: about[name] and place / about[name] for name in ("path", "map")}
-        made = {label: place / name for label, name in about["made"].items()}
-        remarks = {key: [Remark(**one) for one in several] for key, several in about["remarks"].items()}
-        stored = StoredFile(**{**about, **paths, "made": made, "remarks": remarks})
+        outputs = {label: place / name for label, name in about["made"].items()}
+        remarks = {key: [Remark(**remark) for remark in several] for key, several in about["remarks"].items()}
+        stored = StoredFile(**{**about, **paths, "made": outputs, "remarks": remarks})
         if stored.path.exists():
             return stored
     if arrived := [path for path in place.iterdir() if not path.name.startswith(".")]:

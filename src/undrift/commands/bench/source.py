@@ -206,8 +206,8 @@ class LiveDevice:
             self._counted.append((now, self.recorder.timeline.readings))
             while self._counted[0][0] < now - RATE_OVER_S:
                 self._counted.popleft()
-            if raw.temp_c is not None and (known := raw.temp_c[~np.isnan(raw.temp_c)]).size:
-                self._temp_c = float(known[-1])
+            if raw.temp_c is not None and (finite := raw.temp_c[~np.isnan(raw.temp_c)]).size:
+                self._temp_c = float(finite[-1])
             self._kept.append(raw)
             while self._kept[0].time[-1] < self._last - KEEP_S:
                 self._kept.popleft()

@@ -30,20 +30,22 @@ def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
     session = describe(recording, columns, settings=settings).session
     if session is None or session.means:
         return {}
-    seen = look(session, CalibrateSettings())
-    record, pieces = seen.session.records[0], pieces_of(seen.session, observed=seen)[0]
+    observed = look(session, CalibrateSettings())
+    record, pieces = observed.session.records[0], pieces_of(observed.session, observed=observed)[0]
     time = record.time - record.time[0]
     trace: dict[str, Any] = {"time": _envelope(time[:, None])[0], "readings": {}, "units": {}, "at_rest": {}}
     for name, quantity, unit, size in _SHOWN:
         if (values := getattr(record, name)) is None:
             continue
-        trace["units"][name] = own = getattr(record, f"{name}_unit")
-        if is_physical(own):
-            values, trace["units"][name] = values * (si_factor(own, quantity) / size), unit
+        trace["units"][name] = raw_unit = getattr(record, f"{name}_unit")
+        if is_physical(raw_unit):
+            values, trace["units"][name] = values * (si_factor(raw_unit, quantity) / size), unit
         trace["readings"][name] = _envelope(values)
-        if means := [np.linalg.norm(values[still.start : still.stop].mean(axis=0)) for still in seen.stills]:
+        if means := [np.linalg.norm(values[still.start : still.stop].mean(axis=0)) for still in observed.stills]:
             trace["at_rest"][name] = float(np.median(means))
-    spans = [(one.kind, one.label, one.why, float(time[one.start]), float(time[one.stop - 1])) for one in pieces]
+    spans = [
+        (piece.kind, piece.label, piece.why, float(time[piece.start]), float(time[piece.stop - 1])) for piece in pieces
+    ]
     return trace | {"stretches": spans}
 
 
