@@ -45,17 +45,17 @@ LEANS: dict[Movement, dict[Worn, float]] = {
 STANCE = {"standing": (0.6 * DEG, 0.9 * DEG), "sitting": (3.0 * DEG, 3.0 * DEG)}
 # usual scatter of the pieces and their common error, rad, of simulated people, rounded up, and the fewest pieces
 WALKS, REPETITIONS = (1.5 * DEG, 0.7 * DEG, 1), (3.0 * DEG, 2.0 * DEG, 2)
-WARN = 5.0 * DEG  # of a whole mounting
+WARN = 5.0 * DEG  # uncertainty of the mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
 POSTURE_S, EDGE_S = 3.0, 0.3  # shortest posture, and its ends, in which the body still moves, s
 WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first and last part, which may turn, s
-BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # of steps, and of their size
+BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # frequencies of steps, and of their size
 QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in postures and in steps, m/s2
 SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in a posture, and about it in a straight walk, rad/s
 LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a movement, and largest tilt of an upright posture
 CLEAR = 4.0  # a direction in its uncertainties
-LEAST_HZ, MOST_HZ = 15.0, 5000.0  # of a recording: steps come twice a second
-USUAL_PIECES = 4  # that the usual scatter counts for
+LEAST_HZ, MOST_HZ = 15.0, 5000.0  # limits of the sample rate (steps come twice a second)
+USUAL_PIECES = 4  # number of pieces that the usual scatter counts for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,7 +63,7 @@ class MountFit:
     """Mounting of a device, as far as the recordings determine it."""
 
     mounting: BodyMounting | None  # None if an axis is not determined
-    basis: tuple[str, ...]  # what determined up, and forward
+    basis: tuple[str, ...]  # basis of up and of forward
     verdict: Verdict
 
 
@@ -228,6 +228,6 @@ def _bouts(track: _Track) -> list[FloatArray]:
         rows, time = slice(first, last), track.record.time
         q = integrate_strapdown(gyro[rows], time[rows], shortest_rotation_up(ups[first]))
         velocity = np.cumsum(rotate(q, track.force[rows]) - [0.0, 0.0, size], axis=0) / rate
-        velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # it ends at rest
+        velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # the velocity ends at rest
         velocities.append(rotate(quaternion_conjugate(q), velocity * [1.0, 1.0, 0.0]).mean(axis=0))
     return velocities

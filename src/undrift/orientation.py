@@ -196,7 +196,7 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
 
 
-FAR_UP_DEG = 60.0  # of the axis for up from the vertical at rest: the device is worn another way
+FAR_UP_DEG = 60.0  # angle between the axis for up and the vertical at rest, beyond which the device is worn differently
 
 
 def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
@@ -229,7 +229,7 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
 # During a rest, a standing person sways by 1 deg/s rms and by 0.5 deg from its first third to its last
 MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
-WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # of strapdown over the record: what optics show on a trial of two minutes
+WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # strapdown drift that optics can measure on a trial of two minutes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,7 +273,7 @@ class Orientation(Shown):
     q_nb: Annotated[FloatArray, Shape("n", 4)]  # b to n, w-x-y-z
     inclination: Annotated[FloatArray, Shape("n")]  # angle of the body's z from the vertical, rad
     heading: Annotated[FloatArray, Shape("n")]  # turn about the vertical, rad
-    pitch: Annotated[FloatArray, Shape("n")]  # of gravity in the sagittal plane, forward lean positive, rad
+    pitch: Annotated[FloatArray, Shape("n")]  # direction of gravity in the sagittal plane, forward lean positive, rad
     tilt: Tilt  # at the still phase, or at the first sample without one
     still: Still | None  # still phase of the initial tilt, or None if the device never rests
     offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
@@ -453,7 +453,7 @@ def _offset_uncertainty(
     unmoved = model is not None and model.method in IN_MOTION and model.moving_offset is None and not offsets.any()
     moving = 0.0 if unmoved else 1.0 - sum(still.stop - still.start for still in rests) / len(gyro)
     rest_sigma = math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
-    subtracted_sigma = record.offset_uncertainty  # of what ``correct`` subtracted
+    subtracted_sigma = record.offset_uncertainty  # uncertainty of the offset that ``correct`` subtracted
     return rest_sigma if subtracted_sigma is None or offsets.any() else min(rest_sigma, subtracted_sigma)
 
 
@@ -511,7 +511,7 @@ def filtered(
         mag_ut = np.asarray(record.mag_ut)
         if not np.isfinite(mag_ut).all(axis=1).any():
             raise InputError("orient: the magnetometer readings are all gaps. Omit the magnetometer.")
-        mag_ut = bridged(record.time, mag_ut)  # it may be slower
+        mag_ut = bridged(record.time, mag_ut)  # its sample rate may be lower
     q, disturbed = filtered_with_field(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty, acc_s=acc_s)
     if not magnetometer:
         return q, ()

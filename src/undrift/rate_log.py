@@ -25,17 +25,17 @@ from undrift.sync import LONGEST_STEP, LagLine, LagSettings, PoseRates, coarse_l
 from undrift.units import RADIAN_PER_DEGREE
 
 TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # column -> factor to s
-RATES = {"turn_rate_dps": RADIAN_PER_DEGREE, "turn_rate_rad_s": 1.0, "turn_rate_rpm": np.pi / 30.0}  # to rad/s
-ANGLES = {"angle_deg": RADIAN_PER_DEGREE, "angle_rad": 1.0, "angle_turns": 2.0 * np.pi}  # to rad
+RATES = {"turn_rate_dps": RADIAN_PER_DEGREE, "turn_rate_rad_s": 1.0, "turn_rate_rpm": np.pi / 30.0}  # factor to rad/s
+ANGLES = {"angle_deg": RADIAN_PER_DEGREE, "angle_rad": 1.0, "angle_turns": 2.0 * np.pi}  # factor to rad
 MIN_ROWS = 30
-ROUNDING = 1e-9  # of a number in text
+ROUNDING = 1e-9  # relative error of a number in text
 SETTLE_S = 0.5  # left out at both ends of a dwell: the table swings out, the device's filter settles
 LEAST_S = 1.0  # shortest dwell that is left
 RAMP_S = 3.0  # before and after a dwell: the rate changes in it
 STEADY = 0.02  # largest departure of a steady rate from its median, relative
 LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
 LARGEST_UNCERTAINTY = 0.01  # relative, of a rate (a dwell with a larger uncertainty is omitted)
-PARTS, PART_S = 12, 30.0  # of the log: largest number of parts and their shortest length, each with a lag
+PARTS, PART_S = 12, 30.0  # largest number of parts of the log and their shortest length, each with a lag
 REACH_S = 5.0  # largest difference between the lags of a part and of the whole log
 FLOOR_S, JUMP_S = 1e-3, 0.3  # uncertainty of a lag on a ramp, and deviation from the line if a clock jumped
 UNKNOWN_SKEW = 1e-4  # relative, of two quartz clocks that a single part cannot compare

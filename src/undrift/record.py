@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 State = Literal["raw", "corrected"]
-CHANNELS = ("time", "gyro", "accel", "temp_c", "mag_ut")  # of a record
+CHANNELS = ("time", "gyro", "accel", "temp_c", "mag_ut")  # channels of a record
 LARGEST_SPAN_M = 50.0  # largest extent of positions from optics, m
 
 

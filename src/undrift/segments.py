@@ -37,9 +37,9 @@ HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
 HAND_ACCEL_LIMIT = 0.6  # m/s2
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, largest offset of gyroscopes of this class at rest
 
-FLOOR_QUANTILE = 0.005  # of d: the level of the quietest windows
+FLOOR_QUANTILE = 0.005  # quantile of d: level of the quietest windows
 _PEAK = 4.0  # a noise peak spans at most this factor above its floor
-_DECADES = (0.4, 2.2)  # where to look for the gap, decades above the floor
+_DECADES = (0.4, 2.2)  # range of the search for the gap, decades above the floor
 _BIN = 0.05  # decades
 _GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its neighbouring peaks
 _MOTION = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
@@ -449,7 +449,7 @@ _SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer tha
 _APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart give a fit new information
 _SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
 _NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
-_ALL_STILL = 0.95  # of the samples: nothing moves, and no pose can be missing
+_ALL_STILL = 0.95  # share of still samples from which nothing moves, and no pose can be missing
 _MOST_SAMPLES = 2_000_000  # nobody poses a device in the hand for longer
 
 

@@ -97,7 +97,7 @@ class RunningIntegral:
 Spectrum = NDArray[np.complex128]
 CELL_S = 0.02  # s
 LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # share of the shorter side, and number of cells
-STILL = 1e-9  # of the largest variance: a side that does not turn
+STILL = 1e-9  # relative to the largest variance: a side that does not turn
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
@@ -168,7 +168,7 @@ def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple
 
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
 COMB_SHARPNESS = 0.95  # relative to a perfect comb
-SAME_RATE = 1e-4  # of the median change of rate: two rates are one
+SAME_RATE = 1e-4  # relative to the median change of rate: two rates are equal
 NEAR_FRAME_S = 2e-5  # a sample this close to a frame may lie on either side of it
 
 
@@ -235,7 +235,7 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
 _STEPS = 12  # largest number of Gauss-Newton steps (the last steps change the lag by less than a microsecond)
 AVERAGE_S = 0.05  # s, of rates that are compared
 _BLOCK_S = 0.5  # residuals this far apart count as independent
-LEAST_AVERAGES = 30  # that both sides have
+LEAST_AVERAGES = 30  # smallest number of common averages
 LEAST_CORRELATION = 0.7  # smallest correlation of the rates at the lag for a common motion
 
 
@@ -342,7 +342,7 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
 
 # ---- two clocks that do not run alike: a straight line through the lags of parts of a recording
 
-PARTS, LEAST_PART_S = 5, 6.0  # of a recording, each with a lag of its own
+PARTS, LEAST_PART_S = 5, 6.0  # number of parts of a recording, each with its own lag, and shortest part
 LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks that run alike differ by up to 0.1 ms, in BROAD
 OUT_OF_STEP_S = 0.03  # off a line through the lags: samples were lost, or another trial's were put in. Assumed.
 TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest has such rates, for any offset of the device
@@ -494,5 +494,5 @@ def _motion_between_stills(record: Record) -> tuple[float, float] | None:
     if stop - start >= LEAST_MOTION_S:
         return start, stop
     if record.time[first.start] - record.time[0] > LEAST_MOTION_S:
-        return None  # it rests only at the end
+        return None  # the device rests only at the end
     raise AlignmentError("motion: the device lies still throughout, so no motion follows the first rest.")

@@ -49,8 +49,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 Adc = Literal["auto", "none"]
 Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 
-MIN_FREE_POSES = 9  # of a multi-position fit
-LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # as degrees a place at the equator, as radians 23 to 70 deg, where people live
+MIN_FREE_POSES = 9  # smallest number of poses of a multi-position fit
+LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # latitudes that may be in radians (23 to 70 deg, where people live)
 GRAVITY_SPREAD = (
     0.02  # m/s2: largest difference between standard gravity and local gravity, which ranges from 9.78 to 9.83
 )
@@ -315,7 +315,7 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
         if not steady and not isinstance(error, NotObservable):
             raise
         why, record = str(error), RECORD_TURNS
-        if steady:  # of a table: as moves between rests they fail, for any reason
+        if steady:  # turns on a table are not moves between rests, so the fit fails
             why, record = f"{steady} steady turns have no rate", "state the turn_rate_dps and axis of each"
         rest = calibrate_rest(observed, mode, accel)
         failed = _not_observable("Gyroscope scale", "warn", why=why, record=record)

@@ -30,12 +30,12 @@ from undrift.record import Record
 
 MIN_CODES, MAX_CODES = 4, 200_000  # distinct readings that show a grid, and that are searched for it
 MAX_GRID_MISS = 0.15  # largest distance of readings from the grid, in steps (files round to a tenth of a step)
-MAX_PHASE = 0.05  # of a step: beyond it an offset was subtracted from the codes
-FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # of the largest reading: float rounding, not a step
+MAX_PHASE = 0.05  # in steps (a larger phase means that an offset was subtracted from the codes)
+FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # relative to the largest reading: float rounding, not a step
 SIDE_CODES = 8  # codes on either side of zero that give its expected count
 SWEEP_SAMPLES, SWEEP_CODES = 5, 20  # a sample is in motion if the readings 5 before and 5 after differ by 20 codes
 MIN_SWEPT = 100  # samples in motion near code 0
-SIGMAS = 4.0  # by which the other ratio must be excluded
+SIGMAS = 4.0  # standard errors by which the other ratio must be excluded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,7 +63,8 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     uneven = max(1.0, float(beside.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
     ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
     off = ratio - np.array([1.0, 2.0])
-    chance = SIGMAS * sigma * np.sqrt([1.0 + 0.5 / SIDE_CODES, 2.0 + 2.0 / SIDE_CODES])  # of the ratios 1 and 2
+    # uncertainty of the ratios 1 and 2
+    chance = SIGMAS * sigma * np.sqrt([1.0 + 0.5 / SIDE_CODES, 2.0 + 2.0 / SIDE_CODES])
     possible, excluded = np.abs(off) < np.maximum(0.3, chance), np.abs(off) > chance
     if possible[1] and excluded[0]:
         return CodeGrid(lsb=steps, rounding="toward_zero")
@@ -156,7 +157,7 @@ def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = No
 
 _NOISES = np.linspace(0.0, 1.0, 201)  # s / q
 _HARMONICS = np.arange(1, 200)[:, None]
-MAX_SHARE = 0.5  # of a variance: the error of rounding is not normal
+MAX_SHARE = 0.5  # largest share of a variance, because the rounding error is not normal
 
 
 def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:

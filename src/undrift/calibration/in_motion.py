@@ -33,7 +33,7 @@ from undrift.record import Record
 from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-LEAST_S, LEAST_DPS = 20.0, 5.0  # of a recording, and rms of its rates minus their mean
+LEAST_S, LEAST_DPS = 20.0, 5.0  # shortest recording, and smallest rms of its rates minus their mean
 BRIDGED_S = 0.05  # longest gap over which a line is near enough to the readings. Assumed.
 # length of a stretch, s, in each step of the descent
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
@@ -43,8 +43,8 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1. Assumed.
-IMPLAUSIBLE = 0.25  # of a scale factor: raw parts are within 0.2
-SHOWN = 0.7  # of the prior deviation, below which an element counts as determined
+IMPLAUSIBLE = 0.25  # largest relative error of a scale factor (raw parts are within 0.2)
+SHOWN = 0.7  # share of the prior deviation below which an element counts as determined
 WANTED_PERCENT = 0.2  # uncertainty of the gyroscope's matrix
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
 
@@ -267,7 +267,7 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
             )
         mag = None
         if field_size is not None and record.mag_ut is not None:
-            mag = bridged(record.time, record.mag_ut)  # it may be sampled at a lower rate
+            mag = bridged(record.time, record.mag_ut)  # the magnetometer may have a lower sample rate
             mag *= field_size / float(np.median(np.linalg.norm(mag, axis=1)))
         count = max(1, round(record.duration_s / STAGES_S[-1]))
         for a, b in pairwise(np.linspace(0, len(record), count + 1).astype(int)):

@@ -58,7 +58,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 KnownRotationMode = Literal["paper", "affine"]
 
 CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
-MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic
+MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a mean
 
 # ---- means over rests and turns
 
@@ -345,7 +345,7 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int], 
 
 NEAR_S = 5.0  # between a rest and the turn that it is next to
 BESIDE = 3  # samples between a rest and its turn
-CHUNK_S, MOST_CHUNKS = 0.1, 5  # of the end of a rest that may belong to a move: a low-pass delays its readings
+CHUNK_S, MOST_CHUNKS = 0.1, 5  # chunks at the end of a rest that may belong to a move, delayed by a low-pass filter
 MOVES = 5.0  # standard deviations of a chunk's mean within the rest
 
 

@@ -33,8 +33,8 @@ from undrift.frames import rotation
 from undrift.model import AXES, Magnetometer, Verdict
 from undrift.units import RADIAN_PER_DEGREE
 
-BLOCK_S, KNOT_S = 0.25, 2.0  # of a mean, between knots of c(t)
-STRETCH_S, LEAST_S = 150.0, 20.0  # of a stretch, of a recording
+BLOCK_S, KNOT_S = 0.25, 2.0  # length of a mean, and distance between knots of c(t)
+STRETCH_S, LEAST_S = 150.0, 20.0  # length of a stretch, and shortest recording
 # Soft iron: twice the usual 5 %. Hard iron: up to three times the field. Lag of a filter and a slow bus, s. Assumed.
 SOFT_IRON, HARD_IRON, LAG_S = 0.1, 3.0, 0.02
 HEADING_WALK = 0.3 * RADIAN_PER_DEGREE  # rad/sqrt(s), of calibrated gyroscopes. Assumed.
@@ -49,9 +49,9 @@ GRADIENTS[[0, 0, 1, 1, 1], [0, 1, 0, 1, 2], [0, 1, 0, 1, 2]] = 1.0, -1.0, 1.0, 1
 GRADIENTS[[2, 2, 3, 3, 4, 4], [0, 1, 0, 2, 1, 2], [1, 0, 2, 0, 2, 1]] = 1.0
 GRADIENTS /= np.linalg.norm(GRADIENTS, axis=(1, 2), keepdims=True)
 STEPS, SIZED = 9, (3, 6)  # Gauss-Newton steps, and the steps at which the sizes are estimated
-FAR, LEAST_FAR = 4.0, 0.03  # of a disturbed stretch: robust standard deviations, and of the field
-ROUGH = 2.0 * RADIAN_PER_DEGREE  # of a heading, 1 sigma
-WIDEST = 0.2  # of the largest uncertainty of hard iron: axes that cause most of it
+FAR, LEAST_FAR = 4.0, 0.03  # limits of a disturbed stretch: in robust standard deviations, and relative to the field
+ROUGH = 2.0 * RADIAN_PER_DEGREE  # heading uncertainty, 1 sigma
+WIDEST = 0.2  # share of the largest uncertainty of hard iron, for the axes that cause most of it
 SHARED = 13  # parameters of a device: K, b, l
 
 FieldReadings: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # time (N,), readings (N, 3), orientation (N, 4)
@@ -160,7 +160,7 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
     size = float(np.exp(np.mean([stretch.local[0] for stretch in stretches])))
     lag, spread = 0.0, np.repeat((SOFT_IRON, HARD_IRON * size, LAG_S), (9, 3, 1))
     for number in range(STEPS):
-        gauge = np.append(np.linalg.inv(k).T, np.zeros(4))  # of the log of det K
+        gauge = np.append(np.linalg.inv(k).T, np.zeros(4))  # gradient of the log of det K
         prior = np.diag(1.0 / spread**2) + 1e8 * np.outer(gauge, gauge)
         information, right = prior.copy(), np.concatenate(((usual - k).ravel(), -b, [-lag])) / spread**2
         followers = list[tuple[FloatArray, FloatArray, FloatArray]]()

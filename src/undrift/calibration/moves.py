@@ -213,7 +213,7 @@ def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatAr
     return np.asarray(np.linalg.lstsq(normal, right, rcond=1e-10)[0].reshape(3, 3))
 
 
-_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # of each axis
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # cross product matrix of each axis
 
 
 def cross_matrix(n: FloatArray) -> FloatArray:
@@ -241,9 +241,11 @@ FEWEST_MOVES = 5
 MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # Gauss-Newton steps and relative change of the matrix
 TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
 LEAST_ANGLE = 1e-10  # rad, standard deviation that every angle has at least
-LEAST_RATE = 1e-3  # of the flicker, standard deviation that every rest has at least
-LOOSE = 1e-4  # of the precision of turns by known angles in the fit to the moves
-CONTRADICTS = 0.5  # of the matrix from the turns: moves that change it by more mean other axes or another clock
+LEAST_RATE = 1e-3  # smallest standard deviation of a rest, relative to the flicker
+LOOSE = 1e-4  # weight of the turns by known angles in the fit to the moves
+CONTRADICTS = (
+    0.5  # largest relative change of the matrix from the turns (a larger change indicates other axes or another clock)
+)
 HOPELESS_DEG = 20.0  # rms angle beyond which the moves do not belong to this gyroscope
 MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger turns between the poses"}
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
@@ -267,7 +269,7 @@ class _Problem:
     flicker: FloatArray  # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2
     walk: FloatArray  # (R + J, R + J), of a walk of 1 rad/s per root second
     warmth: FloatArray  # (R + J,), temperature minus the reference, K
-    creep: tuple[Creep, Creep] | None  # of accelerometers and gyroscopes in the stills
+    creep: tuple[Creep, Creep] | None  # temperature of the stills, for accelerometers and gyroscopes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -412,7 +414,7 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
         precision[:9, :9] = np.linalg.inv(turns.covariance[:9, :9])
         loose[:9, :9] = LOOSE * precision[:9, :9]
     prior, loose_prior = Prior(mean=theta, precision=precision), Prior(mean=theta, precision=loose)
-    drift = np.zeros((len(problem.felt), 3))  # of the offset, rad/s
+    drift = np.zeros((len(problem.felt), 3))  # drift of the offset, rad/s
     for count in range(MOST_STEPS):
         share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
         try:

@@ -134,9 +134,9 @@ OBSERVABLE, UPPER = 2.0, 5.0
 SHARED, SHARED_LONG, FEW = 2.0, 3.5, 100.0
 SHORTEST = 64  # samples
 LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
-MOST_DROP_OUTS = 0.1  # of the steps: a time with more of them is not even between drop-outs
-ROUNDS = 6  # of the fit: its weights follow from the model
-DEPARTURE = 0.1  # of the variance: a curve farther off the model than this is a finding
+MOST_DROP_OUTS = 0.1  # largest share of steps that are drop-outs in an evenly sampled record
+ROUNDS = 6  # iterations of the fit, whose weights follow from the model
+DEPARTURE = 0.1  # largest relative deviation of the variance from the model without a finding
 USUAL_WALK = (3e-4, 0.2)  # deg/s/sqrt(Hz), of boards, from the best to the oldest
 LEAST_HZ = 0.5  # noise of a board is recorded faster
 
@@ -324,7 +324,7 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
         departure = excess_variance(
             np.log(measured / model), log_variance, float(len(measured) - np.count_nonzero(squares))
         )
-    errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # with all terms free
+    errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # errors with all terms free
     observable, value = squares > OBSERVABLE * errors, np.sqrt(squares)
     low, high = _interval_factors(2.0 * np.where(observable, squares / errors, 1.0) ** 2, confidence)
     high = np.where(observable, value * high, np.sqrt(squares + UPPER * errors))

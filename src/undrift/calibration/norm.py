@@ -40,18 +40,18 @@ from undrift.model import AXES, Budget, Verdict
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
-ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements, in the order of p
+ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # indices of the six elements, as in p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
-CROSS = np.array([1, 2, 4])  # of p: m_xy, m_xz, m_yz
+CROSS = np.array([1, 2, 4])  # indices of m_xy, m_xz, m_yz in p
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # place of each p among m_xx .. m_zz, offset_x ..
 WEAKEST = 0.02  # smallest rms change of length, in g, per unit of a determined parameter (random poses reach 0.25)
-PART = 0.3  # of a combination of parameters: a parameter with this share belongs to it
-KEPT = 0.3  # of the prior deviation of a cross-axis term: above it the poses did not determine the term
+PART = 0.3  # share in a combination of parameters from which a parameter belongs to it
+KEPT = 0.3  # share of the prior deviation above which the poses did not determine a cross-axis term
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
 # descent: steps, relative step at convergence, parameters that diverge
 MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0
-SIZE_ROUNDS = 20  # of the size of quadratic terms
-ROUNDING = 1e-9  # of gravity: deviation that every length has at least
+SIZE_ROUNDS = 20  # iterations for the size of quadratic terms
+ROUNDING = 1e-9  # smallest deviation of a length, relative to gravity
 TOLERANCE = 0.25  # relative to the nominal sensitivity of the unit (raw parts are within 0.2)
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
@@ -176,7 +176,7 @@ def _quadratic_share(
     v: FloatArray, p: FloatArray, design: FloatArray, free: IntArray, fit: GlsFit, sd: float
 ) -> FloatArray:
     """Return what quadratic terms contribute to the covariance (F, F) of the free parameters."""
-    gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # of each sensor: v - o' = gain y
+    gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # per sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
     absorbed = fit.gains @ lengths
     bows = lengths - design[:, free] @ absorbed

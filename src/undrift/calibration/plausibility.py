@@ -111,7 +111,7 @@ def cause_by_gravity(order: FloatArray) -> str:
 # ---- readings at the end of the range
 
 MANY_VALUES = 20  # different readings (fewer are a constant or steps, without a clear top)
-NEAR_ZERO = 0.1  # of the largest reading: a level nearer to zero is the rest of a motion to one side
+NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is the rest of a motion to one side
 
 
 class Stuck(NamedTuple):

@@ -32,7 +32,7 @@ from undrift.record import Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 TILT_LIMIT_DEG = 0.5  # a device that settles on a bench or a cushion stays below it
-REFUSED_RATIO = 3.0  # of a figure to its limit: the device does not rest
+REFUSED_RATIO = 3.0  # ratio of a figure to its limit from which the session is refused
 COUNTS_RATIO = 10.0  # a still in counts may spread this many times the median of all stills
 WARMED_K = 10.0  # between stills: offsets may then differ
 SAME_TEMPERATURE_K = 3.0
@@ -149,7 +149,7 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
             yield rate / segments.BENCH_RATE_LIMIT, number, what
 
 
-SHARED_LIMIT = 0.1  # of the shorter of two pieces: readings that both hold would count twice
+SHARED_LIMIT = 0.1  # share of the shorter of two pieces that both may contain
 
 
 def check_counted_once(session: Session) -> None:
@@ -177,7 +177,7 @@ def check_counted_once(session: Session) -> None:
 # ---- turns
 
 MIN_NOISES = 8.0  # the 90 % quantile in white noises of r, below which a turn is not judged
-CUT_OFF_SHARE = 0.5  # of that quantile: a turn that starts or ends so fast is cut off
+CUT_OFF_SHARE = 0.5  # share of the quantile at the start or end of a turn from which it is cut off
 SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail above them
 
 
@@ -255,7 +255,7 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
 # Six stills that are not faces may fit twelve parameters well, for example poses of a sheared cube. Other poses then miss
 # gravity, even without a known direction. S_p contains the noise of the mean by blocks and the converter's step.
 
-LARGEST_ANGLE_DEG = 5.0  # of a sensor to its axis of the case: parts and boards are within 1 to 3
+LARGEST_ANGLE_DEG = 5.0  # largest angle between a sensor and its axis of the case (parts and boards: 1 to 3)
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
 BEYOND_SIGMAS = 4.0  # a still misses gravity by more than its uncertainty: by chance 1 of 16,000
 MIN_MISSES = 2  # stills that fail: one may be no rest

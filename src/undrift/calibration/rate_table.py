@@ -50,7 +50,7 @@ from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MINUTE_S = 60.0
-MIN_NOISE = 1e-9  # of the largest reading: a mean is not known better than the filter's arithmetic, whatever its noise
+MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
 
 # ---- fit of dwells and rests
 
@@ -121,7 +121,7 @@ def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
         if len(np.unique(dwells.turn_rate[rows])) < 2:
             continue
         turn_axes.append(k)
-        if len(set(dwells.axis)) < 3:  # with three axes the whole matrix shows exchanged columns
+        if len(set(dwells.axis)) < 3:  # with three axes the whole matrix reveals exchanged columns
             slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
@@ -285,7 +285,7 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
 
 SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
-SHARE = 0.02  # of the largest rate
+SHARE = 0.02  # relative to the largest rate
 LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell stands out
 
 

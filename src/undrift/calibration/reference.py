@@ -82,12 +82,12 @@ class HeldOut(NamedTuple):
     """The fit to all other recordings, for a recording that was held out."""
 
     fit: ReferenceFit
-    model: TriadModel  # with the rest offset of the recording that was left out
+    model: TriadModel  # model with the rest offset of the recording that was left out
 
 
 # ---- recordings
 
-MARGIN_S = 0.5  # of rest that belongs to the motion on either side
+MARGIN_S = 0.5  # part of the rest on either side that belongs to the motion
 REST_BLOCK_S = 0.5  # means of this length count as independent
 
 
@@ -98,8 +98,8 @@ class Aligned:
     record: Record
     gyro: FloatArray  # (N, 3), readings
     reference: Reference  # poses at the frames that the cameras took
-    lag: sync.Lag  # of the readings of the gyroscope against the poses
-    span: sync.MotionSpan  # from the first to the last rest, on the clock of the record
+    lag: sync.Lag  # lag of the gyroscope's readings behind the poses
+    span: sync.MotionSpan  # motion from the first to the last rest, on the clock of the record
     findings: tuple[Finding, ...]  # about the two clocks, the ends of both files, and saturated readings
 
 

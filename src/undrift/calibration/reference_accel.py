@@ -31,12 +31,12 @@ from undrift.segments import find_still
 from undrift.sync import native_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-MIN_RESTS = 6  # with fewer, the residuals do not show how far the poses are off
+MIN_RESTS = 6  # number of rests from which the residuals determine the tilt of the poses
 NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # accelerometers without a fit: relative scale, offset in m/s2. Assumed.
-MAX_CONDITION = 20.0  # of the attitudes and a constant: of six faces it is 2
-MIN_NOISE = 1e-9  # of the largest reading: a mean is not known better than its arithmetic
+MAX_CONDITION = 20.0  # largest condition number of the attitudes and a constant (2 for six faces)
+MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of a mean
 WANTED = 0.005  # relative uncertainty of the matrix
-TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # of gyroscopes on the body of the reference
+TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # smallest angle of gyroscopes on the body of the reference
 
 
 def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:

@@ -24,7 +24,7 @@ from undrift.frames import quaternion_conjugate, quaternion_product, rotate, rot
 from undrift.sync import Lag
 
 STRIDE_S = 0.5  # distance between the starts of neighbouring windows
-MIN_BLOCKS = 8  # of a jackknife: blocks are two windows long, or one window if there would be fewer
+MIN_BLOCKS = 8  # smallest number of blocks of two windows for the jackknife, otherwise blocks of one window
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,7 +34,7 @@ class Recording:
     time: FloatArray  # (N,), s, clock of the record
     gyro: FloatArray  # (N, 3), readings, raw unit, with zeros in gaps
     gaps: IntArray  # (N,), number of gaps since the start
-    lag: Lag  # of the record against the reference
+    lag: Lag  # lag of the record behind the reference
     moving: BoolArray  # (N,), True between the first and the last rest
     turning: FloatArray  # (N,), m
     rest: FloatArray  # (3,), mean reading at rest before the motion, raw unit, or NaN without a rest
@@ -114,7 +114,7 @@ class Solution:
     covariance: FloatArray  # (P, P)
     residuals: FloatArray  # (n, 3), rad
     scale: float  # robust standard deviation of the residuals, rad
-    condition: float  # of the design with columns scaled to one
+    condition: float  # condition number of the design with unit columns
 
 
 def solve(

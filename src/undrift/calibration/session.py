@@ -42,8 +42,8 @@ Piece = TypeVar("Piece", Still, Turn)
 FULL_TURN = 2.0 * np.pi  # rad
 FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full turn counts as full if no angle is given
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
-SAME_POSE = 0.26  # of gravity: 15 deg
-FEW_STILLS = 9  # with fewer, pauses that were too short are reported
+SAME_POSE = 0.26  # relative to gravity: 15 deg
+FEW_STILLS = 9  # number of stills below which short pauses are reported
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
 ROOM_C = 25.0
 
@@ -56,7 +56,7 @@ ROOM_C = 25.0
 # filter), and blocks of an eighth of a rest show slow drift. The scatter between rests is an excess variance: each switch-on has
 # an offset of its own.
 
-LONG_BLOCKS = 8  # of one rest
+LONG_BLOCKS = 8  # blocks per rest
 
 
 def mean_of_rests(

@@ -51,7 +51,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 SixFaceMode = Literal["paper", "affine"]
 
-MIN_NOISE = 1e-12  # of the largest reading: no mean is known better than its arithmetic, however low the noise
+MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a mean
 TILT_LIMIT = 0.5 * RADIAN_PER_DEGREE
 
 

@@ -97,7 +97,7 @@ def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
 # A drift is a finding if chance explains a drift of this size on any axis in less than one session in a hundred.
 
 LEAST_RESTS, LEAST_WITH_POSES = 4, 6
-POSES_CHANGE = 0.1  # of gravity
+POSES_CHANGE = 0.1  # relative to gravity
 CHANCE = 0.01
 
 
@@ -149,7 +149,7 @@ class Creep:
     warmth: FloatArray  # (P,), temperature of each piece minus the reference, K
     offset_per_k: float  # c_o, rad/s/K or m/s2/K
     scale_per_k: float  # c_s, relative, 1/K
-    span_k: float = 0.0  # of all pieces, K
+    span_k: float = 0.0  # temperature span of all pieces, K
     limit_k: float = np.inf  # a larger span is a finding, K
     kind: Kind = "accel"
 

@@ -23,7 +23,7 @@ from undrift.model import AXES, TriadModel
 from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
-MOST_SETTLING = 0.5  # of a dwell
+MOST_SETTLING = 0.5  # largest share of a dwell
 LEAST_SAMPLES = 8
 WHOLE_TURN = 0.99 * 2.0 * np.pi  # rad: over it a ripple averages out
 FILTER_S = 0.3  # in which a second-order filter at 11 Hz settles to 1e-6: gravity leaves out no more of a dwell's start

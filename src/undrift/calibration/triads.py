@@ -32,8 +32,8 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 WINDOWS_S = (4.0, 1.0)  # long windows average motion out, but a short recording has only short windows
 STEP_S = 0.02  # step over which rotations are summed (a hand turns by 20 deg in it at most)
 MOST_WINDOWS, FEWEST_WINDOWS = 60, {4.0: 4, 1.0: 2}
-MIN_MOVE = 0.1  # of g: gravity moves by 6 deg from one half of a window to the other
-SAMPLES = 200_000  # from the first on: 12 min at 286 Hz
+MIN_MOVE = 0.1  # in g: gravity moves by 6 deg from one half of a window to the other
+SAMPLES = 200_000  # samples from the start that are used: 12 min at 286 Hz
 # Increase of ``kept`` by the better order or unit, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
 # scale of 0.35: its tangential acceleration hides gravity. It gains 0.013 over no rotation at all.
 CLEAR_GAIN, MIN_GAIN = 0.1, 0.015
@@ -47,9 +47,9 @@ ORDINARY = 1.25  # a ratio of scales below it is a device's own
 # largest scale that is tested, and the scale below which the unit is wrong, not the sample rate
 LARGEST_SCALE, COUNTS = 200.0, 0.12
 LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of rates is
-QUIET = 0.2  # of the largest window's
+QUIET = 0.2  # relative to the largest spread of a window
 PLAUSIBLE_HZ = (4.0, 5000.0)  # range of sample rates for human motion (outside it the unit of time is tested too)
-TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # by decades
+TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # names of decades
 UNITS = {
     RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
     1.0 / RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
@@ -63,7 +63,7 @@ class _Windows:
 
     turn: FloatArray  # (W, M, 3), rotation vector of each step as read, rad
     force: FloatArray  # (W, M, 3), specific force over its median length
-    gravity: float  # that length, m/s2
+    gravity: float  # length of the specific force, m/s2
 
     def kept(self, order: FloatArray, scale: float) -> FloatArray:
         """Return the squared length of the mean force with the rotation undone, (W,)."""

@@ -20,7 +20,7 @@ FAR_SIGMAS = 4.0
 # data sheets of consumer parts [assumed], local gravity elsewhere (0.15 %), and the Earth's rate.
 LEFT_ACCEL, LEFT_RATE = 0.010 * STANDARD_GRAVITY, 0.25 * RADIAN_PER_DEGREE
 LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # m/s2 as read, and the share of it that the opposite sign leaves
-UNKNOWN_DEPARTURE_K = 10.0  # where recording or calibration has no temperature
+UNKNOWN_DEPARTURE_K = 10.0  # assumed distance if recording or calibration has no temperature
 
 
 def check_corrected(

@@ -383,7 +383,7 @@ def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatA
 class CorrectorState:
     """State of a stream, which is enough to continue it in another Corrector."""
 
-    reach: coverage.Reach = field(default_factory=coverage.Reach)  # of the chunks so far
+    reach: coverage.Reach = field(default_factory=coverage.Reach)  # range of the chunks so far
     carry: Carry = field(default_factory=Carry)  # time of power-on, state of the lag
 
     @property

@@ -25,7 +25,7 @@ from undrift.units import si_factor
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
-ON_NODE = 1e-9  # of a cell: a value so near to a node draws on that node only
+ON_NODE = 1e-9  # in cells: a value so near to a node uses that node only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Reach:
     seconds_extrapolated: float = 0.0
     seconds_without_temperature: float = 0.0
     temp_c: Span = NOWHERE  # degC, or (inf, -inf) if nothing depends on it
-    departure_c: float = 0.0  # from the temperature of the constant offsets, degC, or 0 if no offset is constant
+    departure_c: float = 0.0  # distance to the temperature of the constant offsets, degC, or 0 if no offset is constant
     turn_rate: Span = NOWHERE  # measured rate in the dynamic table, rad/s, or (inf, -inf) without the table
 
     def joined(self, later: "Reach") -> "Reach":
@@ -81,7 +81,7 @@ def find_outside(
         return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
     if drift.static is not None and not allowed:
-        marks = drift.static.gyro_extrapolated  # of the gyroscopes if both triads have marks
+        marks = drift.static.gyro_extrapolated  # marks of the gyroscopes if both triads have marks
         data = seen_span(drift.static.temp_c, drift.static.accel_extrapolated if marks is None else marks)
         beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)  # subtracting a lag makes a thermometer noisier
         low, high = max(low, data[0] - beyond), min(high, data[1] + beyond)

@@ -39,9 +39,9 @@ CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # ratio of actual to computed error without a rest, for 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
-_KEPT = 0.7  # of the prior deviation, above which an axis keeps its prior
+_KEPT = 0.7  # share of the prior deviation above which an axis keeps its prior
 _FIXED = 1e-9  # error of the rates, while the sizes are estimated
-_ROUNDS, _SETTLED = 8, 1e-7  # of linearisation; rad/s
+_ROUNDS, _SETTLED = 8, 1e-7  # linearisations, and final change in rad/s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

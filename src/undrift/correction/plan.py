@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 NOTHING = np.empty(0)
 EVERYWHERE = (-np.inf, np.inf)
-EVEN_WITHIN = 1e-9  # of a step
+EVEN_WITHIN = 1e-9  # in steps
 THREADS_FROM = 100_000  # samples from which a second thread is worthwhile
 
 T = TypeVar("T")
@@ -211,7 +211,7 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
     spans = [np.full(2, calibration.reference_temp_c)] * 2
     if triad.offsets is not None:  # in the place of the constant
         u = triad.offsets.uncertainty
-        largest = np.zeros(3) if u is None else np.nan_to_num(u).max(axis=0)  # of the worst node
+        largest = np.zeros(3) if u is None else np.nan_to_num(u).max(axis=0)  # value of the worst node
         covariance[9:], covariance[:, 9:] = 0.0, 0.0
         covariance[9:, 9:] = matrix @ np.diag(largest**2) @ matrix.T
         spans[0] = triad.offsets.temp_c[[0, -1]]

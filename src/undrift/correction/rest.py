@@ -48,7 +48,7 @@ class RestOffset:
     start_s: float  # First sample of the rest, on the recording's clock
     stop_s: float  # Last sample of it
     rate: Annotated[FloatArray, Shape(3)]  # mean, rad/s, frame b
-    covariance: Annotated[FloatArray, Shape(3, 3)]  # of the mean by the scatter of the readings, (rad/s)^2
+    covariance: Annotated[FloatArray, Shape(3, 3)]  # covariance of the mean from the scatter of the readings, (rad/s)^2
     stills: tuple[Still, ...] | None = None  # all rests found in the search, or None for a given stretch
     moved: float = math.sqrt(3.0) * MOVED  # rad/s, standard uncertainty of the change in motion, all axes together
 
@@ -221,10 +221,10 @@ def _head(record: Record) -> Record:
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
-CLOCK_S = (1e9, 4e9)  # of seconds since 1970 (a recording with a time outside has no date)
-UNKNOWN_YEARS = 1.0  # from calibration to recording, if either has no date [assumed]
+CLOCK_S = (1e9, 4e9)  # range of seconds since 1970 (a recording with a time outside has no date)
+UNKNOWN_YEARS = 1.0  # time from calibration to recording, if either has no date [assumed]
 _SWAY_S = 1.0  # width of means that are insensitive to accelerations of a body
-_ABOVE = 3.0  # of the variance of such means of white noise: it reaches it in one rest of a hundred
+_ABOVE = 3.0  # relative to the variance of means of white noise, which one rest in a hundred reaches
 
 
 def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[str, FloatArray]:
@@ -243,7 +243,7 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
     design = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
     offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
-    steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # what dither leaves of the rounding
+    steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # share of rounding that dither leaves
     return covariances | {
         "calibration": design @ error.covariance @ design.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),

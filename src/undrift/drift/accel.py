@@ -23,7 +23,7 @@ from undrift.fit.curve import fit_curve
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.units import si_factor
 
-_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # of the six elements of P
+_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # row and column of the six elements of P
 _FULL, _DIAGONAL = 9, 6  # parameters, and poses that are needed
 _ON_AXES = np.array([0, 1, 2, 6, 7, 8])  # diagonal of P, and d
 _SAME_TEMPERATURE_C = 1.5

@@ -85,7 +85,7 @@ class Choice:
     standard_error_dps: FloatArray  # (4,), standard error of ``left_out_rms_dps``
     chosen: Alternative
     why: Finding
-    verdict: Verdict  # of the tables that were taken
+    verdict: Verdict  # verdict of the selected tables
 
     @property
     def scale(self) -> ScaleFit | None:

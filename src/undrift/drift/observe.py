@@ -46,7 +46,7 @@ SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins 
 # largest angle between mean specific forces in a mounting (drift tilts them by 1-2 deg)
 SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
-LEAST_SHARE = 0.5  # of a block's samples that have to be there
+LEAST_SHARE = 0.5  # smallest share of valid samples in a block
 GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
 
 

@@ -36,7 +36,7 @@ from undrift.fit.priors import ACCEL_FLICKER, GYRO_FLICKER, THERMOMETER_LAG
 from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
-UNKNOWN_SCALE_PER_K = 2e-4  # of accelerometers seen in one pose: a capacitive sensor shifts by +-1 % in 50 K
+UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: a capacitive sensor shifts by +-1 % in 50 K
 EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
 GAP_C = 5.0  # and so is a node between temperatures seen, this far from both
 SLOPE_POINTS = 60
@@ -57,7 +57,7 @@ OVERLAP_C = 3.0  # range that both directions must have seen
 # ---- warm-up
 CHUNK_S = 120.0  # cells are cut there and at its doubles
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
-CURVE_INTERVALS = 5  # of the curve over temperature that a warm-up must differ from
+CURVE_INTERVALS = 5  # intervals of the curve over temperature that a warm-up must differ from
 WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # nodes of its table, and its length in time constants
 
 

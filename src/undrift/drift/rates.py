@@ -48,13 +48,13 @@ STEP_C = 5.0  # between the nodes of the dynamic table
 MATRIX_GAP_C = 10.0
 SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
 SAME_TEMPERATURE_C = 1.5
-SAME_RATE = 0.01  # of the greatest: closer rates are one
+SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
 MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
-NEAR_RATE = 0.02  # of the greatest: a node this far beyond the measured rates still counts as seen
+NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
 LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
 SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, relative to the spans and the residuals, from stiff to soft
-MAX_INTERVALS = 6  # of 30 deg/s over the note's rates
-LEAST_DIGIT = 1e-9  # of the readings: no mean is known better
+MAX_INTERVALS = 6  # intervals of 30 deg/s over the note's rates
+LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
 LEAST_NOISE = 1e-6  # relative to the values (rad/s if all values are 0), below which noise cannot be resolved
 
 ROWS = ("soak", "mounting", "axis", "temp_c", "rate_b", "reading", "variance")
@@ -283,7 +283,7 @@ def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
         reading = steps.reading[rows] - rate[:, ~turn_axes] @ constant[:, ~turn_axes].T
         free = [
             m for m in np.unique(steps.mounting[rows]) if steps.has_rates(steps.mounting == m)
-        ]  # with an offset of their own
+        ]  # each mounting has its own offset
         design = np.column_stack((rate[:, turn_axes] / size.max(), steps.mounting[rows][:, None] == np.array(free)))
         if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
             raise NotObservable(
@@ -413,7 +413,7 @@ def _surface_points(
     if len(np.unique(axis_steps.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
         return None
     rate = measured_rate(axis_steps.reading, axis_steps.temp_c, calibration, scale)[:, axis]
-    row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # of M
+    row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # row of M
     return SurfacePoints(
         turn_rate=np.where(turning, rate, 0.0),
         temp_c=axis_steps.temp_c,

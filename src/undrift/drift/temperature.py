@@ -39,10 +39,10 @@ from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics
 from undrift.record import Session, Still, Turn
 
-LEAST_SPAN_C = 2.0  # of all recordings together
+LEAST_SPAN_C = 2.0  # smallest common span of all recordings
 LONGEST_GAP_S = 10.0  # longest gap that is interpolated (longer gaps stay NaN)
 MOST_MISSING = 0.5  # share of the readings that may be missing
-BOARD_C = (-40.0, 125.0)  # where parts of a board work
+BOARD_C = (-40.0, 125.0)  # operating range of the parts of a board
 OFF_SET_POINT_C = 5.0  # largest difference between the column and a given set-point on the same scale
 STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
 HOT_C = 45.0  # above it all along: no room, and no body
@@ -50,9 +50,9 @@ SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight
 LEAST_SPIKE_C = 0.5
 WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest
 KNOWN_TO_C = 0.02  # the window is as long as the mean needs for this standard deviation: a longer one blurs fast ramps
-BLURRED = 0.35  # of a step: if the scatter of readings, steps included, is larger, their mean shows no step
-QUIET = 0.05  # of a step: noise below does not repeat its changes
-SAME_STEP = 0.02  # of a step: how far a column may be from whole steps
+BLURRED = 0.35  # in steps: if the readings scatter more, steps included, their mean shows no step
+QUIET = 0.05  # in steps: smaller noise does not repeat changes of step
+SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
 AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
@@ -63,7 +63,7 @@ MOVING_C_PER_MIN = 0.1
 TWO_SPEEDS = 1.5  # fast over slow
 SPEEDS = (0.2, 0.8)  # quantiles of the way over temperature that are slow and fast
 WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
-BOTH_WAYS = 0.1  # of the variance of the slopes that the temperature must leave open
+BOTH_WAYS = 0.1  # share of the variance of the slopes that the temperature must leave unexplained
 
 Source = Literal["column", "set-points", "means"]  # means: rows that are means over set-points
 

@@ -36,14 +36,14 @@ MOST_BETWEEN_DPS = 5.0  # largest standard deviation between sessions of the sam
 MOST_BEND = 0.01  # (deg/s)/K2, five times the value of consumer gyroscopes [assumed]
 LEAST_MISS_DPS = 0.25  # smallest one reported
 SIGNIFICANT, CERTAIN = 3.0, 10.0  # standard uncertainties from which two values differ, and may be bad
-LEFT_ACCEL_MG = 10.0  # what turn-on and ageing leave of accelerometers, and local gravity elsewhere [assumed]
+LEFT_ACCEL_MG = 10.0  # effect of turn-on and ageing on accelerometers, and of local gravity elsewhere [assumed]
 NEAR_C = 5.0  # rests within this of the nearest to the reference temperature are compared with gravity
-UNKNOWN_DEPARTURE_C = 10.0  # from the reference temperature, if the calibration does not state one
+UNKNOWN_DEPARTURE_C = 10.0  # distance to the reference temperature, if the calibration has none
 TEMPERATURE_OFF_C = 2.0  # between the thermometers of calibration and session
 SCALE_OFF = (0.02, 0.05)  # marginal, and bad
 SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
 NARROW_C = 5.0  # a table over a smaller range is a table of a single temperature
-MOST_EXTRAPOLATED = 0.25  # of the nodes
+MOST_EXTRAPOLATED = 0.25  # largest share of extrapolated nodes
 APART_C, WIDE_C = 1.0, 2.0  # distance to the next set-point, and width from which a set-point is a sweep
 
 # ---- summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor

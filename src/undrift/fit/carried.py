@@ -20,10 +20,10 @@ from undrift.arrays import FloatArray
 from undrift.kernels.rotation import carried_means
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-MEAN_S = 5.0  # of a Hann mean
+MEAN_S = 5.0  # length of a Hann mean
 # Logarithms of both variances, of m/s2 and of rad/sqrt(s): usual values, with a prior range of e^2 for few means [assumed]
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
-_RESTING = 0.05  # of both variances, at rest [assumed]
+_RESTING = 0.05  # factor of both variances at rest [assumed]
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 
 

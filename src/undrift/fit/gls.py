@@ -37,9 +37,9 @@ MAX_ITERATIONS, MOST_HALVINGS = 100, 30
 FIRST_STEPS = 5  # for one excess variance by itself: enough to compare their likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # fit of the inverse model: rounds, and final change in standard deviations of a row
-ROUNDING = 1e-11  # of a variance: a sum of covariances is positive definite only within its rounding
-RANK_OF_ROWS = 1e-14  # of the largest pivot: below it a parameter is not determined
-RANK = 1e-9  # of the largest singular value of known columns
+ROUNDING = 1e-11  # relative to a variance: a sum of covariances is positive definite only within its rounding
+RANK_OF_ROWS = 1e-14  # relative to the largest pivot: below it a parameter is not determined
+RANK = 1e-9  # relative to the largest singular value of known columns
 SHOWN = 1e-6  # share of a shape that the residuals must keep
 NORMAL_95 = 1.959963984540054
 
@@ -398,7 +398,7 @@ def fit_huber(
 # ---- noise of a mean reading, from the scatter of short block means within the windows
 
 BLOCK_S = 0.5  # means of this length count as independent of each other
-_LEAST_SPARE_BLOCKS = 6  # with fewer, the estimate is too uncertain to use
+_LEAST_SPARE_BLOCKS = 6  # number of blocks below which the estimate is too uncertain
 
 
 def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed: int = 1) -> FloatArray | None:

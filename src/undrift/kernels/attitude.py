@@ -10,7 +10,7 @@ from undrift.arrays import FloatArray
 from undrift.units import RADIAN_PER_DEGREE
 
 MIN_OFFSET_SIGMA_DPS = 1e-3  # prior of the filter's offset: below it the filter would not follow a real change for long
-UNEVEN = 0.1  # of the median step: beyond it the filter, which knows one step, gets readings on an even grid
+UNEVEN = 0.1  # largest deviation from the median step without interpolation to an even grid
 
 
 def filtered_attitude(

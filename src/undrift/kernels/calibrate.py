@@ -26,7 +26,7 @@ def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth
     for k in range(np.uint64(temp.size)):
         if not math.isnan(temp[k]):
             if math.isnan(x):
-                z = temp[k]  # it had settled at the first reading
+                z = temp[k]  # the thermometer had settled at the first reading
             else:
                 a = (time[k] - last) / smooth
                 keep = math.exp(-a)
