@@ -83,7 +83,6 @@ def choice():
             "drift.tables_selected",
             "info",
             tables="scale",
-            requested="selected",
             error_dps=0.01,
             held_out=2,
             soaks=4,

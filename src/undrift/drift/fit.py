@@ -449,9 +449,9 @@ def choose_tables(
     rests: RestBlocks | None = None,
     tables: TableChoice = "auto",
 ) -> Choice:
-    """Fit all alternatives at nodes temp_c (n,), degC, and select the requested one, or the best by cross-validation."""
+    """Fit all alternatives and select one by cross-validation, or fit the requested one. Nodes are temp_c (n,), degC."""
     clean = prepared(steps, calibration, static=static, rests=rests)
-    fits, problems = _fit_all(clean, calibration, temp_c)
+    fits, problems = _fit_all(clean, calibration, temp_c, tables=tables)
     if len(fits) == 1:
         raise NotObservable("scale and dynamic drift: " + " ".join(problems))
     fitted = _mean_squares(clean, fits, calibration)
@@ -459,7 +459,7 @@ def choose_tables(
     folds = [clean.soak == s for s in soaks[(point > 0) & (point < point.max())]]  # nothing predicts beyond the ends
     mean_square, error = np.full((2, len(ALTERNATIVES)), np.nan)
     chosen: Alternative = "scale" if "scale" in fits else "dynamic"
-    if folds:
+    if tables == "auto" and folds:
         without = [_fit_all(clean.taken(~fold), calibration, temp_c, like=fits)[0] for fold in folds]
         squares = [
             _mean_squares(clean.taken(fold), training, calibration)
@@ -475,9 +475,10 @@ def choose_tables(
         raise NotObservable(f"{chosen} cannot be fitted to these steps. " + " ".join(problems))
     index, left_dps = ALTERNATIVES.index(chosen), np.sqrt(mean_square)
     values = {"tables": chosen, "set_points": int(point.max()) + 1, "soaks": len(soaks), "held_out": len(folds)}
-    if folds:
-        requested = "selected" if tables == "auto" else "requested"
-        why = finding("drift.tables_selected", "info", **values, requested=requested, error_dps=float(left_dps[index]))
+    if tables != "auto":
+        why = finding("drift.tables_requested", "info", **values, error_dps=float(np.sqrt(fitted[index])))
+    elif folds:
+        why = finding("drift.tables_selected", "info", **values, error_dps=float(left_dps[index]))
     else:
         error_dps, constant_dps = float(np.sqrt(fitted[index])), float(np.sqrt(fitted[0]))
         why = finding("drift.tables_unjudged", "warn", **values, error_dps=error_dps, constant_dps=constant_dps)
@@ -500,9 +501,16 @@ def choose_tables(
 
 
 def _fit_all(
-    steps: Steps, calibration: Calibration, temp_c: FloatArray, like: Fits | None = None
+    steps: Steps,
+    calibration: Calibration,
+    temp_c: FloatArray,
+    like: Fits | None = None,
+    tables: TableChoice = "auto",
 ) -> tuple[Fits, list[str]]:
-    """Fit matrix and dynamic drift to steps, with the softness of earlier fits. Return the fits and the reasons of missing fits."""
+    """Fit matrix and dynamic drift to steps, with the softness of earlier fits. Return the fits and the reasons of missing fits.
+
+    The matrix is always fitted, as its change is reported. If tables were requested, dynamic drift is fitted for these only.
+    """
     fits: dict[Alternative, tuple[ScaleFit | None, DynamicFit | None]] = {"none": (None, None)}
     problems, scale, span_c = list[str](), None, (float(temp_c[0]), float(temp_c[-1]))
     try:
@@ -513,6 +521,8 @@ def _fit_all(
     try:
         alternatives: list[tuple[Alternative, ScaleFit | None]] = [("dynamic", None), ("scale + dynamic", scale)]
         for name, matrix in alternatives[: 1 if scale is None else 2]:
+            if tables not in ("auto", name):
+                continue
             softness = (like or {}).get(name, (None, None))[1]
             table = None if matrix is None else matrix.drift
             fits[name] = matrix, fit_dynamic(steps, calibration, span_c=span_c, like=softness, scale=table)
