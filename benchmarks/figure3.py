@@ -7,7 +7,16 @@ soaks, each drawn unit on a person of its own. 5 s a unit.
 import argparse
 import sys
 
-from undrift.study.figure3 import COMPARED, DRAWN_UNITS, DrawnRow, Figure3, drawn_cohort, figure3
+import numpy as np
+from scipy.stats import pearsonr
+
+from undrift.arrays import FloatArray
+from undrift.study.figure3 import COMPARED, Figure3, drawn_errors, figure3
+from undrift.study.plan import DEVICE
+from undrift.validation.agreement import mean_interval
+from undrift.validation.levels import NOTE_DIFFERENCE_DEG
+
+EXCURSION_K = 12.5
 
 
 def typical_row(found: Figure3, k: int) -> str:
@@ -21,23 +30,23 @@ def typical_row(found: Figure3, k: int) -> str:
     return " | ".join((COMPARED[k], *(f"{value:.2f}" for value in figures)))
 
 
-def drawn_row(row: DrawnRow) -> str:
-    """Return the row of one correction over drawn units."""
-    quartiles = row.simulated_deg, (row.lower_deg, row.median_deg, row.upper_deg), row.apart_deg
-    spreads = (f"{middle:.2f} ({low:.2f} to {high:.2f})" for low, middle, high in quartiles)
-    correlations = (
-        f"{r:.2f} [{ends[0]:.2f}, {ends[1]:.2f}]"
-        for r, ends in (
-            (row.correlation, row.correlation_interval),
-            (row.largest_correlation, row.largest_interval),
-        )
-    )
-    return " | ".join((row.correction, *spreads, str(row.within), *correlations))
+def drawn_row(errors: FloatArray, k: int) -> str:
+    """Return the row of one correction over drawn units, from their errors (units, 4, 5)."""
+    simulated, actual, difference, correlation = errors[:, :, k].T
+    quartiles = (np.quantile(x, (0.5, 0.25, 0.75)) for x in (simulated, actual, difference))
+    spreads = ["{:.2f} ({:.2f} to {:.2f})".format(*values) for values in quartiles]
+    middle, ends = mean_interval(np.arctanh(correlation))  # Fisher's z
+    largest = pearsonr(simulated, actual)
+    low, high = largest.confidence_interval()
+    over_time = "{:.2f} [{:.2f}, {:.2f}]".format(*np.tanh((middle, *ends)))
+    over_units = f"{largest.statistic:.2f} [{low:.2f}, {high:.2f}]"
+    within = str(int((difference <= NOTE_DIFFERENCE_DEG).sum()))
+    return " | ".join((COMPARED[k], *spreads, within, over_time, over_units))
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--units", type=int, default=DRAWN_UNITS)
+    parser.add_argument("--units", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     print("correction | simulated | actual | largest difference | r")
@@ -46,8 +55,9 @@ def main() -> int:
     print(
         f"\n{given.units} drawn: correction | simulated | actual | difference | within 0.15 deg | r over time | r over units"
     )
-    for row in drawn_cohort(units=given.units, seed=given.seed):
-        print(drawn_row(row))
+    errors = np.array([drawn_errors(DEVICE, given.seed, EXCURSION_K, number) for number in range(given.units)])
+    for k in range(len(COMPARED)):
+        print(drawn_row(errors, k))
     return 0
 
 

@@ -16,7 +16,7 @@ from undrift.study.figure3 import (
     COMPARED,
     Figure3,
     actual_device,
-    drawn_cohort,
+    drawn_errors,
     figure3,
     on_the_clock,
 )
@@ -73,51 +73,21 @@ def test_a_rest_before_the_motion_is_compared_and_beside_tables_it_takes_what_th
     assert typical.simulated_max_deg[4] < typical.simulated_max_deg[3] < typical.simulated_max_deg[0]
 
 
-def test_drawn_units_are_summarised_by_median_and_quartiles_of_each_correction(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_drawn_units_have_an_error_of_both_devices_for_each_correction(monkeypatch: pytest.MonkeyPatch) -> None:
     def known(device, *, rng, back):  # type: ignore[no-untyped-def]
         calibration = true_calibration(device, temp_c=25.0)  # no thermal fit: what is tested is the cohort
         return replace(calibration, drift=true_tables(device, np.array([20.0, 45.0]), np.radians([-200.0, 0.0, 200.0])))
 
     monkeypatch.setattr(figure3_module, "calibrated", known)
     monkeypatch.setattr(figure3_module, "WORN_S", 60.0)
-    told: list[tuple[int, int]] = []
-    rows = drawn_cohort(units=2, seed=1, advance=lambda done, total: told.append((done, total)))
-    assert told == [(1, 2), (2, 2)]
-    assert [row.correction for row in rows] == list(COMPARED)
-    assert all(row.units == 2 and row.lower_deg <= row.median_deg <= row.upper_deg for row in rows)
-    none, _, _, rest, both = rows
-    assert rest.median_deg < none.median_deg
-    assert both.median_deg < none.median_deg
-    assert rest.lower_deg < rest.upper_deg  # two units differ
-    for row in rows:
-        assert row.apart_deg[0] <= row.apart_deg[1] <= row.apart_deg[2]
-        assert row.within == sum(
-            apart <= NOTE_DIFFERENCE_DEG for apart in row.apart_deg[::2]
-        )  # of two, quartiles lie between
-        assert -1.0 <= row.correlation_interval[0] <= row.correlation <= row.correlation_interval[1] <= 1.0
-        assert np.isnan(row.largest_interval).all()  # four units or more
-    with pytest.raises(InputError, match=r"at least two .*got 1"):
-        drawn_cohort(units=1)
-
-
-def test_correlations_of_drawn_units_are_summarised_by_fishers_z() -> None:
-    rng = np.random.default_rng(8)
-    simulated = rng.normal(1.0, 0.3, 30)
-    actual, apart, correlation = (
-        simulated + rng.normal(0.0, 0.3, 30),
-        np.linspace(0.01, 0.3, 30),
-        np.tanh(rng.normal(1.0, 0.4, 30)),
-    )
-    row = figure3_module._drawn_row("full", simulated, actual, apart, correlation)
-    z = stats.ttest_1samp(np.arctanh(correlation), 0.0)
-    assert row.correlation_interval == pytest.approx(np.tanh(z.confidence_interval(0.95)), rel=1e-9)
-    assert row.correlation == pytest.approx(np.tanh(np.arctanh(correlation).mean()), rel=1e-12)
-    known = stats.pearsonr(simulated, actual)
-    assert row.largest_correlation == pytest.approx(known.statistic, rel=1e-12)
-    assert row.largest_interval == pytest.approx(known.confidence_interval(0.95), rel=1e-4)  # 1.96 is rounded
-    assert (row.within, row.apart_deg[1], row.units) == (15, pytest.approx(0.155), 30)
-    assert (row.lower_deg, row.median_deg, row.upper_deg) == tuple(np.percentile(actual, (25, 50, 75)))
-    assert row.simulated_deg == tuple(np.percentile(simulated, (25, 50, 75)))
+    errors = np.array([drawn_errors("enc03j_3031", 1, 12.5, number) for number in range(2)])
+    assert errors.shape == (2, 4, len(COMPARED))
+    simulated, actual, difference, correlation = errors.transpose(1, 0, 2)
+    none, _, _, rest, both = np.median(actual, axis=0)
+    assert max(rest, both) < none
+    assert (np.abs(simulated - actual) <= difference).all()
+    assert (np.abs(correlation) <= 1.0).all()
+    assert np.ptp(actual[:, 0]) > 0.0  # two units differ
 
 
 def test_errors_of_the_drift_are_correlated_and_noise_is_not_taken_for_it(typical: Figure3) -> None:

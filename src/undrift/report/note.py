@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undrift.study.figure3 import DrawnRow, Figure3
+    from undrift.study.figure3 import Figure3
 
 # ---- Figures 1 and 2: flows
 
@@ -219,9 +219,7 @@ FLOWS = {"note-figure-1.svg": draw_figure1, "note-figure-2.svg": draw_figure2}
 # ---- Figure 3
 
 
-def draw_figure3(
-    figure3: "Figure3", names: Sequence[str], rows: "Sequence[DrawnRow]" = (), twin: "Figure3 | None" = None
-) -> "Figure":
+def draw_figure3(figure3: "Figure3", names: Sequence[str]) -> "Figure":
     """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
     from matplotlib.lines import Line2D
 
@@ -233,13 +231,12 @@ def draw_figure3(
         difference.plot(figure3.time, figure3.actual[k] - figure3.simulated[k], **figures.compared_style(k))
     for limit in (-0.15, 0.15):
         difference.axhline(limit, color=figures.OPTICS, linewidth=0.7, linestyle=":")
-    _draw_largest(largest, figure3, rows, twin)
-    beside = ("diamond: typical unit", *(("bar: drawn units",) if rows else ()), *(("cross: twin",) if twin else ()))
+    _draw_largest(largest, figure3)
     for panel, label, title in (
         (pitch, "pitch (deg)", "sit-to-stand by the optics"),
         (error, "error (deg)", "error: actual solid, simulated dashed"),
         (difference, "difference (deg)", "actual minus simulated (dotted: 0.15 deg, from the note)"),
-        (largest, "largest error (deg)", "; ".join(beside)),
+        (largest, "largest error (deg)", "of the typical unit"),
     ):
         panel.set_ylabel(label)
         panel.set_title(title, loc="left", fontsize=_SIZE)
@@ -251,22 +248,13 @@ def draw_figure3(
     return figure
 
 
-def _draw_largest(panel: "Axes", figure3: "Figure3", rows: "Sequence[DrawnRow]", twin: "Figure3 | None") -> None:
-    """Draw the largest error of each compensation, for the simulated (left) and the actual device (right). Bars are
-    quartiles.
-    """
+def _draw_largest(panel: "Axes", figure3: "Figure3") -> None:
+    """Draw the largest error of each compensation, for the simulated (left) and the actual device (right)."""
     for k, colour in enumerate(figures.COMPARED_COLOURS):
-        spreads = (rows[k].simulated_deg, (rows[k].lower_deg, rows[k].median_deg, rows[k].upper_deg)) if rows else ()
         for side, name in enumerate(("simulated_max_deg", "actual_max_deg")):
             x, face = k + 0.36 * side - 0.18, colour if side else "white"
-            if spreads:
-                low, middle, high = spreads[side]
-                panel.bar(x, high - low, 0.3, bottom=low, facecolor=face, edgecolor=colour, alpha=0.55)
-                panel.plot([x - 0.15, x + 0.15], [middle, middle], color=figures.OPTICS)
             style: Any = {"markersize": 4.5, "markerfacecolor": face, "markeredgecolor": colour}
             panel.plot(x, getattr(figure3, name)[k], marker="D", **style)
-            if twin is not None:
-                panel.plot(x, getattr(twin, name)[k], marker="x", markersize=5.5, color=figures.OPTICS)
     panel.set_axisbelow(True)
     panel.set(
         yscale="log", xticks=range(len(figures.COMPARED_COLOURS)), xticklabels=[""] * len(figures.COMPARED_COLOURS)

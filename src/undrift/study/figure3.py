@@ -20,9 +20,7 @@ The model of the study is a unit without some effects, and the actual device is 
     g_sensitivity   rate reading under specific force                        as the kind of device has it
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -46,8 +44,7 @@ from undrift.study.case import WORN_S, on_the_clock
 from undrift.study.recorded import SAMPLE_RATE_HZ
 from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from undrift.validation.agreement import mean_interval
-from undrift.validation.levels import LEVEL_NAMES, LEVELS, NOTE_DIFFERENCE_DEG, judge_level
+from undrift.validation.levels import LEVEL_NAMES, LEVELS, judge_level
 from undrift.validation.trial import LEAD_S, TRIAL_SETTINGS, Trial
 
 # ---- the simulated and the actual device
@@ -177,84 +174,7 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
     )
 
 
-# ---- a drawn cohort beside the typical unit
-
-DRAWN_UNITS = 30
-Quartiles = tuple[float, float, float]  # lower quartile, median, upper quartile
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DrawnRow:
-    """Units drawn from the kind's spread, simulated and actual, with one of ``COMPARED``: errors over the acquisition."""
-
-    correction: str
-    units: int
-    # statistics of the largest pitch error of the actual device, deg
-    lower_deg: float  # quartile
-    median_deg: float
-    upper_deg: float  # quartile
-    simulated_deg: Quartiles  # As above, simulated device
-    apart_deg: Quartiles  # Largest difference between the two errors
-    within: int  # Units for which it is within the note's
-    correlation: float  # correlation of the two errors over the acquisition, mean over the units with Fisher's z
-    correlation_interval: tuple[float, float]  # 95 % interval over the units, or NaN with fewer than two
-    largest_correlation: float  # correlation of the two largest errors over the units
-    largest_interval: tuple[float, float]  # 95 % interval with Fisher's z, or NaN with fewer than four units
-    largest_deg: tuple[float, ...] = ()  # largest error of each unit's actual device, in the order of the units
-
-
-def drawn_cohort(
-    kind: str = "enc03j_3031",
-    *,
-    units: int = DRAWN_UNITS,
-    seed: int = 0,
-    excursion_k: float = 12.5,
-    spread: Callable[..., Any] = map,
-    advance: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[DrawnRow, ...]:
-    """Simulate both devices of the figure for random units, each on its person. ``advance`` receives units done and total."""
-    if units < 2:
-        raise InputError(f"drawn units: at least two are required for quartiles, got {units}. Use for example 30.")
-    work = partial(drawn_errors, kind, seed, excursion_k)
-    rows = np.empty((units, 4, len(COMPARED)))
-    for number, errors in enumerate(spread(work, range(units))):
-        rows[number] = errors
-        advance(number + 1, units)
-    return tuple(_drawn_row(name, *rows[:, :, k].T) for k, name in enumerate(COMPARED))
-
-
-def _drawn_row(
-    name: str, simulated: FloatArray, actual: FloatArray, difference: FloatArray, correlation: FloatArray
-) -> DrawnRow:
-    """Summarise a level of ``COMPARED`` over U units, from arrays (U,)."""
-    count = len(actual)
-    simulated_quartiles, actual_quartiles, difference_quartiles = (
-        _quartiles(x) for x in (simulated, actual, difference)
-    )
-    (middle, (low, high)), largest = mean_interval(np.arctanh(correlation)), float(np.corrcoef(simulated, actual)[0, 1])
-    ends = np.full(2, np.nan)  # not defined for two or three units
-    if count > 3:
-        ends = np.tanh(np.arctanh(largest) + 1.96 / np.sqrt(count - 3) * np.array((-1.0, 1.0)))
-    return DrawnRow(
-        correction=name,
-        units=count,
-        lower_deg=actual_quartiles[0],
-        median_deg=actual_quartiles[1],
-        upper_deg=actual_quartiles[2],
-        simulated_deg=simulated_quartiles,
-        apart_deg=difference_quartiles,
-        within=int((difference <= NOTE_DIFFERENCE_DEG).sum()),
-        correlation=float(np.tanh(middle)),
-        correlation_interval=(float(np.tanh(low)), float(np.tanh(high))),
-        largest_correlation=largest,
-        largest_interval=(float(ends[0]), float(ends[1])),
-        largest_deg=tuple(actual.tolist()),
-    )
-
-
-def _quartiles(values: FloatArray) -> Quartiles:
-    low, median, high = (float(q) for q in np.quantile(values, (0.25, 0.5, 0.75)))
-    return low, median, high
+# ---- units drawn from the spread of a kind
 
 
 def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> FloatArray:
