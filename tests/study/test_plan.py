@@ -102,3 +102,22 @@ def test_recorded_people_perform_their_own_motions(tmp_path):
     lengths = [perform(study, study.tasks[0], number)[0].duration_s for number in range(4)]
     assert len(set(lengths[:3])) == 3
     assert lengths[3] == lengths[0]
+
+
+def test_a_rate_below_one_count_of_the_encoder_in_a_tenth_of_a_second_is_refused(folder):
+    text = TEXT.replace(
+        "turn_rate_max_dps = [90.0, 50.0]", "turn_rate_min_dps = [0.05]\nturn_rate_step_dps = [0.005, 0.01]"
+    )
+    (folder / "study.toml").write_text(text)
+    with pytest.raises(FileFormatError, match="encoder"):
+        read_study(folder / "study.toml")
+    (folder / "study.toml").write_text(text.replace("level_deg = 0.2", "level_deg = 0.2\nencoder_lines = 100000"))
+    read_study(folder / "study.toml")
+
+
+def test_a_unit_without_assumed_figures_keeps_the_draws_of_the_others():
+    study = note_study()
+    unit, bare = study.unit(3), study.unit(3, assumed=False)
+    np.testing.assert_array_equal(unit.gyro.scale.error, bare.gyro.scale.error)  # known
+    assert unit.gyro.offset.per_k.any()
+    assert not bare.gyro.offset.per_k.any()  # assumed

@@ -15,7 +15,7 @@ from undrift.errors import InputError
 from undrift.study.case import EFFECTS
 from undrift.study.methods import MethodRow
 from undrift.study.plan import Parameter, Study, StudyTask, Timing
-from undrift.study.run import Run
+from undrift.study.run import SENSITIVITY_K, Run
 from undrift.study.sessions import CalibrationSession
 from undrift.study.statistics import Anova, adjust_holm, repeated_measures_anova
 from undrift.validation.agreement import MIN_PEOPLE, PairedDifference, decide_between, mean_interval
@@ -214,8 +214,8 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
         tasks.append(TaskOutcome(task=task, sessions=rows, answers=find_answers(study, [rows]), effects=effects))
     results_by_rise = dict[tuple[float, str, str], list[float]]()
     for run in runs:
-        if run.role == "sensitivity":
-            rise = run.excursion_k if run.excursion_k in _STATED_RISES else float("inf")
+        if run.role == "sensitivity" or (run.role, run.task) == ("session", study.tasks[0].key):
+            rise = run.excursion_k if run.excursion_k in SENSITIVITY_K else float("inf")
             results_by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
     sensitivity = tuple(
         (rise, offset, name, float(np.quantile(errors, QUANTILE, method="weibull")))
@@ -229,9 +229,6 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
         sensitivity=sensitivity,
         runs=tuple(runs),
     )
-
-
-_STATED_RISES = (0.0, 5.0, 20.0)
 
 
 def with_test(outcome: StudyOutcome, tested: Sequence[Run], effects: Sequence[Run]) -> StudyOutcome:

@@ -13,6 +13,7 @@ only on the accelerometers. According to the note, a static calibration is as go
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -33,10 +34,10 @@ from undrift.sim.device.presets import preset_grade
 from undrift.sim.device.simulate import draw_streams, simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration
 from undrift.sim.motion.poses import OpticsSettings, disturbed
-from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
+from undrift.study.case import pitch_errors_deg, stream
 from undrift.study.plan import NOTE_BENCH, Study
-from undrift.study.run import perform
-from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, calibrate_by, free_motion
+from undrift.study.run import StudyDevice
+from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, free_motion
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.agreement import mean_interval
 
@@ -182,32 +183,30 @@ def calibrate_rival(
     return _by_known_forces(rival, device, kind, streams)
 
 
-def _one_device(study: Study, number: int) -> list[tuple[str, list[float], float]]:
-    """Return each method with its errors in the tasks and of the tilt, deg, NaN if it could not calibrate the device."""
-    device = with_cutoff(study.unit(number), None)
-    streams = partial(stream, study.seed, study.group, "method", number)
-    truth = true_calibration(device, temp_c=ROOM_TEMP_C)
-    rise = 0.5 * sum(study.excursion_k)
-    cases = [
-        make_case(device, perform(study, task, number)[0], temp_c=ROOM_TEMP_C + rise, rng=streams(f"trial {task.key}"))
-        for task in study.tasks
-    ]
+def fit_rival(rival: Rival, device: StudyDevice) -> Calibration | None:
+    """Calibrate a device of a study by a rival. Return None if it cannot."""
+    streams = partial(stream, device.study.seed, device.study.group, "method", device.number)
+    with suppress(CalibrationError, AlignmentError):
+        return calibrate_rival(rival, device.worn, device.study.device, streams)
+    return None
+
+
+def _one_device(study: Study, number: int) -> list[tuple[list[float], float]]:
+    """Return the errors of each method in the tasks and of the tilt, deg, NaN if it could not calibrate the device."""
+    device = StudyDevice(study, number)
+    truth = true_calibration(device.worn, temp_c=ROOM_TEMP_C)
     rows = []
     for method in (*OWN, *RIVALS):
-        session = SESSIONS.get(method)
-        if session is not None and not session.suits(device):
-            rows.append((method, [float("nan")] * len(cases), float("nan")))
-            continue
-        try:
-            if session is not None:
-                calibration = calibrate_by(session, device, errors=study.bench, streams=streams)
-            else:
-                calibration = calibrate_rival(method, device, study.device, streams)  # type: ignore[arg-type]
-            errors = [pitch_errors_deg(case, calibration, study.offset)[0] for case in cases]
-        except (CalibrationError, AlignmentError):
-            rows.append((method, [float("nan")] * len(cases), float("nan")))
-            continue
-        rows.append((method, errors, _tilt_deg(calibration.accel, truth.accel)))
+        if method in SESSIONS:
+            calibration = device.calibration(SESSIONS[method])
+        else:
+            calibration = device.recall(method, partial(fit_rival, method, device))  # type: ignore[arg-type]
+        errors, tilt = [float("nan")] * len(study.tasks), float("nan")
+        if calibration is not None:
+            with suppress(CalibrationError):
+                errors = [pitch_errors_deg(device.cases(task)[0], calibration, study.offset)[0] for task in study.tasks]
+                tilt = _tilt_deg(calibration.accel, truth.accel)
+        rows.append((errors, tilt))
     return rows
 
 
@@ -230,8 +229,8 @@ def compare_methods(study: Study, spread: Callable[..., Iterator[Any]] = map, un
     devices = list(spread(partial(_one_device, study), range(units)))
     rows = []
     for place, method in enumerate((*OWN, *RIVALS)):
-        errors = np.array([device[place][1] for device in devices])
-        tilts = np.array([device[place][2] for device in devices])
+        errors = np.array([device[place][0] for device in devices])
+        tilts = np.array([device[place][1] for device in devices])
         valid = np.isfinite(errors).all(axis=1)
         means = [mean_interval(column[valid]) for column in errors.T]
         session = SESSIONS.get(method)

@@ -19,10 +19,10 @@ from annotated_types import Ge, Gt, MinLen
 
 from undrift.base.codec import read, stored, tree_of
 from undrift.errors import FileFormatError, InputError
-from undrift.programme import read_protocol
+from undrift.programme import Protocol, rate_grid, read_protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
-from undrift.sim.device.presets import PRESETS, preset, random_device_of
+from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device, without_assumed
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
 from undrift.study.case import OffsetRule, stream
 from undrift.study.recorded import MotionEntry, OwnMotion, recorded_motion
@@ -34,6 +34,7 @@ Timing = Literal["aligned", "real time"]
 DEVICE = "enc03j_3031"  # the note's
 MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
 SUBJECTS = 30
+COUNT_S = 0.1  # longest time between two counts of the encoder at a rate that a table can impose
 
 # Default of [study.bench]. Encoder and servo are from the note. All other values are assumed unless a source is given.
 NOTE_BENCH = BenchErrors(
@@ -138,6 +139,7 @@ class Study(Frame):
     sessions: tuple[CalibrationSession, ...] = tuple(SESSIONS.values())
     worn: str = ""  # text of a device.json for all subjects (empty: random units of ``device``)
     lab: tuple[tuple[str, Category], ...] = ()  # categories of a laboratory's own, by name
+    shipped: bool = False  # uses the shipped fits, after ``with_checked_fits``
 
     def __post_init__(self) -> None:
         keys = [task.key for task in self.tasks]
@@ -150,12 +152,30 @@ class Study(Frame):
             raise InputError(f"study: expected one or more sessions, each once, got {', '.join(names) or 'none'}.")
         if not self.excursion_k[0] <= self.excursion_k[1]:
             raise InputError(f"study: excursion_k must be least and greatest, got {self.excursion_k}.")
+        tried = (numbers.session() for task in self.tasks for *_, numbers in task.variations())
+        for session in (*self.sessions, *tried):
+            if session.protocol is not None and self.bench.encoder_lines:
+                self._check_rates(session.protocol)
 
-    def unit(self, number: int) -> DeviceModel:
-        """Return the device that a subject wears."""
+    def _check_rates(self, protocol: Protocol) -> None:
+        """Raise if the table would turn by less than one count of its encoder in 0.1 s."""
+        count_deg = 360.0 / (4.0 * self.bench.encoder_lines)
+        low, high, step = protocol.turn_rate_min, protocol.turn_rate_max, protocol.turn_rate_step
+        rates_dps = rate_grid(low, high, step, rule=protocol.grid) / RADIAN_PER_DEGREE
+        slowest = float(rates_dps[rates_dps > 0.0].min())
+        if slowest * COUNT_S < count_deg * (1.0 - 1e-9):
+            raise InputError(
+                f"study: {protocol.name} has a rate of {slowest:g} deg/s, less than one count ({count_deg:g} deg) of "
+                f"the table's encoder in {COUNT_S:g} s. The table cannot impose it: start at {count_deg / COUNT_S:g} deg/s."
+            )
+
+    def unit(self, number: int, *, assumed: bool = True) -> DeviceModel:
+        """Return the device that a subject wears, without the errors of assumed size if ``assumed`` is False."""
         if self.worn:
             return device_from_json(json.loads(self.worn))
-        return random_device_of(self.device, stream(self.seed, self.group, "device", number))
+        grade = preset_grade(self.device)
+        rng = stream(self.seed, self.group, "device", number)
+        return random_device(rng, grade=grade if assumed else without_assumed(grade))
 
     def typical_unit(self) -> DeviceModel:
         """Return the device of the study, or the typical unit of its kind."""

@@ -10,18 +10,20 @@ The unit of work is a device with its own seed, so the numbers do not depend on 
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
 from undrift.errors import CalibrationError, InputError
 from undrift.model import Calibration
-from undrift.sim.motion.tasks import Subject, Task, cohort, draw_task
+from undrift.sim.motion.tasks import Group, Kind, Task, cohort, draw_task
 from undrift.study.case import (
+    ASSUMED,
     EFFECTS,
     REST_S,
+    Case,
     EffectName,
     OffsetRule,
     device_without,
@@ -35,10 +37,11 @@ from undrift.study.recorded import RecordedTask, read_motion
 from undrift.study.sessions import (
     ROOM_TEMP_C,
     CalibrationSession,
-    add_tables,
     calibrate_before_soaks,
+    calibrate_by,
     calibrate_by_means,
 )
+from undrift.study.shipped import agree, device_text, key_of, pack, shipped_fits, unpack
 from undrift.validation.agreement import mean_interval
 
 # ---- executors
@@ -101,51 +104,83 @@ def perform(study: Study, task: StudyTask, number: int) -> list[Task | RecordedT
     """Return the trials that a subject performs: one drawn, or all recordings of a person."""
     if task.motion is not None:
         return [read_motion(motion) for motion in task.motion.of(number)]
-    people = cohort(
-        study.group, rng=stream(study.seed, "cohort", study.group, number // 30), category=study.kind(task.category)
-    )
-    subject: Subject = people[number % len(people)]
-    rng = stream(study.seed, study.group, "task", task.name, number)
-    return [draw_task(task.name, rng=rng, subject=subject, rest_s=REST_S)]  # type: ignore[arg-type]
+    return [_drawn(study.seed, study.group, task.name, study.kind(task.category), number)]
 
 
-class _Device:
-    """One device with its calibrations, each made once."""
+@lru_cache(maxsize=16)
+def _drawn(seed: int, group: Group, task: str, kind: Kind, number: int) -> Task:
+    people = cohort(group, rng=stream(seed, "cohort", group, number // 30), category=kind)
+    rng, subject = stream(seed, group, "task", task, number), people[number % len(people)]
+    return draw_task(task, rng=rng, subject=subject, rest_s=REST_S)  # type: ignore[arg-type]
+
+
+class StudyDevice:
+    """One device with its calibrations and trials, each made once."""
 
     def __init__(self, study: Study, number: int, without: EffectName | None = None) -> None:
         self.study, self.number = study, number
-        unit = study.unit(number)
+        unit = study.unit(number, assumed=without != ASSUMED)
         self.model = unit if without is None else device_without(unit, without)
+        self.worn = with_cutoff(self.model, None)
+        self.text = device_text(self.worn)
         self.aligned = without != "delay"
+        self.rise_k = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
+        self.streams = partial(stream, study.seed, study.group, "bench", number)
         self._calibrations: dict[str, Calibration | None] = {}
         self._before_soaks: dict[CalibrationSession, Calibration] = {}
         self._performed: dict[str, list[Task | RecordedTask]] = {}
+        self._cases: dict[tuple[str, float | None, float], list[Case]] = {}
+
+    def key(self, session: CalibrationSession | str) -> int:
+        """Return the key of the fit of a session, or of a rival by its name."""
+        study = self.study
+        fit = study.fit if isinstance(session, CalibrationSession) and session.kind == "table" else "product"
+        return key_of(self.text, session, study.bench, fit, study.seed, study.group, self.number)
 
     def calibration(self, session: CalibrationSession) -> Calibration | None:
-        """Calibrate the device with a session. Return None if the session cannot calibrate it."""
-        if session.name not in self._calibrations:
-            self._calibrations[session.name] = None
-            if session.suits(self.model):
-                with suppress(CalibrationError):
-                    self._calibrations[session.name] = self._calibrate(session)
-        return self._calibrations[session.name]
+        """Return the fit of a session. Return None if the session cannot calibrate the device."""
+        return self.recall(session, partial(self.fit, session))
 
-    def _calibrate(self, session: CalibrationSession) -> Calibration:
-        study, device = self.study, with_cutoff(self.model, None)
-        streams = partial(stream, study.seed, study.group, "bench", self.number)
-        how: dict[str, Any] = {"errors": study.bench, "streams": streams, "fit": study.fit}
-        if session.by_means and session.protocol:
-            return calibrate_by_means(session.protocol, device, **how)
-        stage = session.at_one_temperature
-        if stage not in self._before_soaks:
-            self._before_soaks[stage] = calibrate_before_soaks(stage, device, **how)
-        return add_tables(session, self._before_soaks[stage], device, **how)
+    def recall(self, session: CalibrationSession | str, fit: Callable[[], Calibration | None]) -> Calibration | None:
+        """Return the shipped fit of a session, or of a rival by its name. Without one, make the fit once."""
+        name = session if isinstance(session, str) else session.name
+        if name not in self._calibrations:
+            shipped = shipped_fits().get(self.key(session)) if self.study.shipped else None
+            self._calibrations[name] = fit() if shipped is None else unpack(shipped, self.worn, ROOM_TEMP_C)
+        return self._calibrations[name]
 
-    def perform(self, task: StudyTask) -> list[Task | RecordedTask]:
-        """Return the trials of the device's person."""
-        if task.key not in self._performed:
-            self._performed[task.key] = perform(self.study, task, self.number)
-        return self._performed[task.key]
+    def fit(self, session: CalibrationSession) -> Calibration | None:
+        """Record a session and fit it. Return None if the session cannot calibrate the device."""
+        how: dict[str, Any] = {"errors": self.study.bench, "streams": self.streams, "fit": self.study.fit}
+        if not session.suits(self.model):
+            return None
+        with suppress(CalibrationError):
+            if session.by_means and session.protocol:
+                return calibrate_by_means(session.protocol, self.worn, **how)
+            stage = session.at_one_temperature
+            if stage not in self._before_soaks:
+                self._before_soaks[stage] = calibrate_before_soaks(stage, self.worn, **how)
+            return calibrate_by(session, self.worn, before_soaks=self._before_soaks[stage], **how)
+        return None
+
+    def cases(self, task: StudyTask, *, cutoff_hz: float | None = None, excursion_k: float | None = None) -> list[Case]:
+        """Return the trials of the device's person in a task."""
+        rise = self.rise_k if excursion_k is None else excursion_k
+        key = task.key, cutoff_hz, rise
+        if key not in self._cases:
+            if task.key not in self._performed:
+                self._performed[task.key] = perform(self.study, task, self.number)
+            self._cases[key] = [
+                make_case(
+                    with_cutoff(self.model, cutoff_hz),
+                    performed,
+                    temp_c=ROOM_TEMP_C + rise,
+                    rng=stream(self.study.seed, self.study.group, "noise", task.name, self.number, place),
+                    aligned=self.aligned,
+                )
+                for place, performed in enumerate(self._performed[task.key])
+            ]
+        return self._cases[key]
 
     def runs(
         self,
@@ -155,76 +190,68 @@ class _Device:
         *,
         cutoff_hz: float | None = None,
         excursion_k: float | None = None,
-        offsets: Sequence[OffsetRule] = (),
+        offset: OffsetRule | None = None,
     ) -> Iterator[Run]:
         """Yield the errors of a task for each session. All sessions use the same trials."""
-        study = self.study
-        rise = float(stream(study.seed, study.group, "temperature", self.number).uniform(*study.excursion_k))
-        rise = rise if excursion_k is None else excursion_k
-        device = with_cutoff(self.model, cutoff_hz)
-        cases = [
-            make_case(
-                device,
-                performed,
-                temp_c=ROOM_TEMP_C + rise,
-                rng=stream(study.seed, study.group, "noise", task.name, self.number, place),
-                aligned=self.aligned,
-            )
-            for place, performed in enumerate(self.perform(task))
-        ]
+        cases = self.cases(task, cutoff_hz=cutoff_hz, excursion_k=excursion_k)
+        rule = offset or self.study.offset
         for session in sessions:
-            calibration = self.calibration(session)
-            for offset in offsets or (study.offset,):
-                errors = np.full(3, np.nan)
-                if calibration is not None:
-                    with suppress(CalibrationError):  # such as accelerometers that do not measure gravity
-                        errors = np.mean([pitch_errors_deg(case, calibration, offset) for case in cases], axis=0)
-                yield Run(
-                    task=task.key, subject=self.number, session=session.name, excursion_k=rise, offset=offset, role=role,
-                    cutoff_hz=float("nan") if cutoff_hz is None else cutoff_hz,
-                    rms_deg=float(errors[0]), real_time_deg=float(errors[1]), largest_deg=float(errors[2]),
-                )  # fmt: skip
+            calibration, errors = self.calibration(session), np.full(3, np.nan)
+            if calibration is not None:
+                with suppress(CalibrationError):  # such as accelerometers that do not measure gravity
+                    errors = np.mean([pitch_errors_deg(case, calibration, rule) for case in cases], axis=0)
+            yield Run(
+                task=task.key, subject=self.number, session=session.name, offset=rule, role=role,
+                excursion_k=self.rise_k if excursion_k is None else excursion_k,
+                cutoff_hz=float("nan") if cutoff_hz is None else cutoff_hz,
+                rms_deg=float(errors[0]), real_time_deg=float(errors[1]), largest_deg=float(errors[2]),
+            )  # fmt: skip
 
 
 def run_device(study: Study, number: int) -> list[Run]:
     """Run one device: all sessions in all tasks, the variations of the note's numbers, and the sensitivity in the first task."""
-    device, runs = _Device(study, number), list[Run]()
+    device, runs = StudyDevice(study, number), list[Run]()
     for task in study.tasks:
         runs += device.runs(task, study.sessions, "session")
-        tried = dict[tuple[str, float], None]()
-        for _, _, numbers in task.variations():
-            session = numbers.session()
-            if (session.name, numbers.cutoff_hz) not in tried:
-                tried[session.name, numbers.cutoff_hz] = None
-                runs += device.runs(task, (session,), "try", cutoff_hz=numbers.cutoff_hz)
+        tried = dict.fromkeys((numbers.session(), numbers.cutoff_hz) for _, _, numbers in task.variations())
+        for session, cutoff_hz in tried:
+            runs += device.runs(task, (session,), "try", cutoff_hz=cutoff_hz)
     first = study.tasks[0]
     for rise in SENSITIVITY_K:
-        runs += device.runs(first, study.sessions, "sensitivity", excursion_k=rise, offsets=("rest", "none"))
-    runs += device.runs(first, study.sessions, "sensitivity", offsets=("rest", "none"))
+        runs += device.runs(first, study.sessions, "sensitivity", excursion_k=rise)
+    runs += device.runs(first, study.sessions, "sensitivity", offset="rest" if study.offset == "none" else "none")
     return runs
 
 
 def run_effects(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
-    """Run one device again with one kind of error switched off at a time, for chosen pairs of task and session."""
-    runs = list[Run]()
-    sessions_by_name = {session.name: session for session in study.sessions}
-    for effect in EFFECTS:
-        device = _Device(study, number, effect)
-        for task in study.tasks:
-            for key, name in chosen:
-                if key == task.key:
-                    runs += device.runs(task, (sessions_by_name[name],), effect)
-    return runs
+    """Run one device again with one kind of error, or all assumed ones, switched off, for chosen pairs of task and session."""
+    effects = [effect for effect in EFFECTS if not (study.worn and effect == ASSUMED)]
+    return [run for effect in effects for run in _chosen(StudyDevice(study, number, effect), chosen, effect)]
 
 
 def run_chosen(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
     """Run one device of the other group by chosen sessions only."""
-    device, runs = _Device(study, number), list[Run]()
-    sessions_by_name = {session.name: session for session in study.sessions}
-    for task in study.tasks:
+    return [*_chosen(StudyDevice(study, number), chosen, "testing")]
+
+
+def _chosen(device: StudyDevice, chosen: tuple[tuple[str, str], ...], role: str) -> Iterator[Run]:
+    sessions_by_name = {session.name: session for session in device.study.sessions}
+    for task in device.study.tasks:
         sessions = [sessions_by_name[name] for key, name in dict.fromkeys(chosen) if key == task.key]
-        runs += device.runs(task, sessions, "testing")
-    return runs
+        yield from device.runs(task, sessions, role)
+
+
+def _agrees(study: Study, session: CalibrationSession) -> bool:
+    device = StudyDevice(study, 0)
+    shipped = shipped_fits().get(device.key(session))
+    return shipped is None or agree(pack(device.fit(session)), shipped)
+
+
+def with_checked_fits(study: Study, spread: Callable[..., Iterator[Any]]) -> Study:
+    """Return the study with its rule for shipped fits: used if those of device 0 are the ones that this code makes."""
+    longest_first = sorted(study.sessions, key=lambda session: -session.length_min)
+    usable = study.offset != "motion" and bool(shipped_fits())
+    return replace(study, shipped=usable and all([*spread(partial(_agrees, study), longest_first)]))
 
 
 # ---- all devices

@@ -18,13 +18,14 @@ from typing import Literal
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate, calibrate_from_motion
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.six_face import FaceMeans, fit_six_face
-from undrift.calibration.table import DwellMeans
+from undrift.calibration.table import DwellMeans, imposed_rates
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.offset import StaticSettings
-from undrift.model import Calibration
+from undrift.model import Calibration, Sensor, TriadModel
 from undrift.programme import Protocol, programme_of, rate_grid
 from undrift.record import FACES, Record
 from undrift.sim.bench_errors import BenchErrors, draw_bench
@@ -168,14 +169,29 @@ Streams = Callable[[str], np.random.Generator]
 
 
 def calibrate_by(
-    session: CalibrationSession, device: DeviceModel, *, errors: BenchErrors, streams: Streams, fit: Fit = "product"
+    session: CalibrationSession,
+    device: DeviceModel,
+    *,
+    errors: BenchErrors,
+    streams: Streams,
+    fit: Fit = "product",
+    before_soaks: Calibration | None = None,
 ) -> Calibration:
-    """Record a session with a simulated device and fit it.
+    """Record a session with a simulated device and fit it. A session without soaks has no tables over temperature.
 
-    ``streams`` returns the generator of a name. Raises CalibrationError if the session cannot calibrate the device.
+    ``streams`` returns the generator of a name, and ``before_soaks`` is the fit of the part at one temperature if it was made
+    already. Raises CalibrationError if the session cannot calibrate the device.
     """
-    calibration = calibrate_before_soaks(session, device, errors=errors, streams=streams, fit=fit)
-    return add_tables(session, calibration, device, errors=errors, streams=streams, fit=fit)
+    calibration = before_soaks or calibrate_before_soaks(session, device, errors=errors, streams=streams, fit=fit)
+    protocol = session.protocol
+    if protocol is None or not protocol.temperatures_c:
+        return calibration
+    thermal = ThermalSettings(bench=_bench(session, errors), set_points_c=protocol.temperatures_c)
+    soaks = simulate_thermal_session("soak", device, rng=streams("chamber"), settings=thermal)
+    choices = DriftSettings()
+    if fit == "paper":
+        choices = replace(choices, static=StaticSettings(not_a_knot=True), tables="scale + dynamic")
+    return fit_drift((soaks,), calibration, settings=choices).calibration
 
 
 def calibrate_before_soaks(
@@ -194,27 +210,6 @@ def calibrate_before_soaks(
         power_on_s=SETTLED_S,
     )  # fmt: skip
     return calibrate(recorded, mode=mode)
-
-
-def add_tables(
-    session: CalibrationSession,
-    calibration: Calibration,
-    device: DeviceModel,
-    *,
-    errors: BenchErrors,
-    streams: Streams,
-    fit: Fit = "product",
-) -> Calibration:
-    """Record the soaks of a session and fit the tables over temperature. A session without soaks has no tables."""
-    protocol = session.protocol
-    if protocol is None or not protocol.temperatures_c:
-        return calibration
-    thermal = ThermalSettings(bench=_bench(session, errors), set_points_c=protocol.temperatures_c)
-    soaks = simulate_thermal_session("soak", device, rng=streams("chamber"), settings=thermal)
-    choices = DriftSettings()
-    if fit == "paper":
-        choices = replace(choices, static=StaticSettings(not_a_knot=True), tables="scale + dynamic")
-    return fit_drift((soaks,), calibration, settings=choices).calibration
 
 
 def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
@@ -260,7 +255,7 @@ def calibrate_by_means(
         axis=tuple("xyz"[axis] for axis in turns.axis[turning]),  # type: ignore[misc]
         unit=device.gyro.unit,
     )
-    gyro = fit_rate_table(means, mode="paper" if fit == "paper" else "affine").model
+    gyro = paper_model(means) if fit == "paper" else fit_rate_table(means).model
     face_normals = streams("faces").standard_normal((6, 3, numbers_of_dwell(device.accel)))
     rest_mask = mean_readings(device, "accel", impose_faces(faces, errors, draws), face_normals, faces.face)
     face_means = FaceMeans(reading=rest_mask, faces=tuple(FACES[face] for face in faces.face), unit=device.accel.unit)
@@ -271,6 +266,20 @@ def calibrate_by_means(
         gyro=replace(gyro, offset=gyro.offset + offset),
         accel=fit_six_face(face_means, gravity=STANDARD_GRAVITY, mode="affine").model,
     )
+
+
+def paper_model(means: DwellMeans) -> TriadModel:
+    """Return the note's matrix L S' (S S')^-1 of dwells, without the covariance that a study does not use."""
+    solver = means.reading @ np.linalg.inv(means.reading.T @ means.reading)
+    return bare_model("gyro", means.unit, imposed_rates(means, None).T @ solver, np.zeros(3))
+
+
+def bare_model(sensor: Sensor, unit: str, matrix: FloatArray, offset: FloatArray) -> TriadModel:
+    """Return a model of its values only: it has no uncertainty."""
+    return TriadModel(
+        method="study", unit_in=unit, unit_out="rad/s" if sensor == "gyro" else "m/s2", matrix=matrix, offset=offset,
+        covariance=np.zeros((12, 12)), rms_residual=np.nan, count=0, rank=12, condition=np.nan, valid_range=(np.nan, np.nan),
+    )  # fmt: skip
 
 
 PACES = (1.0, 0.7, 0.5, 0.35, 0.25)

@@ -126,6 +126,16 @@ def preset_grade(name: str) -> Grade:
     return _grade(name)
 
 
+def without_assumed(grade: Grade) -> Grade:
+    """Return the spread of a preset without the errors whose size is assumed; the draws of all other errors stay the same."""
+    sides: dict[str, TriadGrade] = {}
+    for side, triad in (("gyro", grade.gyro), ("accel", grade.accel)):
+        figures = _BOOK["assumed"][side].get(grade.name, ())
+        without: dict[str, Any] = {_BOOK["figures"].get(figure, (figure,))[0]: 0.0 for figure in figures}
+        sides[side] = replace(triad, **without)
+    return replace(grade, gyro=sides["gyro"], accel=sides["accel"])
+
+
 def sensitivity_of(name: str) -> TemperatureSensitivity:
     """Return the temperature sensitivity of a kind of device. With a limit a, var = 1 - 2 a phi(a) / erf(a / sqrt 2)."""
     grade = preset_grade(name)

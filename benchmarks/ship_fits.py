@@ -1,0 +1,79 @@
+"""Make the fits that ship with the package (study/shipped.py): ``python -m benchmarks.ship_fits [STUDY ...] [--sessions ...]``.
+
+The note's study, with the effects, rivals and short sessions of the other group, then each preset by the sessions of a default
+study. Fits in the file are kept if those of device 0 agree. All of them take an hour of two processors. The file is written after
+each study.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+import undrift
+from undrift.sim.device.presets import PRESETS
+from undrift.study.case import EFFECTS
+from undrift.study.methods import RIVALS, fit_rival
+from undrift.study.plan import SUBJECTS, Study, StudyTask, note_study
+from undrift.study.run import StudyDevice, executor, with_checked_fits
+from undrift.study.sessions import SESSIONS, CalibrationSession
+from undrift.study.shipped import Values, pack, shipped_fits, write_fits
+
+SHORT_MIN = 60.0
+EFFECT_DEVICES = 10
+
+
+def studies() -> Iterator[Study]:
+    """Return the note's study and the default study of each preset."""
+    yield note_study()
+    for name in PRESETS:
+        yield Study(name=name, device=name, tasks=(StudyTask(name="sit_to_stand"),))
+
+
+def fits_of_device(study: Study, number: int) -> dict[int, Values]:
+    """Return the fits of a device by their key; in the note's study, of its variations, effects, rivals and other group too."""
+    short = [session for session in study.sessions if session.length_min < SHORT_MIN]
+    tried = dict.fromkeys(numbers.session() for task in study.tasks for _, _, numbers in task.variations())
+    device = StudyDevice(study, number)
+    fits = _fits(device, (*study.sessions, *tried))
+    if tried:
+        fits |= _fits(StudyDevice(study.other(), number), short)
+    if tried and number < EFFECT_DEVICES:
+        for effect in EFFECTS:
+            fits |= _fits(StudyDevice(study, number, effect), short)
+        fits |= {device.key(rival): values for rival in RIVALS if (values := pack(fit_rival(rival, device)))}
+    return fits
+
+
+def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[int, Values]:
+    known = shipped_fits() if device.study.shipped else {}
+    wanted = {device.key(session): session for session in sessions if session.suits(device.model)}
+    packed = {key: known.get(key) or pack(device.fit(session)) for key, session in wanted.items()}
+    return {key: values for key, values in packed.items() if values is not None}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="note, or presets; all if not given")
+    parser.add_argument("--sessions", nargs="*", default=[*SESSIONS], help="sessions to fit; all if not given")
+    parser.add_argument("--devices", type=int, default=SUBJECTS)
+    given = parser.parse_args()
+    fits = dict(shipped_fits())
+    for study in studies():
+        if given.names and study.name not in given.names:
+            continue
+        start = time.perf_counter()
+        study = replace(study, sessions=tuple(SESSIONS[name] for name in given.sessions))
+        with executor() as spread:
+            study = with_checked_fits(study, spread)
+            for made in spread(partial(fits_of_device, study), range(given.devices)):
+                fits |= made
+        write_fits(fits, {"undrift": undrift.__version__, "seed": str(study.seed)})
+        print(f"{study.name}: {len(fits)} fits in the file, {time.perf_counter() - start:.0f} s", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
