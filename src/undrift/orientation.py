@@ -115,7 +115,7 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
 
 
 def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, FloatArray], heading: float) -> Tilt:
-    """Return the tilt that a specific force (3,) shows, by its covariances (3, 3), source by source."""
+    """Return the tilt from a specific force (3,), with its covariances (3, 3) by source."""
     from scipy.special import chdtri
 
     length = float(np.linalg.norm(mean))
@@ -137,7 +137,7 @@ def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, Float
 
 
 def shortest_rotation_up(force: FloatArray) -> FloatArray:
-    """Return the shortest rotation (4,) that takes a vector (3,) to n's z."""
+    """Return the shortest rotation (4,) that turns a vector (3,) to the z axis of n."""
     x, y, z = force / np.linalg.norm(force)
     level = math.hypot(x, y)
     if z > -0.5:
@@ -153,7 +153,7 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
 
 
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
-    """Refuse a rate (N, 3) with gaps: no orientation can be carried over one."""
+    """Refuse a rate (N, 3) with gaps, because the orientation after a gap is unknown."""
     gap = np.asarray(~np.isfinite(gyro_b).all(axis=1))
     if gap.any():
         start, stop = runs(gap)[0]
@@ -358,7 +358,7 @@ def orient_unchecked(
     *,
     gyro_model: TriadModel | None = None,
 ) -> Orientation:
-    """Find the orientation of a record whose columns are known to be right."""
+    """Determine the orientation of a record without checking its columns."""
     full_record = record.in_si()
     check_whole(full_record)
     _check_field(full_record, settings)
@@ -458,7 +458,7 @@ def _offset_uncertainty(
 
 
 def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
-    """Return that the device moved in the stretch that gives tilt and offset: rates that vary, or gravity that turns."""
+    """Return a finding if the device moved during the rest for tilt and offset: rates vary, or gravity turns."""
     if record.gyro is None or record.accel is None:
         return ()
     gyro, accel = record.gyro[still.start : still.stop], record.accel[still.start : still.stop]
@@ -475,7 +475,7 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
 
 
 def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
-    """Return the angle by which strapdown is off at the end that is farther from the rest, or from the first sample."""
+    """Return a finding with the expected error of strapdown at the end farther from the rest, or from the first sample."""
     time, tried = record.time, "rest" if offset == "none" and not rested else offset
     tried = "motion" if offset == "none" and record.offset_uncertainty is not None else tried
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
@@ -526,7 +526,7 @@ def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
 
 
 def _check_field(record: Record, settings: OrientSettings) -> None:
-    """Raise where a magnetometer is asked for that the record has not, or that the settings have no use for."""
+    """Raise if a magnetometer is requested that the record lacks, or that the settings cannot use."""
     if settings.magnetometer and (settings.method != "vqf" or settings.heading != 0.0 or record.mag_ut is None):
         got = "no readings" if record.mag_ut is None else f"{settings.method}, heading {settings.heading:.3g} rad"
         raise InputError(
@@ -539,7 +539,7 @@ _MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes
 
 
 def check_whole(record: Record) -> None:
-    """Raise where readings are missing for longer than a motion can be bridged, or where an axis is dead."""
+    """Raise if a gap is too long to be bridged, or if an axis is dead."""
     time, gyro = record.time, record.gyro
     if gyro is None:
         raise InputError("orient: no gyroscope readings. Map the gyroscope columns.")

@@ -95,7 +95,7 @@ def read_rate_log(path: str | Path) -> RateLog:
 
 
 def align_clocks(log: RateLog, record: Record) -> LagLine:
-    """Find how late the recording is against the log, as a line over the time of the log."""
+    """Determine the lag of the recording behind the log, as a line over the time of the log."""
     if record.gyro is None:
         raise InputError(f"{log.name}: the recording has no gyroscope to align the log by. Map its columns.")
     step = np.diff(log.time)
@@ -121,7 +121,7 @@ def align_clocks(log: RateLog, record: Record) -> LagLine:
 
 
 def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple[tuple[LoggedTurn, ...], int]:
-    """Return the steady dwells of a log on the recordings, and how many were left out as too uncertain or not recorded."""
+    """Return the steady dwells of a log on the recordings, and the number of omitted dwells (uncertain or not recorded)."""
     turns, missed, senses = list[LoggedTurn](), 0, dict[float, str]()
     for start, stop in steady_stretches(log):
         turn_rate, uncertainty = _achieved(log, start, stop)
@@ -147,7 +147,7 @@ def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple
 
 
 def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
-    """Return start and stop, on the clock of the log, of the stretches at one rate, rest left out."""
+    """Return start and stop, on the clock of the log, of the stretches at a constant rate, without rest."""
     step = np.diff(log.time)
     typical = float(np.median(step))
     width = max(1, round(0.2 / typical))

@@ -97,7 +97,7 @@ class StillThreshold:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StillSearch:
-    """Still phases and how they were separated from motion."""
+    """Still phases, and the thresholds that separate them from motion."""
 
     stills: tuple[Still, ...]  # in order of time, without faces
     thresholds: tuple[StillThreshold, ...]  # one for each triad of the record
@@ -167,14 +167,14 @@ class _Moments:
 
     @cached_property
     def white(self) -> float:
-        """Spread that white noise leaves after smoothing, from the steps between samples in the quietest windows."""
+        """Spread of white noise after smoothing, from the steps between samples in the quietest windows."""
         steps = np.diff(self.values, axis=0)
         _, spread = sliding_moments(steps, min(self.window, len(steps)), 1)
         return float(_floor(spread) / np.sqrt(2.0 * self.smooth))
 
     @cached_property
     def quantisation(self) -> float:
-        """Spread that rounding leaves after smoothing, from the smallest steps between readings."""
+        """Spread of rounding errors after smoothing, from the smallest steps between readings."""
         steps = np.abs(np.diff(self.values, axis=0))
         steps = steps[steps > 0.0]
         return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(self.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
@@ -336,7 +336,7 @@ _BREAKS = 0.1
 
 
 def unpadded(record: Record) -> Record:
-    """Return a record without the rows that repeat its first or last reading where others never repeat so long."""
+    """Return a record without the rows at its ends that repeat a reading for longer than anywhere else."""
     triads = [values for values in (record.gyro, record.accel) if values is not None]
     least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
     ends = (slice(0, least + 1), slice(-least - 1, None))
@@ -503,7 +503,7 @@ def _directions(records: Sequence[Record], searches: Sequence[StillSearch]) -> F
 
 
 def _count_poses(directions: FloatArray) -> int:
-    """Return how many poses the stills contain, by their directions (P, 3): neighbours that point alike are one."""
+    """Return the number of poses of stills, from their directions (P, 3): neighbours with similar directions are one pose."""
     count, last = 0, np.zeros(3)
     for up in directions:
         if up @ last < _SAME:
@@ -512,7 +512,7 @@ def _count_poses(directions: FloatArray) -> int:
 
 
 def _points_everywhere(directions: FloatArray) -> bool:
-    """Return True if stills, by their directions (P, 3), lie on all six faces, or in nine poses all around."""
+    """Return True if stills, from their directions (P, 3), are on all six faces, or in nine poses in all directions."""
     distinct = list[FloatArray]()
     for up in directions:
         if all(up @ other < _APART for other in distinct):
@@ -532,7 +532,7 @@ _FACE_DEG = 15.0  # a face is this near to the vertical
 
 
 def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
-    """Return the mean reading (P, 3) of each still phase, gaps left out."""
+    """Return the mean reading (P, 3) of each still phase without gaps."""
     for still in stills:
         if np.isnan(values[still.start : still.stop]).all(axis=0).any():
             raise InputError(
@@ -657,7 +657,7 @@ def _axis(reading: FloatArray, least_share: float = 0.0) -> Axis | None:
 def _steady_stretches(
     rate: FloatArray, spread: FloatArray, floor: float, stills: Sequence[Still], count: int, sample_rate_hz: float
 ) -> Iterator[tuple[int, int]]:
-    """Yield start and stop of the plateaus in a record of so many samples, by the mean rate (M, 3) and spread (M,) of windows."""
+    """Yield start and stop of the plateaus in a record, from the mean rate (M, 3) and spread (M,) of windows."""
     edge, size = (count - len(rate)) // 2, np.linalg.norm(rate, axis=1)
     steady = (size > _LEAST_FLOORS * floor) & (spread <= np.maximum(_STEADINESS * size, 4.0 * floor))
     for still in stills:

@@ -173,7 +173,7 @@ NEAR_FRAME_S = 2e-5  # a sample this close to a frame may lie on either side of 
 
 
 def native_poses(reference: Reference) -> Reference:
-    """Return the frames that the instrument took, if the reference was drawn on straight lines between them."""
+    """Return the frames of the instrument, if the reference was interpolated linearly between them."""
     rates = pose_rates(reference)
     repeats, share = _repeats(rates)
     if share < LEAST_REPEATS:
@@ -264,7 +264,7 @@ class Lag:
 
 
 def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Lag:
-    """Find how late the readings of a gyroscope are against poses of the same body."""
+    """Determine the lag of gyroscope readings behind poses of the same body."""
     if record.gyro is None:
         raise InputError("lag: the record has no gyroscope. Map its columns.")
     return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), settings)
@@ -425,7 +425,7 @@ def in_step(
 
 
 def padding(full_record: Record, record: Record) -> tuple[Finding, ...]:
-    """Return what ``segments.unpadded`` left out of a record."""
+    """Return a finding about rows that ``segments.unpadded`` removed from a record."""
     padded_s = full_record.duration_s - record.duration_s
     return (finding("recording.padded", "info", padded_s=padded_s),) if len(record) < len(full_record) else ()
 

@@ -177,7 +177,7 @@ def calibrated(
     mode: Mode | None = None,
     settings: CalibrateSettings = CalibrateSettings(),
 ) -> tuple[Calibration, Observed]:
-    """Calibrate a device from a session, and return the rests and turns that were found in it as well."""
+    """Calibrate a device from a session, and also return the detected rests and turns."""
     check_choice(accel, AccelFit | None, "calibrate", "accel")
     check_choice(gyro, GyroFit | None, "calibrate", "gyro")
     check_choice(mode, Mode | None, "calibrate", "mode")
@@ -540,7 +540,7 @@ def calibrate_from_motion(
 
 
 def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
-    """Calibrate from the motion in a session, and return with it the fit: offsets of each recording, what disturbed it."""
+    """Calibrate from the motion in a session, and also return the fit with the offset of each recording."""
     _check_raw(session.records)
     stretches = [stretch for record in in_one_unit(session).records for stretch in without_gaps(record)]
     records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
@@ -583,7 +583,7 @@ def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = Fa
 
 
 def _rate_in_motion(record: Record, fit: InMotion, number: int) -> FloatArray:
-    """Return the corrected rate (N, 3), rad/s, of a recording whose offset the fit has found."""
+    """Return the corrected rate (N, 3), rad/s, of a recording with a fitted offset."""
     return np.asarray((np.asarray(record.gyro) - fit.offsets[number]) @ fit.gyro.model.matrix.T)
 
 

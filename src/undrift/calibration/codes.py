@@ -116,7 +116,7 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
 
 
 def _swept_codes(column: FloatArray, step: float) -> FloatArray:
-    """Return how often each code near zero occurs while the reading sweeps through zero."""
+    """Count each code near zero while the reading sweeps through zero."""
     codes = np.round(column / step)
     # NaN next to a gap, which does not count as motion
     travelled = np.abs(codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES])
@@ -129,7 +129,7 @@ def _swept_codes(column: FloatArray, step: float) -> FloatArray:
 
 
 def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) -> FloatArray:
-    """Return readings (N, 3) corrected for the half step that the rounding took: lsb (3,)."""
+    """Return readings (N, 3) corrected for the half step that truncation removed, with steps lsb (3,)."""
     if rounding == "nearest":
         return values
     direction = np.sign(values) * (np.abs(values) > 0.5 * lsb) if rounding == "toward_zero" else 1.0
@@ -137,7 +137,7 @@ def without_truncation(values: FloatArray, lsb: FloatArray, rounding: Rounding) 
 
 
 def restored_gyro(gyro: FloatArray, adc: AdcModel | None) -> FloatArray:
-    """Return gyroscope readings (N, 3) corrected for the half steps that the rounding took."""
+    """Return gyroscope readings (N, 3) corrected for the half steps that truncation removed."""
     return gyro if adc is None or adc.gyro_lsb is None else without_truncation(gyro, adc.gyro_lsb, adc.gyro_rounding)
 
 
@@ -161,7 +161,7 @@ MAX_SHARE = 0.5  # largest share of a variance, because the rounding error is no
 
 
 def code_steps(records: Sequence[Record], *, rate: bool) -> FloatArray:
-    """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), NaN if readings lie on no grid."""
+    """Return the step between neighbouring codes of each gyroscope or accelerometer (3,), or NaN without a grid."""
     return _steps([values for record in records if (values := record.gyro if rate else record.accel) is not None])
 
 
@@ -187,7 +187,7 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
 
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
-    """Return the standard deviation (3,) that rounding leaves in a mean at rest: all readings and those at rest, (N, 3) each."""
+    """Return the standard deviation (3,) of a mean at rest due to rounding, from all readings and those at rest, (N, 3) each."""
     return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0)))
 
 

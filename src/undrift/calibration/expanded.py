@@ -53,7 +53,7 @@ def gravity_uncertainty(calibration: Calibration, triad: str = "accel") -> float
 
 
 def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
-    """Combine the shares of a triad's budget, and what gravity's uncertainty and quadratic terms add, and expand them."""
+    """Combine the shares of a triad's budget with the uncertainty of gravity and quadratic terms, and expand them."""
     sigma = triad.standard_uncertainty
     budget = triad.budget
     shares = {"fit": sigma} if budget is None else dict(zip(budget.sources, budget.uncertainty, strict=True))

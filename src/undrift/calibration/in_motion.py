@@ -226,7 +226,7 @@ def without_gaps(record: Record) -> list[Record]:
 
 
 def _check(records: Sequence[Record]) -> None:
-    """Raise InputError if recordings lack a triad, length, or one physical unit, or have gaps."""
+    """Raise InputError if recordings lack a triad, are too short, differ in units, are not in physical units, or have gaps."""
     if not records:
         raise InputError("motion: one recording or more is needed, got none. Name the recordings.")
     units = sorted({(record.gyro_unit, record.accel_unit) for record in records})
@@ -366,7 +366,7 @@ def _triad(
     residuals: FloatArray, x: FloatArray, covariance: FloatArray, rows: FloatArray, readings: Sequence[FloatArray],
     verdict: Verdict, *, unit_in: str, unit_out: str,
 ) -> TriadFit:  # fmt: skip
-    """Return one triad, whose matrix and offset are the elements ``rows`` (12,) of x, in the unit of the readings."""
+    """Return a triad whose matrix and offset are the elements ``rows`` (12,) of x, in the unit of the readings."""
     factor = si_factor(unit_in, "rate" if unit_out == "rad/s" else "accel")
     scale = np.repeat((factor, 1.0 / factor), (9, 3))
     return triad_fit(
@@ -392,7 +392,7 @@ ADVICE = {
 
 
 def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Iterator[Finding]:
-    """Yield scale factors that keep their prior, and how uncertain or implausible the others are."""
+    """Yield findings about scale factors that keep their prior, and about uncertain or implausible elements."""
     spread = np.sqrt(np.diag(covariance))
     for triad, first, size in (("gyroscope", 0, sizes[0]), ("accelerometer", 9, sizes[2])):
         scale = spread[first + np.array([0, 4, 8])]

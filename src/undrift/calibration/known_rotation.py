@@ -380,7 +380,7 @@ def _moving_start(reading: FloatArray, chunk: int) -> int:
 
 
 def _axes_without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
-    """Return the axes of turns without a rest close before and one close after them, whatever face is up in it."""
+    """Return the axes of turns without a rest close before and a rest close after them, for any face."""
     lacking = set[Axis | None]()
     for turn in turns:
         time, rests_in_recording = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]

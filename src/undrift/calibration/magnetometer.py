@@ -59,7 +59,7 @@ FieldReadings: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # time (N,
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldFit:
-    """A magnetometer, and the field of each recording that has one."""
+    """A magnetometer, and the field of each recording with magnetometer readings."""
 
     magnetometer: Magnetometer
     recording: tuple[int, ...]  # (R,), its place among all

@@ -105,7 +105,7 @@ def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moves:
-    """Readings of all records after one another, and the moves between stills in them."""
+    """Readings of all records in sequence, and the moves between their stills."""
 
     gyro: FloatArray  # (N, 3), raw units
     accel: FloatArray  # (N, 3), raw units
@@ -285,7 +285,7 @@ class _MoveRows:
 
     @property
     def rms_deg(self) -> float:
-        """Angle by which the moves miss gravity, rms, deg."""
+        """Rms angle between gravity and its direction after the moves, deg."""
         return float(np.sqrt(np.mean(self.misfit[self.rests :] ** 2))) / RADIAN_PER_DEGREE
 
 
@@ -312,7 +312,7 @@ def fit_moves(
 
 
 class MatrixOfMoves(NamedTuple):
-    """Matrix of gyroscopes by the moves between rests."""
+    """Matrix of gyroscopes from the moves between rests."""
 
     matrix: FloatArray  # (3, 3)
     covariance: FloatArray  # (9, 9), row by row
@@ -519,7 +519,7 @@ def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str,
 
 
 def _scale_slopes(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> FloatArray:
-    """Return the change of the rows (E, 3) by the slope of the scale of each gyroscope, one standard deviation each."""
+    """Return the change of the rows (E, 3) for one standard deviation of the slope of each gyroscope's scale."""
     if problem.creep is None:
         return np.zeros((len(rows.misfit), 3))
     warmth = np.append(np.zeros(rows.rests), np.repeat(problem.warmth[len(problem.reading) :], 2))

@@ -101,7 +101,7 @@ def allan_deviation(
 
 
 def _degrees_of_freedom(n: FloatArray, m: FloatArray, slope: FloatArray) -> FloatArray:
-    """Return the equivalent degrees of freedom of n phases at averages of m samples, by the kind of noise."""
+    """Return the equivalent degrees of freedom of n phases for averages of m samples, by the kind of noise."""
     white_phase = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
     white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
     flicker = np.where(m > 1.0, 1.25 * n**2 / (m * (n + 3.0 * m)), 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9))
@@ -308,7 +308,7 @@ def _shapes(tau: FloatArray) -> FloatArray:
 
 
 def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) -> AxisNoise:
-    """Fit one axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
+    """Fit an axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
     from scipy.optimize import nnls
 
     # own variance over the square

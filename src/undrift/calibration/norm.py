@@ -175,7 +175,7 @@ def _sources(
 def _quadratic_share(
     v: FloatArray, p: FloatArray, design: FloatArray, free: IntArray, fit: GlsFit, sd: float
 ) -> FloatArray:
-    """Return what quadratic terms contribute to the covariance (F, F) of the free parameters."""
+    """Return the contribution of quadratic terms to the covariance (F, F) of the free parameters."""
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # per sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
     absorbed = fit.gains @ lengths

@@ -88,7 +88,7 @@ def _list_given_turns(session: Session, selected: Session, method: str, settings
 
 
 def _list_detected_turns(observed: Observed, method: str) -> Iterator[Piece]:
-    """Yield the steady turns and the moves between stills that the gyroscopes show."""
+    """Yield the steady turns and the moves between stills, as measured by the gyroscopes."""
     for number, record, search in observed.turn_searches:
         physical = is_physical(record.gyro_unit)
         factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if physical else 1.0

@@ -41,7 +41,7 @@ def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
 
 
 def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accelerometer", "turns"]) -> None:
-    """Raise unless each gyroscope column reads + for a turn about its own axis, by the forward matrix (3, 3)."""
+    """Raise unless each gyroscope column reads + for a turn about its own axis, for a forward matrix (3, 3)."""
     order = nearest_signed_permutation(forward)
     if not np.array_equal(order, np.eye(3)):
         turns = against == "turns"
@@ -57,7 +57,7 @@ def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accele
 
 
 def check_handedness(forward: FloatArray, what: str) -> None:
-    """Raise if a forward matrix (3, 3) turns a right-handed frame into a left-handed one."""
+    """Raise if a forward matrix (3, 3) turns a right-handed frame into a left-handed frame."""
     if np.linalg.det(forward) < 0.0:
         cause = columns_text(nearest_signed_permutation(forward))
         raise Implausible(
@@ -193,13 +193,13 @@ RATE_UNITS = {  # ratio of readings to their true value -> cause
 
 
 def face_vectors(faces: Sequence[Face]) -> FloatArray:
-    """Return the direction of +g in s for each face, one unit vector a row, (P, 3)."""
+    """Return the direction of +g in s for each face, a unit vector per row, (P, 3)."""
     sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
     return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
 
 
 def axis_vectors(axes: Sequence[str]) -> FloatArray:
-    """Return the unit vector of each axis, one a row, (R, 3)."""
+    """Return the unit vector of each axis, one per row, (R, 3)."""
     return np.eye(3)[[AXES.index(axis) for axis in axes]]
 
 

@@ -205,7 +205,7 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
 
 
 def settling(length: int, settle_s: float, rate_hz: float) -> int:
-    """Return how many samples at the start of a dwell of so many samples are left out: half of it at most."""
+    """Return the number of samples omitted at the start of a dwell, at most half of its samples."""
     return min(round(settle_s * rate_hz), length // 2)
 
 

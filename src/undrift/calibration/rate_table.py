@@ -266,7 +266,7 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
 
 
 def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
-    """Return the finding of turns about one or two axes: which elements keep their prior, and its size."""
+    """Return a finding about turns about one or two axes: elements that keep their prior, and its size."""
     return finding(
         "rate_table.axes_missing",
         "warn",
@@ -424,7 +424,7 @@ def _rest_means(
 
 
 def _force_from_labels(rests: Sequence[Still], turning: Sequence[Turn], dwells: DwellMeans) -> FloatArray:
-    """Return the direction that points up (N + P, 3) in dwells, by the rests of their mounting, and in rests on faces."""
+    """Return the direction that points up (N + P, 3): in dwells from the rests of their mounting, in rests from their face."""
     faces = [f"{'-' if up < 0.0 else '+'}{axis}" for up, axis in zip(dwells.up, dwells.axis, strict=True)]
     numbers = mountings([*turning, *rests]).tolist()
     rest_faces = {number: rest.face for number, rest in zip(numbers[len(turning) :], rests, strict=True) if rest.face}

@@ -93,7 +93,7 @@ REST_BLOCK_S = 0.5  # means of this length count as independent
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aligned:
-    """A record and its reference on one clock."""
+    """A record and its reference on a common clock."""
 
     record: Record
     gyro: FloatArray  # (N, 3), readings
@@ -319,7 +319,7 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
 def _start(
     recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None
 ) -> _Parameters:
-    """Return the parameters at the start, from the regression of the rates on the readings that found the lags."""
+    """Return the initial parameters, from the regression of rates on readings in the search for the lags."""
     from scipy.linalg import null_space
     from scipy.spatial.transform import Rotation
 

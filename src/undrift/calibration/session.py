@@ -119,7 +119,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
 
 
 def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return start and stop of each stretch (P, 2), s, on one clock on which the recordings follow each other."""
+    """Return start and stop of each stretch (P, 2), s, on a common clock with the recordings in sequence."""
     begins = np.concatenate(([0.0], np.cumsum([record.duration_s for record in records])))
     clocks = [begin + record.time - record.time[0] for begin, record in zip(begins[:-1], records, strict=True)]
     ends = [clocks[piece.recording][[piece.start, piece.stop - 1]] for piece in pieces]
@@ -152,7 +152,7 @@ class Observed:
 
     @property
     def mostly_faces(self) -> bool:
-        """True if rests lie on all six faces and few of them elsewhere."""
+        """True if rests lie on all six faces and few are elsewhere."""
         free = len(self.stills) - len(self.faced)
         return {still.face for still in self.faced} == set(FACES) and free <= FREE_POSES_SHARE * len(self.stills)
 
@@ -216,7 +216,7 @@ class Observed:
 
     @cached_property
     def turn_searches(self) -> tuple[tuple[int, Record, segments.TurnSearch], ...]:
-        """The number of each recording with gyroscopes, the recording, and the turns found in it."""
+        """Number of each recording with gyroscopes, the recording, and its detected turns."""
         return tuple(
             (number, record, segments.find_turns(record, [s for s in self.stills if s.recording == number]))
             for number, record in enumerate(self.session.records)
@@ -228,7 +228,7 @@ class Observed:
         return tuple(turn for _, _, search in self.turn_searches for turn in search.plateaus)
 
     def full_turns(self) -> tuple[Turn, ...]:
-        """Return one full turn each about x, y and z between rests, if there are exactly these, read in a physical unit."""
+        """Return a full turn each about x, y and z between rests, if there are exactly these in a physical unit."""
         if not all(is_physical(record.gyro_unit) for _, record, _ in self.turn_searches):
             return ()
         turns = self.turns_of(FULL_TURN, tolerance=FULL_TURN_TOLERANCE)
@@ -396,7 +396,7 @@ class Outcome:
     used: tuple[Still, ...] = ()  # stills behind the fit, for an accelerometer
 
     def after(self, *findings: Finding) -> "Outcome":
-        """Return the same outcome with findings put before its own."""
+        """Return the same outcome with findings inserted before its own findings."""
         return replace(self, findings=(*findings, *self.findings))
 
 

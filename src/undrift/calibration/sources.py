@@ -37,7 +37,7 @@ FLICKER_TIMES_S = np.geomspace(1.0, 1e4, 9)
 
 
 def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (3 E, 3 E) of M n_e, for sensors that err on their own: covariance (E, E, 3)."""
+    """Return the covariance (3 E, 3 E) of M n_e, for independent errors of the sensors with covariance (E, E, 3)."""
     count = len(covariance)
     carried = np.einsum("ik,efk,jk->eifj", matrix, covariance, matrix)
     return np.asarray(carried.reshape(3 * count, 3 * count))
@@ -70,7 +70,7 @@ def walk_about_mean(time: FloatArray) -> FloatArray:
 
 
 def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
-    """Return the shapes (3 E, 3 E) of a walk of each sensor's offset, for pieces (E, 2) on one clock, s."""
+    """Return the shapes (3 E, 3 E) of a walk of each sensor's offset, for pieces (E, 2) on a common clock, s."""
     if span is None or not np.ptp(middle := span.mean(axis=1)) > 0.0:
         return {}
     walk = walk_about_mean(middle)
@@ -84,7 +84,7 @@ def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
 
 
 def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
-    """Return the covariance (3, 3) of the integral of readings (N, 3) by the scatter of their time stamps, (unit s)^2."""
+    """Return the covariance (3, 3) of the integral of readings (N, 3) due to the scatter of their time stamps, (unit s)^2."""
     change = np.diff(reading, axis=0)
     return np.asarray(0.5 * np.diff(time).var() * change.T @ change)
 

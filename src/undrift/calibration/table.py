@@ -108,7 +108,7 @@ def dwell_means(
 
 
 def steady(record: Record, turn: Turn, settle_s: float) -> slice:
-    """Return the samples of a dwell that are averaged: without its start, and whole turns if it has one."""
+    """Return the samples of a dwell that are averaged: without its start, and whole turns if possible."""
     time = record.time[turn.start : turn.stop]
     length_s = float(time[-1] - time[0])
     start_s = float(time[0]) + min(settle_s, MOST_SETTLING * length_s)

@@ -248,7 +248,7 @@ def correct_checked(
 
 
 def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
-    """Return findings about a record and its calibration. Still phases that step 7 found are not searched again."""
+    """Return findings about a record and its calibration. Still phases from step 7 are not searched again."""
     return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
 
 
@@ -283,7 +283,7 @@ def _subtract_motion_offset(done: Corrected, offset: OffsetLeft, out: Buffers | 
 def offset_left(
     record: Record, offset: Literal["rest", "motion"], rest: RestOffset | None, model: TriadModel | None
 ) -> OffsetLeft:
-    """Return the offset that a calibration leaves in a corrected record: at its rest, or from its motion."""
+    """Return the offset that remains in a corrected record, at its rest or from its motion."""
     if offset == "rest" and rest is not None:
         return replace(rest, moved=moved_by(model))
     from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel

@@ -155,7 +155,7 @@ def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans
 
 
 def extremes(values: FloatArray) -> Span:
-    """Return the least and greatest value, gaps left out. The plain reductions are several times faster, and NaN with gaps."""
+    """Return minimum and maximum without gaps. The plain reductions are several times faster, and NaN with gaps."""
     least, greatest = float(values.min()), float(values.max())
     if np.isnan(least):
         return float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
@@ -166,7 +166,7 @@ def extremes(values: FloatArray) -> Span:
 
 
 def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: float) -> tuple[Finding, ...]:
-    """Return where readings left the tables, or the temperatures at which constant offsets hold."""
+    """Return findings about readings beyond the tables, or beyond the temperatures of constant offsets."""
     drift, findings = calibration.drift, list[Finding]()
     if reach.seconds_without_temperature > 0.0:
         findings.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))

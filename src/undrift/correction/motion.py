@@ -46,7 +46,7 @@ _ROUNDS, _SETTLED = 8, 1e-7  # linearisations, and final change in rad/s
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MotionOffset:
-    """The offset that motion shows, in the middle of each stretch."""
+    """Offset from motion, in the middle of each stretch."""
 
     time: Annotated[FloatArray, Shape("s")]  # s
     rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b

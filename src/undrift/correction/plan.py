@@ -109,7 +109,7 @@ class LookupTable:
     extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
 
     def evened(self) -> "LookupTable":
-        """Return the table with its axes filled up to even grids, if there are such."""
+        """Return the table with its axes extended to even grids, if possible."""
         temp, rate, values = self.temp.evened(), self.turn_rate, self.values
         if self.turn_rate is not None:
             rate = self.turn_rate.evened()
@@ -310,7 +310,7 @@ def _build_cells(constants: Constants) -> "Tables":
 
 
 def line_cells(table: LookupTable) -> "tuple[Grid, FloatArray]":
-    """Return the grid of a table over one axis and its cell coefficients, (cells * c * 2,)."""
+    """Return the grid of a table over an axis and its cell coefficients, (cells * c * 2,)."""
     table = table.evened()
     cells = np.stack((table.values[:-1], np.diff(table.values, axis=0)), axis=-1)
     return table.temp.grid, cells.reshape(-1)
@@ -379,12 +379,12 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
 
 
 def flat(values: FloatArray | None, rows: slice) -> FloatArray:
-    """Return samples as the kernels take them, (N, 3) -> (3 n,)."""
+    """Return samples in the layout of the kernels, (N, 3) -> (3 n,)."""
     return NOTHING if values is None else values[rows].reshape(-1)
 
 
 def in_pieces(work: Callable[[slice], T], n: int, threads: int | None) -> list[T]:
-    """Call the work with slices of n samples, each in a thread of its own."""
+    """Call the work with slices of n samples, each in its own thread."""
     count = (os.cpu_count() or 1) if threads is None and n >= THREADS_FROM else threads or 1
     bounds = [n * i // count for i in range(count + 1)]
     pieces = [slice(start, stop) for start, stop in pairwise(bounds) if stop > start]

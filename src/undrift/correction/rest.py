@@ -43,7 +43,7 @@ IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RestOffset:
-    """The rate that a calibration leaves at a rest."""
+    """Mean rate of a corrected record at a rest."""
 
     start_s: float  # First sample of the rest, on the recording's clock
     stop_s: float  # Last sample of it
@@ -128,7 +128,7 @@ def rest_offset(record: Record, still: Still) -> RestOffset:
 
 
 def named_rest(record: Record, stretch: Stretch) -> Still | None:
-    """Return the stretch at rest that was named, None where none was."""
+    """Return the given stretch at rest, or None if none was given."""
     start_s, stop_s = stretch
     if start_s is None and stop_s is None:
         return None
@@ -254,7 +254,7 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
 
 
 def _beyond(temp_c: float, span: FloatArray) -> float:
-    """Return by how much a temperature is off those that a table or a constant is made for, K."""
+    """Return the distance of a temperature from the range of a table or a constant, K."""
     beyond = np.max([span[0] - temp_c, temp_c - span[1], 0.0])
     return UNKNOWN_K if np.isnan(beyond) else float(beyond)
 

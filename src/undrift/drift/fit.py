@@ -75,7 +75,7 @@ Progress = Callable[[str, float], None]  # next stage, and the share of the work
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """The fits of all alternatives, their cross-validated errors, and which was taken."""
+    """Fits of all alternatives, their cross-validated errors, and the selected alternative."""
 
     fits: Fits
     fitted_rms_dps: FloatArray  # (4,), residual of the fit to all steps, deg/s, or NaN if not observable
@@ -89,7 +89,7 @@ class Choice:
 
     @property
     def scale(self) -> ScaleFit | None:
-        """The fit of the matrix, whether taken or not."""
+        """The fit of the matrix, even if it is not selected."""
         return self.fits.get("scale", (None, None))[0]
 
     @property
@@ -327,7 +327,7 @@ def _remove_lag(
 
 
 def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float, smooth_s: float) -> float:
-    """Return how far single readings, which ``correct`` looks up, are from the smooth course of a session, K."""
+    """Return the largest difference between single readings, which ``correct`` uses, and the smooth temperature of a session, K."""
     deviations = [
         float(np.nanmedian(np.abs(record.temp_c - temperature.temp_c)))
         for record, temperature in zip(session.records, trusted, strict=True)
@@ -337,7 +337,7 @@ def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float
 
 
 def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
-    """Return the nodes of the tables, degC, from all temperatures seen (k,)."""
+    """Return the nodes of the tables, degC, from all recorded temperatures (k,)."""
     step, (low, high) = settings.step_c, RANGE_C
     if settings.range_c is not None:
         low, high = settings.range_c

@@ -73,7 +73,7 @@ class StretchMeans:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return all rows, one part after another."""
+        """Return all rows of several parts in sequence."""
         return cls(
             **{name: np.concatenate([getattr(rows, name) for rows in parts]) for name in cls.__dataclass_fields__}
         )
@@ -126,7 +126,7 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
-    """Gather the dwells at known rates of thermal sessions."""
+    """Gather the dwells at known rates from thermal sessions."""
     none, three, integers = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
     parts = [
         RateSteps(
@@ -199,7 +199,7 @@ def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlo
 
 
 def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
-    """Return which pose each still is in, from 0: its face, otherwise the pose of the still before if it lies alike."""
+    """Return the pose of each still, from 0: its face, otherwise the pose of the previous still if their directions agree."""
     poses, faces, forces = list[int](), dict[str, int](), list[FloatArray | None]()
     for k, still in enumerate(stills):
         accel, following = session.records[still.recording].accel, max(poses, default=-1) + 1
@@ -278,7 +278,7 @@ def _slope(time: FloatArray, temp_c: FloatArray, middle: float) -> float:
 
 
 def _ages(records: Sequence[Record]) -> FloatArray:
-    """Return how long before each record its device was switched on, s."""
+    """Return the time from switch-on to the start of each record, s."""
     ages, first = np.zeros(len(records)), records[0].time[0]
     for k in range(1, len(records)):
         if records[k].time[0] <= records[k - 1].time[-1]:
@@ -432,7 +432,7 @@ def _prepare_session(record: Record, number: int, calibration: Calibration) -> R
 
 
 def nominal_models(sessions: Sequence[Session]) -> Calibration:
-    """Return a calibration that keeps the scale that the readings' units state, and knows no offset."""
+    """Return a calibration with the nominal scale of the readings' units and unknown offsets."""
     first = sessions[0]
     unit = next((r.gyro_unit for s in sessions for r in s.records if r.gyro is not None), None)
     if unit is None:
@@ -480,7 +480,7 @@ def accel_unit_of(sessions: Sequence[Session], device: Calibration) -> str:
 
 
 def one_power_on(sessions: Sequence[Session]) -> list[Session]:
-    """Put recordings together whose clock runs on from one to the next: the device was not switched off between them."""
+    """Join recordings whose clock continues from one to the next, because the device was not switched off between them."""
     chains = list[list[int]]()
     for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
         before = [chain for chain in chains if _is_continuation(sessions[chain[-1]], sessions[k])]
@@ -504,7 +504,7 @@ def _is_continuation(earlier: Session, later: Session) -> bool:
 
 
 def check_once(sessions: Sequence[Session]) -> None:
-    """Refuse readings that were given twice: they would make the uncertainty too small."""
+    """Refuse repeated readings, which would make the uncertainty too small."""
     first = dict[str, int]()
     for number, session in enumerate(sessions, start=1):
         for record in session.records:

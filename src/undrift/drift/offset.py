@@ -257,7 +257,7 @@ def _widest(blocks: RestBlocks, number: IntArray, least_c: float) -> RestBlocks:
 
 
 def known_variance(variance: FloatArray) -> FloatArray:
-    """Return variances, (n, 3), with the mean of the others where a variance is not known."""
+    """Return variances, (n, 3), with the mean variance in place of unknown values."""
     usual = np.nanmean(variance, axis=0) if np.isfinite(variance).any() else np.zeros(3)
     return np.where(np.isfinite(variance), variance, usual)
 
@@ -562,7 +562,7 @@ def cooling(blocks: RestBlocks) -> FloatArray:
 
 
 def both_ways(blocks: RestBlocks, state: FloatArray) -> bool:
-    """Return True if both directions have seen a common range of temperature."""
+    """Return True if cooling and warming cover a common range of temperature."""
     up, down = blocks.temp_c[state < -0.5], blocks.temp_c[state > 0.5]
     return bool(len(up) and len(down) and min(up.max(), down.max()) - max(up.min(), down.min()) >= OVERLAP_C)
 

@@ -425,7 +425,7 @@ def _surface_points(
 
 
 def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the imposed rates, zero, and the ends of the measured rates if they lie beyond, rad/s."""
+    """Return the imposed rates, zero, and the ends of the measured rates if they are beyond, rad/s."""
     tolerance, rates = SAME_RATE * float(np.abs(imposed).max()), np.sort(np.append(imposed, 0.0))
     groups = np.split(rates, np.flatnonzero(np.diff(rates) > tolerance) + 1)
     nodes = np.array([0.0 if (group == 0.0).any() else group.mean() for group in groups])
@@ -504,7 +504,7 @@ def fit_surface(
 def _leave_out_square(
     points: SurfacePoints, value: FloatArray, x: FloatArray, v: FloatArray, covariance: FloatArray
 ) -> float:
-    """Return the weighted sum of squares of rows that are left out: soaks between others, or rates if there are two soaks."""
+    """Return the weighted square prediction error of rows left out: soaks between others, or rates if there are two soaks."""
     group, place = points.soak, points.temp_c
     if group.max() < 2:
         place = np.abs(points.turn_rate)
@@ -529,5 +529,5 @@ def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArra
 
 
 def _vanishing(rate: Cubics) -> FloatArray:
-    """Return combinations of the splines, one a column, that are zero at rate zero."""
+    """Return combinations of the splines, one per column, that are zero at rate zero."""
     return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)

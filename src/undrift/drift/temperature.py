@@ -162,7 +162,7 @@ def _column_temperature(
 
 
 def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
-    """Mark readings that lie apart from those before and after, (N,)."""
+    """Mark readings that differ from the readings before and after, (N,)."""
     from scipy.ndimage import median_filter
 
     finite, spikes = np.isfinite(temp_c), np.zeros(len(temp_c), dtype=bool)
@@ -172,7 +172,7 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
 
 
 def _stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> BoolArray:
-    """Mark readings that repeat an old one for long, and then jump or belong to a column that changes at most readings, (N,)."""
+    """Mark frozen readings, (N,), that repeat for long and then jump, or belong to a column that changes at most readings."""
     rows, stale = np.flatnonzero(np.isfinite(temp_c)), np.zeros(len(temp_c), dtype=bool)
     values, moments = temp_c[rows], time[rows]
     first = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
@@ -375,14 +375,14 @@ def _spline(temp_c: FloatArray) -> FloatArray:
 
 
 def _remove_effects(values: FloatArray, *effects: FloatArray) -> FloatArray:
-    """Return what effects (n, .) leave of values (n, k) by least squares."""
+    """Return the residuals of values (n, k) after a least-squares fit of effects (n, .)."""
     q, r = np.linalg.qr(np.hstack(effects))
     q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]
     return np.asarray(values - q @ (q.T @ values))
 
 
 def _independent(residual: FloatArray) -> float:
-    """Return how many independent blocks the residuals are worth, by the correlation of neighbours."""
+    """Return the number of independent blocks equivalent to the residuals, from the correlation of neighbours."""
     rho = float((residual[:-1] * residual[1:]).sum() / max(float((residual**2).sum()), 1e-300))
     rho = min(max(rho, 0.0), 0.99)
     return max(len(residual) * (1.0 - rho) / (1.0 + rho), 4.0)

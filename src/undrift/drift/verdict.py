@@ -233,7 +233,7 @@ def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatA
 
 
 def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
-    """Compare the length of the corrected specific force at rest with gravity, by the rms over the poses."""
+    """Compare the length of the corrected specific force at rest with gravity, rms over the poses."""
     model, rests = device.accel, rests.taken(np.isfinite(rests.accel).all(axis=1))
     force = specific_force(rests, device)
     if model is None or model.method == "nominal" or force is None or not len(rests):
@@ -259,7 +259,7 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
 
 
 def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
-    """Return which unit explains one offset (3,) by the other, along the same direction."""
+    """Return the unit error that explains an offset (3,) by the other offset, along the same direction."""
     along = float(reading @ constant) / max(float(constant @ constant), 1e-300)
     same_direction = np.linalg.norm(reading - along * constant) <= 0.2 * np.linalg.norm(reading)
     for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
@@ -281,7 +281,7 @@ _TWO_SPEEDS = "Record ramps up and down at two speeds, for example 0.5 and 3 deg
 
 
 def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Verdict:
-    """Return which recordings gave nothing to the fit, because they never rest."""
+    """Return a finding about recordings that do not contribute to the fit, because they never rest."""
     used = {*rests.session.tolist(), *steps.session.tolist()}
     names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
     why = f"no rest in {', '.join(names[:5])}. Let the device rest for ten seconds in each"

@@ -28,7 +28,7 @@ _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
 
 
 class CarriedMeans:
-    """A stretch of a recording: its Hann means, and the sizes of what disturbs them."""
+    """A stretch of a recording with its Hann means and the sizes of its errors."""
 
     def __init__(self, time: FloatArray, moving: FloatArray | None = None) -> None:
         """Prepare windows for samples at ``time`` (N,), s. ``moving`` (N,) is 1 in motion and 0 at rest, or None without a rest."""

@@ -66,7 +66,7 @@ class GlsFit:
     sources: Mapping[str, FloatArray]  # covariance (E, E) of the rows by source, with the excess of its kind, widened
 
     def widened(self, source: str, covariance: FloatArray) -> "GlsFit":
-        """Return the same fit with more covariance (E, E) of the rows in one source."""
+        """Return the same fit with additional covariance (E, E) of the rows in a source."""
         sources = {**self.sources, source: self.sources[source] + covariance}
         budget = {**self.budget, source: self.budget[source] + carried(self.gains, covariance)}
         return replace(self, sources=sources, budget=budget, covariance=np.sum([*budget.values()], axis=0))
@@ -207,7 +207,7 @@ def _root(precision: FloatArray) -> FloatArray:
 
 
 def carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (P, P) of the parameters that a covariance (E, E) of the rows makes."""
+    """Return the covariance (P, P) of the parameters for a covariance (E, E) of the rows."""
     return np.asarray(gains @ covariance @ gains.T)
 
 
@@ -316,7 +316,7 @@ def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, st
 
 
 def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatArray) -> FloatArray:
-    """Return s+ - s, the step of Fisher scoring that keeps every variance at zero or above."""
+    """Return s+ - s, a step of Fisher scoring that keeps every variance at or above zero."""
     from scipy.optimize import nnls
 
     length = np.sqrt(np.diag(information))
@@ -417,5 +417,5 @@ def noise_of_means(windows: Sequence[FloatArray], sizes: Sequence[int], removed:
 
 
 def block_size(sample_rate_hz: float) -> int:
-    """Return the samples in one block."""
+    """Return the number of samples in a block."""
     return max(1, round(BLOCK_S * sample_rate_hz))

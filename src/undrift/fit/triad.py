@@ -27,7 +27,7 @@ class TriadFit:
 
 
 def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: Any) -> TriadFit:
-    """Return a fit from its residuals, its verdict, and the fields of its TriadModel that these do not give."""
+    """Return a fit from its residuals, its verdict, and the remaining fields of its TriadModel."""
     rms = float(np.sqrt((residuals**2).mean()))
     model = TriadModel(rms_residual=rms, count=residuals.size, **of_model)
     return TriadFit(model=model, residuals=residuals, verdict=verdict)
@@ -125,7 +125,7 @@ def inverse_jacobian(matrix: FloatArray) -> FloatArray:
 
 
 def scaled_condition(design: FloatArray) -> tuple[int, float]:
-    """Return rank and condition number of a design (E, P) whose columns were scaled to one."""
+    """Return rank and condition number of a design (E, P) with columns scaled to one."""
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
     singular = np.linalg.svd(design / length, compute_uv=False)

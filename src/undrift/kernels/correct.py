@@ -23,7 +23,7 @@ LOOKED_UP = 256  # samples whose cells are found together: shorter and longer me
 
 
 class Grid(NamedTuple):
-    """Nodes of a table: ``inverse`` is one over the step, or 0 where the steps differ and nodes are searched."""
+    """Nodes of a table: ``inverse`` is the inverse of the step, or 0 if the steps differ and nodes are searched."""
 
     nodes: FloatArray
     start: float
