@@ -164,7 +164,7 @@ def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the
     rest = ["--rest-s", "0:1", "--report", tmp_path / "o.html", "-o", tmp_path / "o.csv"]
     words = ["orient", data_path("worn_lowback", "HA_001_Test11.csv.gz"), "--map", tmp_path / "map.toml", *rest]
     headline, advice = (
-        "Pitch by forward +x and up +z is not that of an upright segment",
+        "Pitch from forward +x and up +z does not match an upright segment",
         "take +x as up, and as forward +z",
     )
     answer = undrift.good(*words)
