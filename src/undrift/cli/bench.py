@@ -27,13 +27,13 @@ def bench(
     folder : Path or None
         Folder for everything that the bench writes. Default: undrift/bench in the user's data folder.
     port : int
-        Port on this computer; 0 selects a free one.
+        Port on this computer. 0 selects a free port.
     token : str
         Access token, at least 16 characters. Default: generated and included in the printed address. "none" disables it.
     upload_mb : float
         Largest file that is accepted, MB.
     practice_seed : int or None
-        Seed of the practice device; the same seed gives the same device.
+        Seed of the practice device. The same seed gives the same device.
     practice_speed : float
         Speed of the practice device, times real time.
     no_browser : bool

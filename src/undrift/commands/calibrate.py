@@ -137,28 +137,31 @@ def calibrate(
     Parameters
     ----------
     files : Path
-        One folder with session.toml, or one or several recordings of one device: rests, faces and turns are found in them.
+        A folder with session.toml, or recordings of the same device. Rests, faces and turns are detected in recordings.
     turn_deg : float or None
         Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
     rates : Path or None
-        Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s, turn_rate_rpm) or
-        angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings; its steady dwells become the turns.
+        Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s,
+        turn_rate_rpm) or angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings. Its steady
+        dwells become the turns.
     output : Path or None
         calibration.json to write.
     calibrate_from : str
-        "pieces" takes rests, faces and turns; "motion" gravity alone while the device is turned or worn, 20 s and more.
+        "pieces" uses rests, faces and turns. "motion" uses only gravity while the device is turned or worn, for 20 s or
+        more.
     kind : str or None
         Preset of the device's part, as mpu6050: its sensitivity to temperature, and the lag of its thermometer, are the prior.
     magnetometer : bool
         With motion: fits hard and soft iron of the magnetometer, and its alignment to the gyroscopes.
     accel : str or None
-        How to calibrate the accelerometers; what the session allows by default.
+        How to calibrate the accelerometers. By default, the session determines the method.
     gyro : str or None
-        How to calibrate the gyroscopes; what the session allows by default. rest takes their offset alone, none leaves them out.
+        How to calibrate the gyroscopes. By default, the session determines the method. "rest" fits only their offset.
+        "none" omits them.
     mode : str or None
         paper (the note's equations to the letter) or affine.
     adc : str
-        "auto" looks for the step and rounding of the codes; "none" leaves them.
+        "auto" detects the step and rounding of the codes. "none" skips the detection.
     """
     from undrift.calibration.calibrate import calibrated as fit
     from undrift.calibration.calibrate import from_motion

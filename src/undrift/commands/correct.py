@@ -173,14 +173,14 @@ def correct(
     calibration : Path
         calibration.json of the device, or a folder of calibrations: the newest one of the recording's serial number.
     output : Path
-        File for one recording: .parquet, .csv or .csv.gz; folder for
-        several, made where it is missing.
+        File for a single recording: .parquet, .csv or .csv.gz. Folder for several recordings, created if it is missing.
     offset : str
-        "rest" also subtracts the mean rate that is left at the first still phase (or the named one), as `offset` of orient
-        does: best with tables, for what they cannot know. "motion" starts from that rest, if there is one, and adds what gravity
-        shows while the device moves; the whole recording is then in memory.
+        "rest" also subtracts the mean rate that remains at the first (or the named) still phase, like `offset` of
+        orient. With tables, it removes the offset that they cannot model. "motion" starts from that rest, if there is
+        one, and estimates the offset from gravity while the device moves. The whole recording is then in memory.
     scheduler : str or None
-        Address of a Dask scheduler, as in tcp://host:8786: its workers take a recording each; they see the same files.
+        Address of a Dask scheduler, for example tcp://host:8786. Each worker processes a recording. The workers need
+        access to the same files.
     """
     from undrift.correction.correct import Corrector
 

@@ -50,26 +50,26 @@ def drift(
     ----------
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
-        changes, or daily recordings with a rest in each. Several are combined; how far they differ counts as uncertainty.
-        Recordings whose clock runs on within 60 s are one session.
+        changes, or daily recordings with a rest in each. Several sessions are combined, and their differences count as
+        uncertainty. Recordings whose clock continues within 60 s form a session.
     calibration : Path or None
         calibration.json of the device, or a folder of calibrations: the newest one of its serial number. Without it
         physical units keep their nominal scale, and counts are refused.
     output : Path or None
-        calibration.json to write, with the tables in it; may be the one that was read.
+        calibration.json to write, with the tables. It may be the input file.
     span : str or None
-        First and last node, LOW:HIGH in degC, wider or narrower than what was seen; by default what was seen, and 18 or 75 where
-        that is 3 degC away or less.
+        First and last node, LOW:HIGH in degC. The default is the recorded range, extended to 18 or 75 degC if these are
+        at most 3 degC away.
     step_c : float
         Step between nodes, degC.
     spline : str
         smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
-        Which tables besides offsets: auto chooses by cross-validated error.
+        Tables in addition to offsets. auto selects them by cross-validated error.
     lag_s : float or None
-        Thermometer lag, s; estimated from ramps at two speeds by default, 0 leaves it in.
+        Thermometer lag, s. By default it is estimated from ramps at two speeds. 0 disables the correction.
     warm_up : bool
-        Fit the power-on transient with which each recording, or each clock that begins anew, begins.
+        Fit the power-on transient at the start of each recording, or of each clock that restarts.
     """
     from undrift.drift.fit import DriftSettings
     from undrift.drift.offset import StaticSettings

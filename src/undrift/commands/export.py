@@ -29,7 +29,7 @@ def export(
     target : str
         c, constants, or a target of another package.
     output : Path
-        The file: for c the header, with the source next to it; for constants .json, or a C header .h.
+        The output file. For c it is the header, with the source next to it. For constants it is .json or a C header .h.
     options : ExportOptions
         Options that some targets take.
     """

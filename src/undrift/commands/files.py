@@ -51,7 +51,7 @@ class Opening:
         undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns. Overrules the
         map that a calibration keeps.
     sample_rate_hz : float or None
-        Samples per second, for a file without time; overrules the map.
+        Samples per second, for a file without time. Overrides the map.
     sensor : str or None
         Which sensor, stream or topic, in a file of several.
     """
@@ -150,7 +150,7 @@ class NamedRest:
     Parameters
     ----------
     rest_s : str or None
-        START:STOP of a rest, s on the recording's own clock; by default the first rest is found.
+        START:STOP of a rest, s on the recording's clock. By default the first rest is used.
     """
 
     rest_s: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -169,10 +169,10 @@ class TableUse:
     Parameters
     ----------
     power_on_s : float or None
-        Time since power-on at the first sample of each recording, s; without it no warm-up is subtracted.
+        Time since power-on at the first sample of each recording, s. Without it, no warm-up is subtracted.
     policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Where no
-        temperature was recorded the result is a gap under each, and a warning says for how long.
+        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Without a
+        recorded temperature the result is always a gap, and a warning reports its duration.
     """
 
     power_on_s: float | None = None
@@ -187,10 +187,10 @@ class Place:
     Parameters
     ----------
     gravity_m_s2 : float or None
-        Local gravity, m/s2; standard gravity is assumed, and reported, where nothing is given.
+        Local gravity, m/s2. Without it, standard gravity is assumed and reported.
     latitude_deg : float or None
-        With --height-m: local gravity by WGS 84. Of a session: removes the Earth's rotation from a rate table that stands
-        level there.
+        With --height-m, determines local gravity from WGS 84. For a session, it removes the Earth's rotation from a
+        level rate table.
     height_m : float or None
         Height above the ellipsoid, m.
     serial : str
@@ -376,11 +376,12 @@ class Optics:
     Parameters
     ----------
     reference : Path
-        The reference of each recording, in the same order; not needed for a recording with poses in it (time_s, q_w ... q_z).
+        The reference of each recording, in the same order. Recordings that contain poses (time_s, q_w ... q_z) need
+        none.
     reference_map : Path or None
         Map of a table of orientations under other names than undrift's own, as `info` proposes it.
     markers : str or None
-        Labels of one rigid cluster, with commas between, for C3D and TRC.
+        Labels of a rigid cluster, separated by commas, for C3D and TRC.
     """
 
     reference: Annotated[tuple[Path, ...], Parameter(show_default=False)] = ()

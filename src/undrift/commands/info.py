@@ -85,7 +85,7 @@ def info(
     Parameters
     ----------
     files : Path
-        Any file or folder; with --write-session one or several recordings of one device.
+        Any file or folder. With --write-session, recordings of the same device.
     proposal : Proposal
         The map to write for a table with foreign columns.
     write_session : Path or None
@@ -93,7 +93,7 @@ def info(
     turn_deg : float or None
         With --write-session: angle of the turns between rests, deg: 360 for full turns.
     output : Path or None
-        Of a folder: where the table of its files is written, as summary.csv, .parquet, .html and .json.
+        For a folder, the output folder for the table of its files (summary.csv, .parquet, .html and .json).
     """
     from undrift.calibration.triads import find_disagreement
     from undrift.io.store import findings_json, read_calibration, verdict_json

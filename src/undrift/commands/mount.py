@@ -38,13 +38,15 @@ def mount(
     Parameters
     ----------
     records : Path
-        Recordings of one wearing: stand upright for 3 s, walk straight ahead for 8 s and halt, four times.
+        Recordings without taking the device off: stand upright for 3 s, walk straight ahead for 8 s and halt, four
+        times.
     worn : str
-        Where the device is worn.
+        Body segment on which the device is worn.
     posture : str
-        What the wearer does while still: standing, or sitting upright.
+        Posture of the wearer while still: standing, or sitting upright.
     movement : str
-        What shows forward: walk; bow, the trunk leans forward; squat; or raise, the straight limb goes forward.
+        Movement that determines forward: walk, bow (the trunk leans forward), squat, or raise (the straight limb moves
+        forward).
     calibration : Path or None
         calibration.json of the device, for a raw recording, and to keep the mounting in.
     output : Path or None

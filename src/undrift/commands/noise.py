@@ -102,7 +102,7 @@ def noise(
     Parameters
     ----------
     record : Path
-        Recording at rest; hours show more than minutes.
+        Recording at rest, for hours rather than minutes.
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
     """

@@ -156,22 +156,25 @@ def orient(
     Parameters
     ----------
     record : Path
-        A corrected recording, or a raw one with its calibration; or a folder of them, with one of output.
+        A corrected recording, or a raw recording with its calibration. For a folder of recordings, the output is a
+        folder.
     output : Path
-        Time, quaternion and angles as .parquet, .csv or .csv.gz; quaternions as .sto (OpenSense).
+        File for time, quaternion and angles (.parquet, .csv or .csv.gz), or for quaternions (.sto, OpenSense).
     calibration : Path or None
-        calibration.json of the device, for a raw recording; or a folder of calibrations: the newest one of its serial number.
+        calibration.json of the device, for a raw recording. In a folder of calibrations, the newest file of its serial
+        number is used.
     method : str
         strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
         the whole recording.
     magnetometer : bool
-        With vqf: takes the magnetic field too; heading is then relative to magnetic east.
+        With vqf, also use the magnetic field. Heading is then relative to magnetic east.
     offset : str
-        "rest" subtracts the mean rate of the first still phase (or the named one); "motion" starts
-        from that rest, where there is one, and adds what gravity shows while the device moves.
+        "rest" subtracts the mean rate of the first (or the named) still phase. "motion" starts from that rest, if there
+        is one, and estimates the offset from gravity while the device moves.
     forward : str or None
-        Device axis that points forward on the upright segment: with up it defines the pitch. Without both they are +x and +z, or
-        of the segment that wears the device, by the calibration's mounting: then orientation and angles are the segment's.
+        Device axis that points forward on the upright segment. With `up` it defines the pitch. Without both, the axes
+        are +x and +z. If the calibration has a mounting, they are the axes of the segment, and orientation and angles
+        refer to the segment.
     up : str or None
         Device axis that points up on the upright segment.
     """

@@ -66,18 +66,20 @@ def record(
     Parameters
     ----------
     address : str or None
-        A serial port, or another address (docs/live.md): tcp://host:port. What lines of text hold is found by listening.
+        A serial port, or another address (docs/live.md): tcp://host:port. The format of text lines is determined by
+        listening.
     output : Path or None
-        File to write: .parquet, .csv or .csv.gz; as .log or .txt the lines of the device, a stamp before each.
+        File to write: .parquet, .csv or .csv.gz. A .log or .txt file contains the lines of the device, each with a time
+        stamp.
     port : str or None
-        Serial port, as /dev/ttyUSB0 or COM3; its baud rate is found.
+        Serial port, for example /dev/ttyUSB0 or COM3. The baud rate is detected.
     lsl : str or None
-        Stream of the Lab Streaming Layer, and what it holds: NAME?channels=...&rate=100
+        Stream of the Lab Streaming Layer with its content: NAME?channels=...&rate=100
     udp : str or None
         Port of this computer to which the device sends.
     guide : str or None
-        Leads through the poses of a calibration, which follows: six-faces (accelerometers), turns (the faces, then turns by
-        hand: both sensors) or poses (15 of any kind, held still).
+        Guide through the poses of a calibration, then calibrate: six-faces (accelerometers), turns (the faces, then
+        turns by hand, for both sensors) or poses (15 arbitrary poses).
     duration_s : float
         Longest time to record, s.
     """

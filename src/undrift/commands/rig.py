@@ -40,7 +40,7 @@ class Shaft:
     Parameters
     ----------
     travel_deg : float or None
-        How far the table may turn either way, deg; without end where not given.
+        Largest angle of the table in either direction, deg. Unlimited by default.
     """
 
     travel_deg: float | None = None
@@ -135,29 +135,31 @@ def run(
     protocol : Path
         protocol.toml.
     rig : str
-        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual: (a person). All
-        of the bench is simulated with simulated: or, faster, simulated:?clock_speed=100, where `device` and `chamber` are
-        simulated: too. `device` may say seed, device (a preset or device.json) and tilt_deg of the mounting there.
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual: (a person).
+        To simulate the whole bench, use simulated: or, faster, simulated:?clock_speed=100, also for `device` and
+        `chamber`. A simulated `device` has the options seed, device (a preset or device.json) and tilt_deg of the
+        mounting.
     device : tuple of str
         Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name. Several
-        devices that are mounted alike on one table are read in the same dwells: state it for each.
+        devices that are mounted alike on one table are read in the same dwells. Repeat the option for each.
     output : Path
-        Folder of the run; of several devices, of their folders device-1, device-2.
+        Folder of the run. For several devices, it contains the folders device-1, device-2.
     chamber : str or None
-        Address of the thermal chamber, where the protocol has temperatures: tcp://host:port, serial:///dev/ttyUSB0; manual:
-        asks a person to set it, and the device's thermometer shows when it has soaked.
+        Address of the thermal chamber, if the protocol has temperatures: tcp://host:port or serial:///dev/ttyUSB0. With
+        manual: a person sets the chamber, and the device's thermometer detects the end of the soak.
     serial : str
-        Of the device; what its address says where not given.
+        Serial number of the device. The default is taken from its address.
     gravity_m_s2 : float or None
-        Local gravity, m/s2; session.toml states none, and standard gravity is assumed, where it is not given.
+        Local gravity, m/s2. Without it, session.toml contains no gravity, and standard gravity is assumed.
     highest_turn_rate_dps : float
-        Nothing faster is ever asked of the table, deg/s.
+        Largest commanded rate, deg/s.
     highest_acceleration_dps2 : float
-        Likewise, deg/s2.
+        Largest commanded acceleration, deg/s2.
     device_lag_s : float
-        Time constant with which a device without thermometer follows the chamber's air, s; a soak waits five of them.
+        Time constant with which a device without thermometer follows the chamber's air, s. A soak lasts five time
+        constants.
     resume : bool
-        Go on in a folder in which a run was interrupted.
+        Continue in the folder of an interrupted run.
     yes : bool
         Start without asking.
     """
@@ -434,11 +436,11 @@ def check(
     seconds : float
         Length of the step wave, s of the table.
     turn_rate_dps : float
-        Rate of the wave either way, deg/s; nothing faster is commanded.
+        Rate of the wave in both directions, deg/s. Faster rates are never commanded.
     acceleration_dps2 : float
-        Of the run-ups, deg/s2.
+        Acceleration of the run-ups, deg/s2.
     limit_deg : float
-        Largest following error at steady rate, deg; beyond it the exit code is 1.
+        Largest following error at steady rate, deg. If it is exceeded, the exit code is 1.
     """
     from undrift.rig.check import CheckSettings, check_rig
     from undrift.rig.lock import one_run, stopping_on_signals

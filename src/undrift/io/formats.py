@@ -291,7 +291,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
         Text table (plain or gzip), Parquet, mat, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X, NilsPod, or an
         NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
     columns : ColumnMap or None
-        Which column is what; None where the format or undrift's own names state it.
+        Channels and units of the columns, or None for known formats and undrift's own names.
     settings : ReadSettings or None
         Sample rate, sensor and gaps where the file leaves them unstated.
 
@@ -303,7 +303,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Raises
     ------
     InputError
-        No such file; a file that needs a map, a rate or the name of a sensor; bad data.
+        If the file does not exist, needs a map, a rate or the name of a sensor, or contains bad data.
     FileFormatError
         Not a recording, or a damaged one.
 
@@ -413,7 +413,7 @@ def write_record(record: Record, path: str | Path) -> None:
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it).
+        NAME.parquet, NAME.csv or NAME.csv.gz (with frame, state and device in NAME.csv.json).
 
     Raises
     ------
@@ -444,11 +444,11 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        CSV, Parquet or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
+        CSV, Parquet or mat with quaternions, OpenSim .sto, Xsens, or markers in C3D or TRC.
     columns : ReferenceMap or None
-        For foreign names; None for undrift's own.
+        Map of foreign names, or None for undrift's own names.
     labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC; or the name of one body (.sto).
+        Markers of a rigid cluster, for C3D and TRC, or the name of a body (.sto).
     up : str or None
         Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
 
@@ -460,7 +460,7 @@ def read_reference(
     Raises
     ------
     InputError
-        No such file; marker files without labels or axis; columns that are not there; quaternions that are none.
+        If the file does not exist, markers have no labels or axis, columns are missing, or quaternions are invalid.
     FileFormatError
         A damaged file, or one of another kind.
     """

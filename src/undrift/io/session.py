@@ -341,14 +341,15 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     Returns
     -------
     Session
-        Records, stated stills and turns in samples, and the sha256 of every file read.
+        Records, stills and turns in samples, and the sha256 of every file read.
 
     Raises
     ------
     InputError
-        No such folder or recording; gravity stated twice or by half; a time outside its recording; bad data.
+        If a folder or recording does not exist, gravity is given twice or incompletely, a time is outside its
+        recording, or data are bad.
     FileFormatError
-        session.toml is not TOML or holds an unknown, missing or wrong entry; names line and entry.
+        If session.toml is not TOML or has an unknown, missing or wrong entry. The message names line and entry.
 
     Examples
     --------
@@ -461,7 +462,7 @@ def write_session(session: Session, folder: str | Path) -> None:
     Parameters
     ----------
     session : Session
-        Records with what was done in them.
+        Records with their phases.
     folder : str or Path
         Made where it is missing.
 

@@ -34,12 +34,12 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
     calibration : Calibration
         The device's model.
     path : path
-        calibration.json; an existing file is replaced.
+        calibration.json. An existing file is replaced.
 
     Raises
     ------
     InputError
-        A folder that cannot be written to, or a value that could not be read back; no file is left behind.
+        If the folder is not writable, or a value could not be read back. No file is left behind.
 
     Examples
     --------
