@@ -67,7 +67,7 @@ def told_apart(value: float, form: str, limit: float) -> str:
 _TEMPLATE = _Template()
 
 
-def _read(keys: dict[str, Any]) -> "Finding":
+def _read_finding(keys: dict[str, Any]) -> "Finding":
     """Return a finding of a file from its code and values."""
     result = finding(keys["code"], keys["level"], **_filled(keys["values"]))
     try:
@@ -84,7 +84,7 @@ def _filled(value: Any) -> Any:
     return math.nan if value is None else value
 
 
-@stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read)
+@stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read_finding)
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Remark of a fit: a code, its level and its numbers.

@@ -94,8 +94,8 @@ def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
     figures = SimpleNamespace(max_abs_pitch_deg=1.0, motion_s=1.0)
     drift = SimpleNamespace(calibration=None, verdict=Verdict.of())
     trials = (SimpleNamespace(figures=figures, findings=()),) * 5
-    monkeypatch.setattr(demo, "_judged", lambda *_: (SimpleNamespace(drift=drift), trials))
-    monkeypatch.setattr(demo, "_worn", lambda _: Section(title="worn"))
+    monkeypatch.setattr(demo, "_judge_trials", lambda *_: (SimpleNamespace(drift=drift), trials))
+    monkeypatch.setattr(demo, "_worn_section", lambda _: Section(title="worn"))
     monkeypatch.setattr(demo, "_details", lambda *_: ())
     monkeypatch.setattr(demo, "_tables", lambda _: None)
     answer = undrift("demo", "--quick", "--out", tmp_path / "d")

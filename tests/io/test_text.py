@@ -49,10 +49,10 @@ def test_a_first_row_of_readings_is_no_header_and_is_not_lost(tmp_path):
 @pytest.fixture
 def pieces(monkeypatch):
     """Texts are parsed 64 bytes at a time; the sizes of the pieces."""
-    sizes, parsed = [], text._parsed
+    sizes, parsed = [], text._parse_rows
     monkeypatch.setattr(text, "_PIECE", 64)
     monkeypatch.setattr(
-        text, "_parsed", lambda *given, **how: sizes.append(len(bytes(given[1]))) or parsed(*given, **how)
+        text, "_parse_rows", lambda *given, **how: sizes.append(len(bytes(given[1]))) or parsed(*given, **how)
     )
     return sizes
 

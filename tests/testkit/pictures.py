@@ -36,7 +36,7 @@ def cut_texts(figure: "Figure") -> list[str]:
         over = max(reach.x0 - box.x0, box.x1 - reach.x1, reach.y0 - box.y0, box.y1 - reach.y1)
         if box.width > 0.0 and over > edge:
             found.append(
-                f"{text.get_text()!r} by {over / figure.dpi * 72.0:.1f} pt in {figures._described(figure)[:60]}"
+                f"{text.get_text()!r} by {over / figure.dpi * 72.0:.1f} pt in {figures._describe_figure(figure)[:60]}"
             )
     legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend() is not None)]
     titles = [

@@ -212,7 +212,7 @@ def _schema_of(cls: type, source: Any, handler: Any) -> Any:
         table = _table_of(cls, handler) if how.form is None else handler.generate_schema(how.form)
     finally:
         _BEGUN.pop()
-    make = partial(_made, cls) if how.form is None else how.read
+    make = partial(_build, cls) if how.form is None else how.read
     about = (cls.__doc__ or "").partition("\n")[0]
     metadata = {"pydantic_js_updates": {"title": cls.__name__, "description": about}}
     return cs.no_info_after_validator_function(make, table, ref=ref, metadata=metadata)  # type: ignore[arg-type]
@@ -252,10 +252,10 @@ def _head_of(how: Stored) -> Tree:
 
 def default_tree(slot: Slot) -> Any:
     """Return the default of a key as it is written in a file."""
-    return _in_unit(tree_of(slot.default), slot.key.unit)
+    return _convert(tree_of(slot.default), slot.key.unit)
 
 
-def _made(cls: type[Value], table: Tree) -> Value:
+def _build(cls: type[Value], table: Tree) -> Value:
     """Make a value of its checked keys."""
     how, arguments = _STORED[cls], Tree()
     for slot in slots_of(cls):
@@ -263,15 +263,15 @@ def _made(cls: type[Value], table: Tree) -> Value:
         for name in slot.path:
             spot = MISSING if spot is MISSING else spot.get(name, MISSING)
         if spot is not MISSING and (slot.given or how.read):
-            arguments[slot.name] = _at_unit(spot, slot.key.unit)
+            arguments[slot.name] = _scale(spot, slot.key.unit)
     return cls(**arguments) if how.read is None else how.read(arguments)
 
 
-def _at_unit(value: Any, factor: float) -> Any:
+def _scale(value: Any, factor: float) -> Any:
     """Return a number, or each of several, times a factor."""
     if factor == 1.0 or value is None:
         return value
-    return type(value)(_at_unit(item, factor) for item in value) if isinstance(value, list | tuple) else value * factor
+    return type(value)(_scale(item, factor) for item in value) if isinstance(value, list | tuple) else value * factor
 
 
 def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
@@ -281,7 +281,7 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
         kind, version = (tree.get("kind"), tree.get("format")) if isinstance(tree, dict) else (None, None)
         if kind != how.kind:
             raise FileFormatError(
-                f"{name}: expected kind {how.kind!r}, got {kind!r}. Use {_called(how)} that undrift wrote."
+                f"{name}: expected kind {how.kind!r}, got {kind!r}. Use {_name_in_messages(how)} that undrift wrote."
             )
         if version != how.format or isinstance(version, bool):
             raise FileFormatError(
@@ -289,7 +289,7 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
             )
     try:
         tree = how.complete(tree) if how.complete and isinstance(tree, dict) else tree
-        value: Value = _checked(cls, tree)
+        value: Value = _validate(cls, tree)
     except Refused as refused:
         raise FileFormatError(f"{name}: {refused.explained(how, text)}") from refused
     except (InputError, OverflowError) as error:  # of `complete`
@@ -325,7 +325,7 @@ class Refused(ValueError):
             return self.in_toml(text)
         if self.cause is not None:
             return self.in_json()
-        wanted = f"{_called(how)} of format {how.format}" if how.kind else "known keys"
+        wanted = f"{_name_in_messages(how)} of format {how.format}" if how.kind else "known keys"
         return f"expected {wanted}, got {self.in_json()}. Repair the file."
 
     def in_json(self) -> str:
@@ -352,21 +352,21 @@ def _within(place: tuple[Any, ...], outer: tuple[Any, ...]) -> bool:
     return len(place) > len(outer) and place[: len(outer)] == outer
 
 
-def _checked(cls: type[Value], tree: Any) -> Value:
+def _validate(cls: type[Value], tree: Any) -> Value:
     from pydantic import ValidationError
 
     try:
         # as JSON: strict, and lists are tuples there
         value: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
-        raise Refused(list(error.errors(include_url=False)), _names_of(cls)) from error
+        raise Refused(list(error.errors(include_url=False)), _collect_key_names(cls)) from error
     except (OverflowError, RecursionError, TypeError) as error:
         raise Refused([{"type": "value_error", "loc": (), "msg": str(error), "ctx": {"error": error}}]) from error
     return value
 
 
 @_cached
-def _names_of(cls: Any) -> frozenset[str]:
+def _collect_key_names(cls: Any) -> frozenset[str]:
     """Return the names of all keys of a class and of the classes that it contains."""
     names, visited, todo = set[str](), set[type](), [cls]
     while todo:
@@ -389,7 +389,7 @@ def _classes_in(hint: Any) -> list[type]:
     return [*classes, *(nested for argument in get_args(hint) for nested in _classes_in(argument))]
 
 
-def _called(how: Stored) -> str:
+def _name_in_messages(how: Stored) -> str:
     return f"a {how.kind.rpartition('.')[2]}"
 
 
@@ -429,24 +429,24 @@ def tree_by_keys(value: Any) -> Tree:
         spot = tree
         for name in slot.path[:-1]:
             spot = spot.setdefault(name, {})
-        spot[slot.path[-1]] = _written(item, slot)
+        spot[slot.path[-1]] = _encode(item, slot)
     return tree
 
 
-def _written(value: Any, slot: Slot) -> Any:
+def _encode(value: Any, slot: Slot) -> Any:
     if value is not None:
         for mark in get_args(slot.hint)[1:]:
             if isinstance(mark, TableRows | Named):
                 return mark.tree(value)
-    return _in_unit(tree_of(value), slot.key.unit)
+    return _convert(tree_of(value), slot.key.unit)
 
 
-def _in_unit(value: Any, unit: float) -> Any:
+def _convert(value: Any, unit: float) -> Any:
     """Convert numbers to the unit of the file, with the fewest digits that read back the same."""
     if unit == 1.0 or value is None:
         return value
     if isinstance(value, list):
-        return [_in_unit(item, unit) for item in value]
+        return [_convert(item, unit) for item in value]
     short = (float(f"{value / unit:.{digits}g}") for digits in range(12, 18))
     return next((number for number in short if number * unit == value), value / unit)
 
@@ -486,7 +486,7 @@ def json_of(path: Path, cls: type) -> Any:
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise FileFormatError(
-            f"{path}: expected {_called(_STORED[cls])} file, got {error.strerror}. Check the path."
+            f"{path}: expected {_name_in_messages(_STORED[cls])} file, got {error.strerror}. Check the path."
         ) from error
     except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
         raise FileFormatError(f"{path}: expected JSON, got {error}. Write the file again.") from error
@@ -506,9 +506,9 @@ def json_text(value: Any, name: str) -> str:
     """Return the text of a JSON file after a check that it reads back. ``name`` is used in error messages."""
     try:
         tree = tree_of(value)
-        _checked(type(value), tree)
+        _validate(type(value), tree)
     except Refused as refused:
-        called = _called(_STORED[type(value)])
+        called = _name_in_messages(_STORED[type(value)])
         raise InputError(f"{name}: expected {called} that reads back, got {refused}. Correct the value.") from refused
     text = json.dumps(tree, indent=2, allow_nan=False)
     # put lists of plain values on one line, because a JSON string cannot contain a raw line break
@@ -520,7 +520,7 @@ def toml_text(tree: Tree) -> str:
     """Return the text of a TOML file. None is omitted, and a list of tables is written as [[name]] tables."""
     import tomli_w
 
-    tree = _stated(tree)
+    tree = _without_nulls(tree)
     several = {
         name: rows for name, rows in tree.items() if isinstance(rows, list) and rows and isinstance(rows[0], dict)
     }
@@ -534,7 +534,7 @@ def toml_block(name: str, table: Tree) -> str:
     """Return the text of one of several tables: [[name]] and its keys."""
     import tomli_w
 
-    head, _, rest = tomli_w.dumps({name: _stated(table)}).partition("\n")
+    head, _, rest = tomli_w.dumps({name: _without_nulls(table)}).partition("\n")
     return _laid_out(f"[{head}]\n{rest}")
 
 
@@ -544,8 +544,12 @@ def _laid_out(text: str) -> str:
     return lists.sub(lambda found: "[" + re.sub(r"\n\s*", " ", found[1]) + "]", text)
 
 
-def _stated(tree: Tree) -> Tree:
-    return {name: _stated(item) if isinstance(item, dict) else item for name, item in tree.items() if item is not None}
+def _without_nulls(tree: Tree) -> Tree:
+    return {
+        name: _without_nulls(item) if isinstance(item, dict) else item
+        for name, item in tree.items()
+        if item is not None
+    }
 
 
 def schema_of(cls: type) -> Tree:

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _stop_on_signals()
     argv = sys.argv[1:] if arguments is None else arguments
     try:
-        code = copy_context().run(_called, argv)  # the arguments of this call are visible only in this context
+        code = copy_context().run(_dispatch, argv)  # the arguments of this call are visible only in this context
     except KeyboardInterrupt as error:
         with suppress(KeyboardInterrupt):  # a second one
             _ignore_signals()
@@ -84,12 +84,12 @@ def _stop_on_signals() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code: 0, 1, 2 or 3, or 130 if it was interrupted."""
     try:
-        return copy_context().run(_called, arguments)
+        return copy_context().run(_dispatch, arguments)
     except KeyboardInterrupt as error:
         return _refuse(arguments, error, STOPPED, code=INTERRUPTED)
 
 
-def _called(arguments: Sequence[str]) -> int:
+def _dispatch(arguments: Sequence[str]) -> int:
     try:
         if list(arguments) in ([], ["--help"], ["-h"]):
             sys.stdout.write(_help())

@@ -77,7 +77,7 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
 def _print(*lines: str, err: bool = False, style: str = "") -> None:
     out = console(err=err)
     for line in (line for text in lines for line in text.split("\n")):
-        for segment in [line] if out.soft_wrap else _wrapped(line, out.width):
+        for segment in [line] if out.soft_wrap else _wrap(line, out.width):
             out.print(segment, markup=False, soft_wrap=True, style=style)
 
 
@@ -95,7 +95,7 @@ class Terminal(Screen):
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
         if sys.stderr.isatty():
             width = console(err=True).width - 1
-            lines = [_wrapped(row, width, max_lines=1, placeholder=" …")[0] for row in line.split("\n")]
+            lines = [_wrap(row, width, max_lines=1, placeholder=" …")[0] for row in line.split("\n")]
             above = f"\x1b[{self._lines - 1}A" if self._lines > 1 else ""
             sys.stderr.write(f"\r{above}\x1b[J" + "\n".join(lines) + "\n" * last)
             sys.stderr.flush()
@@ -112,7 +112,7 @@ class Terminal(Screen):
         raise EOFError
 
 
-def _wrapped(line: str, width: int, **options: Any) -> list[str]:
+def _wrap(line: str, width: int, **options: Any) -> list[str]:
     """Return a line split to the width, without broken words. A word wider than the terminal gets its own line."""
     from rich.cells import cell_len
 
@@ -144,7 +144,7 @@ class ProgressBar:
         self._stop = threading.Event()
         self._task = self._bar.add_task(self._what, total=1.0)
         self._began_s = time.monotonic()
-        self._teller = threading.Thread(target=self._tell, daemon=True)
+        self._teller = threading.Thread(target=self._report_periodically, daemon=True)
 
     def __enter__(self) -> "ProgressBar":
         return self
@@ -165,7 +165,7 @@ class ProgressBar:
         say(*(f"undrift {self._command}: {line}" for line in lines), err=True)
         self._bar.update(self._task, description=self._what, completed=share)
 
-    def _tell(self) -> None:
+    def _report_periodically(self) -> None:
         interval = os.environ.get(SAID_EVERY, "")
         while not self._stop.wait(float(interval) if interval.replace(".", "", 1).isdigit() else SAID_EVERY_S):
             passed_s, share = time.monotonic() - self._began_s, self._share
@@ -194,7 +194,7 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
         if len(rule) + 2 <= out.width:
             break
     else:
-        return _print(*(_stacked(heads, row) for row in cell_rows))
+        return _print(*(_stack_cells(heads, row) for row in cell_rows))
 
     def laid(cells: Sequence[str]) -> str:
         placed = (" " * (most - cell_len(cell)) + cell for cell, most in zip(cells[1:], wide[1:], strict=True))
@@ -204,7 +204,7 @@ def show_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) 
     return out.print(f" {rule} ", *map(laid, cell_rows), "", sep="\n", markup=False, soft_wrap=True)
 
 
-def _stacked(heads: Sequence[str], row: Sequence[str]) -> str:
+def _stack_cells(heads: Sequence[str], row: Sequence[str]) -> str:
     """Return a row with a line for each cell. A cell without a heading follows the cell before it."""
     cells = [(head, cell.strip()) for head, cell in zip(heads, row, strict=True) if cell.strip()]
     return "".join(f"\n  {head}: {cell}" if head else f" {cell}" for head, cell in cells).strip()

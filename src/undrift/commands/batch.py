@@ -251,7 +251,9 @@ class _Job:
             kind = "damaged" if command == "info" else row["kind"]
             return row | {"kind": kind, "verdict": "error", "error": text.removeprefix(f"{file}: "), "output": None}
         facts = watched.seen | (summary.data if command == "info" else {})
-        row |= _judged(summary) | {key: plain(facts[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in facts}
+        row |= _verdict_and_answer(summary) | {
+            key: plain(facts[key]) for key in ("kind", "sample_rate_hz", "gaps") if key in facts
+        }
         none = {"verdict": ""} if row["kind"] in ("text", "settings") else {}
         return row | none if row["sample_rate_hz"] else row | none | {"gaps": None}
 
@@ -266,7 +268,7 @@ def _key(command: str, file: Path, options: Row) -> str:
     return hashlib.sha256(json.dumps([__version__, command, plain(values), read]).encode()).hexdigest()
 
 
-def _judged(summary: Summary) -> Row:
+def _verdict_and_answer(summary: Summary) -> Row:
     """Return verdict, worst finding and answer of a summary. The verdict is the worse of the verdicts of file and
     calibration.
     """

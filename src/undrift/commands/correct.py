@@ -83,7 +83,7 @@ class CorrectedFiles(Result):
     notes: tuple[str, ...] = ()  # which calibration was taken from a folder
 
     @property
-    def _next(self) -> tuple[object, ...]:
+    def _next_command(self) -> tuple[object, ...]:
         """Return the next commands for a corrected recording, if its beginning is complete."""
         from undrift.io.formats import iter_record
         from undrift.orientation import check_whole
@@ -139,7 +139,7 @@ class CorrectedFiles(Result):
             brief=True,
             notes=self.notes,
             written=tuple(file.output for file in self.files),
-            next=() if several or self.model.gyro is None else self._next,
+            next=() if several or self.model.gyro is None else self._next_command,
         )
 
 
@@ -312,7 +312,7 @@ def _correct_one(
                     check_force(done.record)
                     suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
                 suspicions += tuple(saturation for saturation in done.findings if saturation.code == "correct.device")
-                rests, rms = _at_rests(chunk, done.record, model)
+                rests, rms = _compare_rests(chunk, done.record, model)
             written.result()
             written = pool.submit(write, done.record)
             notes.update(dict.fromkeys((*left_out, *done.notes)))
@@ -333,7 +333,7 @@ def _gravity(model: "Calibration") -> float:
     return model.gravity_m_s2 if math.isfinite(model.gravity_m_s2) else STANDARD_GRAVITY
 
 
-def _at_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[list[FloatArray], dict[str, float]]":
+def _compare_rests(raw: "Record", done: "Record", model: "Calibration") -> "tuple[list[FloatArray], dict[str, float]]":
     """Return |a|, m/s2, and |w|, deg/s, in the mean of each rest, raw and corrected, (n, 2). Also return their rms from
     g, mg, and 0.
     """

@@ -66,7 +66,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
             f"{out}: the recordings cannot be written ({disk.strerror or disk}). Free disk space and run the demo again."
         ) from disk
     tell("fitting calibration and tables, judging a worn trial", after_s)
-    fit, trials = _judged(device, out)
+    fit, trials = _judge_trials(device, out)
     tell("report", 0.5 * REST_HOST_S[quick])
     overview = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device))
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
@@ -98,7 +98,7 @@ def _is_demo(out: Path) -> bool:
         return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "protocol.toml").is_file()
 
 
-def _judged(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial", ...]]:
+def _judge_trials(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["Trial", ...]]:
     """Fit calibration and tables, and judge a worn trial."""
     from undrift.correction.correct import correct_checked
     from undrift.io.formats import read_record, read_reference, write_record
@@ -136,7 +136,7 @@ def _summary(
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
         findings=trials[-1].findings,  # of the recommended level: tables remove the remaining errors of constants
-        sections=(_worn(trials), _checks(checks), *_details(run, fit, trials), _more()),
+        sections=(_worn_section(trials), _checks(checks), *_details(run, fit, trials), _more()),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),
         failed=not all(check.passed for check in checks),
@@ -181,7 +181,7 @@ def _checks(checks: tuple["Check", ...]) -> Section:
     return table_section("Compared with the hidden truth", checks, cells, text=(text,))
 
 
-def _worn(trials: tuple["Trial", ...]) -> Section:
+def _worn_section(trials: tuple["Trial", ...]) -> Section:
     """Return the text about the worn trial."""
     import numpy as np
 

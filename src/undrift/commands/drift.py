@@ -88,7 +88,7 @@ def drift(
     check_output(output, endings=(".json",), reads=read)  # may be the calibration that was read: it is written whole
     chosen = choose_calibration(calibration, sessions, opening)
     model, calibration = chosen.model, chosen.path
-    fit, first = _fitted(sessions, opening.like(model, calibration), model, settings, progress)
+    fit, first = _read_and_fit(sessions, opening.like(model, calibration), model, settings, progress)
     if output is not None:
         write_calibration(fit.calibration, output)
     return replace(
@@ -97,11 +97,11 @@ def drift(
         notes=(*chosen.notes, *_notes(fit, model, calibration)),
         written=(output,),
         after=() if output else (NOTHING_WRITTEN,),
-        next=() if output is None else _next(recording_of(sessions), first, fit, output),
+        next=() if output is None else _next_command(recording_of(sessions), first, fit, output),
     )
 
 
-def _fitted(
+def _read_and_fit(
     sessions: tuple[Path, ...],
     opening: Opening,
     model: "Calibration | None",
@@ -136,7 +136,7 @@ def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> I
         yield f"calibration given: {path}, with {len(without_tables(model).verdict.reasons)} findings of its own"
 
 
-def _next(recording: Path | None, session: "Session", fit: "DriftFit", output: Path) -> tuple[object, ...]:
+def _next_command(recording: Path | None, session: "Session", fit: "DriftFit", output: Path) -> tuple[object, ...]:
     """Return how to correct a recording with the tables: from power-on with a warm-up model, and held outside the
     range.
     """

@@ -111,7 +111,7 @@ def info(
         raise InputError(f"output: expected a folder of recordings for a table, got {file}. Omit `output`.")
     proposal.check(reads=(file, opening.column_map))
     with reading(progress, 0.8, file):
-        description, opening = _described(file, opening, reference_up)
+        description, opening = _describe_file(file, opening, reference_up)
     if proposal.write_map is not None:
         return _write_map(description, proposal.write_map, proposal, opening)
     session = description.session
@@ -151,11 +151,11 @@ def info(
         verdict=verdict,
         findings=description.findings,
         brief=verdict is None,
-        next=_next(description, len(stills), opening),
+        next=_next_command(description, len(stills), opening),
     )
 
 
-def _described(file: Path, opening: Opening, up: Up) -> "tuple[Description, Opening]":
+def _describe_file(file: Path, opening: Opening, up: Up) -> "tuple[Description, Opening]":
     """Return the content of a file, read with a map of readings or of orientations."""
     from undrift.io.inspect import describe, describe_poses
     from undrift.io.reference import read_reference_map
@@ -372,7 +372,7 @@ def _hints(description: "Description") -> list[str]:
     ]
 
 
-def _next(description: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
+def _next_command(description: "Description", stills: int, opening: Opening) -> tuple[object, ...]:
     """Return the next command, if one can be suggested."""
     if description.example:
         ready = "sample_rate_hz = ?" not in description.example

@@ -41,7 +41,7 @@ def label_of(table: "LevelTable", level: str, method: str) -> str:
 def levels_sections(table: "LevelTable") -> tuple[Section, ...]:
     """Return the errors at each level of correction over all trials, and their details."""
     groups = list(dict.fromkeys(summary.group for summary in table.summaries))
-    sections = [_errors_section(table, "all"), _warnings(table), _agreement(table), _simulated(table)]
+    sections = [_errors_section(table, "all"), _warnings(table), _agreement(table), _simulated_section(table)]
     sections += [replace(_errors_section(table, group), on="page") for group in groups[1:]]
     return (*(section for section in sections if section.rows or section.text), _trials(table))
 
@@ -121,7 +121,7 @@ def _agreement(table: "LevelTable") -> Section:
     return Section(title="Agreement with the optics", columns=heads, rows=tuple(rows), text=text, pictures=(picture,))
 
 
-def _simulated(table: "LevelTable") -> Section:
+def _simulated_section(table: "LevelTable") -> Section:
     """Return the errors of the actual and the simulated device next to each other."""
     import numpy as np
 

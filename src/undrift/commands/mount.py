@@ -87,7 +87,7 @@ def _mount_summary(
     )  # fmt: skip
     if worn is None:
         return about
-    verdict = verdict.also(_turned(worn, None if model is None else model.mounting))
+    verdict = verdict.also(_rotation_text(worn, None if model is None else model.mounting))
     degrees = [float(x) for x in worn.covariance.diagonal() ** 0.5 / RADIAN_PER_DEGREE]
     turns = dict(zip(("roll", "pitch", "heading"), degrees, strict=True))
     sides = [_nearest(way) for way in worn.matrix]
@@ -135,7 +135,7 @@ def _nearest(way: "FloatArray") -> tuple[str, float]:
     return f"{'+-'[int(way[k] < 0.0)]}{'xyz'[k]}", math.degrees(math.acos(min(1.0, abs(float(way[k])))))
 
 
-def _turned(worn: "BodyMounting", before: "BodyMounting | None") -> "Verdict":
+def _rotation_text(worn: "BodyMounting", before: "BodyMounting | None") -> "Verdict":
     """Return in words how the device is turned against the mounting before, or against +x forward and +z up."""
     from undrift.findings import Verdict, finding
 

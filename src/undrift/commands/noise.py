@@ -115,7 +115,7 @@ def noise(
     with reading(progress, 0.3, record):
         readings = opening.like(model, chosen.path).read(record)
     with named_columns(record):
-        readings, notes = (readings, ()) if model is None else _corrected(readings, model)
+        readings, notes = (readings, ()) if model is None else _correct_readings(readings, model)
         if rest := named_rest(readings, named.stretch):
             readings = readings.part(rest.start, rest.stop)
         check_force(readings)
@@ -165,7 +165,7 @@ def _meaning(fit: "NoiseFit") -> str:
     return " ".join(parts)
 
 
-def _corrected(readings: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
+def _correct_readings(readings: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
     """Return corrected readings and notes about them."""
     from undrift.correction.correct import correct_checked
 

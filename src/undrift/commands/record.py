@@ -283,7 +283,7 @@ class _Recording:
                 full = str(error)
         full = full or status.file_error
         try:
-            record, where, failed = self._made(full)
+            record, where, failed = self._read_back(full)
         except UndriftError as error:
             got = (
                 full
@@ -312,7 +312,7 @@ class _Recording:
             next=("info", self.output),
         )
 
-    def _made(self, full: str) -> "tuple[Record, Path, str]":
+    def _read_back(self, full: str) -> "tuple[Record, Path, str]":
         """Return all readings, their file, and the reason if it is not the requested file."""
         from undrift.io.columns import ReadSettings
         from undrift.io.formats import read_record

@@ -181,7 +181,7 @@ def run(
         settings.limits,
         kind == "manual",
     )
-    simulated = _simulated(device, (rig, chamber), options, gravity_m_s2)
+    simulated = _simulated_bench(device, (rig, chamber), options, gravity_m_s2)
     programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
@@ -194,10 +194,10 @@ def run(
         display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
-            first, *others = (_mounted(stack, *pair, programme) for pair in zip(paths, folders, strict=True))
+            first, *others = (_connect(stack, *pair, programme) for pair in zip(paths, folders, strict=True))
             bench = _bench(stack, first.readings, (rig, chamber), settings, display, programme, resume=resume)
         else:
-            bench, (first, *others) = _on_simulated(simulated, folders, with_chamber=chamber is not None)
+            bench, (first, *others) = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
         first.serial = serial or first.serial
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=display, others=others, **how)
@@ -227,7 +227,7 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
     return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
 
 
-def _simulated(
+def _simulated_bench(
     device: str | tuple[str, ...], addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
 ) -> "SimulatedBench | None":
     """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
@@ -267,7 +267,7 @@ def _simulated(
     return SimulatedBench(models, settings, options.timing)
 
 
-def _on_simulated(
+def _parts_of_simulated_bench(
     bench_parts: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
 ) -> "tuple[RigBench, list[Mounted]]":
     """Return the parts of a simulated bench for a run, and its devices with their folders."""
@@ -287,7 +287,7 @@ def _on_simulated(
     ]
 
 
-def _mounted(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
+def _connect(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
     """Connect a device."""
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
     from undrift.live.transports import source_at

@@ -90,7 +90,7 @@ class Dialect(MapTable):
     def read(self, path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
         """Read a file or a folder."""
         path = self._file(path)
-        sheet = self._labelled(open_sheet(path))
+        sheet = self._label(open_sheet(path))
         result = read_sheet(self._with_clock(sheet, settings.sample_rate_hz), settings)
         return replace(result, record=self._with_thermometer(result.record, sheet))
 
@@ -100,7 +100,7 @@ class Dialect(MapTable):
         if not self.poses:
             return read_text_poses(path, columns)
         return poses_of(
-            self._with_clock(self._labelled(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
+            self._with_clock(self._label(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
         )
 
     def _file(self, path: Path) -> Path:
@@ -112,7 +112,7 @@ class Dialect(MapTable):
             raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
         return matches[0]
 
-    def _labelled(self, sheet: Sheet) -> Sheet:
+    def _label(self, sheet: Sheet) -> Sheet:
         """Return a sheet with its labels, device and notes."""
         device, rate = (sheet.stated(pattern) if pattern else None for pattern in (self.device, self.rate))
         name_matches = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
@@ -125,10 +125,10 @@ class Dialect(MapTable):
         if self.channel_line:
             return replace(sheet, labels=_labels_of_lines(self.channel_line, sheet))
         sheet = with_manual(sheet, self.maker, self.units, whole_names=self.whole_names)
-        labels = tuple(self._own(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
+        labels = tuple(self._maker_label(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
         return replace(sheet, labels=labels)
 
-    def _own(self, name: str, label: Label | None) -> Label | None:
+    def _maker_label(self, name: str, label: Label | None) -> Label | None:
         """Return the label of a column by the rules of the maker."""
         if label is None or (self.omit and self.omit.search(name)):
             return None
@@ -150,12 +150,12 @@ class Dialect(MapTable):
 
         def by_rate(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
             number = _from_zero(sheet, counts, self.packets)
-            return number * (1.0 / (rate_hz or np.nan)), _lost(number)
+            return number * (1.0 / (rate_hz or np.nan)), _count_lost(number)
 
         def by_stamps(ticks: FloatArray, *counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
             start, counter = ticks[0] if absolute else 0.0, self.stamps or MapCounter(column="", bits=64)
             time = (counter.step_s or np.nan) * (start + _from_zero(sheet, ticks, counter))
-            lost = [note for count in counts for note in _lost(_from_zero(sheet, count, self.packets))]
+            lost = [note for count in counts for note in _count_lost(_from_zero(sheet, count, self.packets))]
             return time, (*([counter.note] if counter.note else []), *lost)
 
         if packets is not None and rate_hz is not None and not absolute:
@@ -227,7 +227,7 @@ def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> 
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
-def _lost(packets: FloatArray) -> tuple[str, ...]:
+def _count_lost(packets: FloatArray) -> tuple[str, ...]:
     lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
     return (
         (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()

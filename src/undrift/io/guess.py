@@ -74,7 +74,7 @@ def sniff(path: object) -> Text:
     delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
     # a line that a terminal program puts before the rows may have their commas, and nothing between them
-    skip = next((k for k, line in zip(at, lines, strict=True) if _filled(line, delimiter, width)), 0)
+    skip = next((k for k, line in zip(at, lines, strict=True) if _has_cells(line, delimiter, width)), 0)
     first = _cells(raw[skip], delimiter, decimal)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
     if len(first) > 2 and all(cell.strip().isdecimal() for cell in first) and set(np.diff([*map(int, first)])) == {1}:
@@ -185,7 +185,7 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
-    keys = _by_position(text) if text is not None and nameless else _by_name(names, text, arrays)
+    keys = _columns_from_readings(text) if text is not None and nameless else _columns_from_names(names, text, arrays)
     unit_by_channel = {channel: _unit_of(channel, value) for channel, value in keys.items()}
     if unit_by_channel.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
         unit_by_channel["time"] = "date"
@@ -204,7 +204,7 @@ def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tu
     return tuple(lines)
 
 
-def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
+def _columns_from_names(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
     """Return the columns of each channel, as a map writes them."""
     keys: dict[str, str] = {}
     triples = {triple[0]: _quoted(triple) for triple in triples_of(names)}
@@ -333,7 +333,7 @@ def _is_temperature(values: FloatArray) -> bool:
     return _WARM_C < middle < _TEMP_C[1] and not np.array_equal(values, np.round(values))
 
 
-def _by_position(text: Text) -> dict[str, str]:
+def _columns_from_readings(text: Text) -> dict[str, str]:
     """Return a proposal for a table without names: a growing first column is time, the steadiest three axes read gravity."""
     lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
@@ -364,7 +364,7 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
 
 
-def _filled(line: str, delimiter: str, width: int) -> bool:
+def _has_cells(line: str, delimiter: str, width: int) -> bool:
     """Return True if a line has as many cells as the table is wide, with content in half of them."""
     cells = _cells(line, delimiter)
     return len(cells) == width and 2 * sum(bool(cell.strip()) for cell in cells) >= width

@@ -55,7 +55,7 @@ STUCK = 8  # samples in a row at the largest reading
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
     """Return what looks wrong with a recording."""
-    symptoms = [*check_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
+    symptoms = [*check_gravity(record), *_check_rest(record), *_temperature(record), *_sampling(record.time)]
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
             symptoms += _axes(name, getattr(record, name))
@@ -90,7 +90,7 @@ def check_gravity(record: Record) -> Iterator[Finding]:
         yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction, cause=cause)
 
 
-def _rest(record: Record) -> Iterator[Finding]:
+def _check_rest(record: Record) -> Iterator[Finding]:
     """Return the offset of a gyroscope from the quietest two seconds."""
     size = max(8, int(2.0 * record.sample_rate_hz))
     count = len(record) // size
@@ -243,18 +243,19 @@ class Description:
     @property
     def problems(self) -> tuple[str, ...]:
         """The findings as texts, but how the file was read."""
-        return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
+        return tuple(_finding_text(item) for item in self.findings if item.code != "recording.how_read")
 
     def lines(self) -> tuple[str, ...]:
         """Return every finding as a line that names its kind: how the file was read, a note, or a problem."""
         return tuple(
-            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: {_told(item)}"
+            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: "
+            f"{_finding_text(item)}"
             for item in self.findings
             if item.text != self.summary
         )
 
 
-def _told(item: Finding) -> str:
+def _finding_text(item: Finding) -> str:
     """Return the text of a finding, with the recording of a session that it is about."""
     return f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
 
@@ -328,11 +329,11 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
         + f", {record.device}" * bool(record.device),
         findings=(*left_out, *find_symptoms(record)),
         session=Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,)),
-        **_of_records(record),
+        **_describe_records(record),
     )
 
 
-def _of_records(*records: Record) -> dict[str, Any]:
+def _describe_records(*records: Record) -> dict[str, Any]:
     """Return the description of several records: columns and units of the first, the rest of all."""
     first = records[0]
     channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
@@ -448,7 +449,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         columns=names,
         gaps=len(reference) - valid_count,
         findings=tuple(_sampling(reference.time)),
-        **_of_clock(reference),
+        **_clock_entries(reference),
     )
 
 
@@ -476,11 +477,11 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
         findings=tuple(findings),
-        **_of_clock(markers),
+        **_clock_entries(markers),
     )
 
 
-def _of_clock(poses: Reference | Markers) -> dict[str, Any]:
+def _clock_entries(poses: Reference | Markers) -> dict[str, Any]:
     duration_s = float(poses.time[-1] - poses.time[0])
     return {"rows": len(poses), "sample_rate_hz": poses.sample_rate_hz, "duration_s": duration_s}
 
@@ -500,7 +501,7 @@ def _session(path: Path, clock: Clock | None = None) -> Description:
             for number, record in enumerate(session.records)
             for item in find_symptoms(record)
         ),
-        **_of_records(*session.records),
+        **_describe_records(*session.records),
     )
 
 

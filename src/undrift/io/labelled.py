@@ -368,7 +368,7 @@ def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
     """Return the record of one sensor of a labelled sheet, with notes on the reading."""
     triples = triples_of(sheet)
     _check_readings(sheet, triples)
-    chosen = _chosen(sheet, triples, settings.sensor)
+    chosen = _choose_sensor(sheet, triples, settings.sensor)
     temp = _temperature(sheet, settings.sensor)
     used = [sheet.labels[k] for columns in chosen.values() for k in columns]
     rates = {label.rate_hz for label in used if label}
@@ -422,7 +422,7 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
     )
 
 
-def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
+def _choose_sensor(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
     sensors = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
     names = tuple(dict.fromkeys(sensors))
     several = any(len(by_sensor) > 1 for channel, by_sensor in triples.items() if channel != "mag")

@@ -269,7 +269,7 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
     parsed = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, content["warnings"])])
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
-    parsed.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
+    parsed.time = _interpolate_blocks(stamps, blocks, fitted=kind.startswith("GeneActiv"))
     parsed.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
     if "gyroscope" in fast:
         parsed.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
@@ -284,7 +284,7 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     return parsed
 
 
-def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
+def _interpolate_blocks(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
     """Return times in s from 0, linear from block to block. With ``fitted``, each run has a single rate, for coarse
     block stamps.
     """

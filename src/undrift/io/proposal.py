@@ -56,7 +56,7 @@ def map_of(
     why |= dict.fromkeys(chosen_units, "as given")
     gyro_uncertain = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
     # gravity is a better witness than the size of the readings
-    if gyro_uncertain and (gyro_proposal := _turned(description, lines, proposed)):
+    if gyro_uncertain and (gyro_proposal := _propose_gyro_unit(description, lines, proposed)):
         proposed["gyro"], why["gyro"] = gyro_proposal
     text = [f"# How {Path(description.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
     text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
@@ -74,7 +74,9 @@ def _why(key: str, unit: str, line: str) -> str:
     return f"proposed by {reasons[key]}" if key in reasons else "by the name of its column"
 
 
-def _turned(description: Description, lines: Sequence[str], units: Mapping[str, str]) -> tuple[str, str] | None:
+def _propose_gyro_unit(
+    description: Description, lines: Sequence[str], units: Mapping[str, str]
+) -> tuple[str, str] | None:
     """Return the unit of the gyroscopes determined from gravity, and the reason, or None if it is not observable."""
     if units.get("time") == "?":
         return None

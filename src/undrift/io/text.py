@@ -293,7 +293,7 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
             if _INK.search(buffer, 0, end):
-                yield (table := _parsed(text, pa.py_buffer(buffer).slice(0, end), positions))
+                yield (table := _parse_rows(text, pa.py_buffer(buffer).slice(0, end), positions))
                 taken += table.nbytes
             if taken > MOST_BYTES:
                 raise too_large(text.path)
@@ -321,7 +321,7 @@ def _with_closed_quotes(text: Text) -> Text:
     return replace(text, content=b"\n".join(lines)) if torn else text
 
 
-def _parsed(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
+def _parse_rows(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
     """Parse rows of text. Cells of the columns ``numbers`` become numbers. Without it, all cells stay bytes."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -357,7 +357,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
         return "skip"
 
     try:
-        parsed = _parsed(text, content, None, bad_row=skip, skip_rows=text.skip, use_threads=False)
+        parsed = _parse_rows(text, content, None, bad_row=skip, skip_rows=text.skip, use_threads=False)
     except pa.ArrowInvalid as error:
         raise FileFormatError(
             f"{text.path}: expected rows of text, got something else: {str(error).splitlines()[0]}. Check the file "

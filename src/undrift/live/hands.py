@@ -85,7 +85,7 @@ class HandHeld:
         self.clock, self.lock, self._rest_s = clock or Clock.started(), threading.RLock(), REST_S
         self._draw = np.random.default_rng((seed, 1))
         self.face: Face = "+z"
-        q_rest = self._laid(np.array([1.0, 0.0, 0.0, 0.0]), self.face)
+        q_rest = self._lay(np.array([1.0, 0.0, 0.0, 0.0]), self.face)
         self.moves = [Move(-1.0, 1.0, q_rest, np.eye(3)[0], Polynomial([0.0]))]
         # compile the simulation before the first reading is due
         SimulatedDevice(device, self._seen, seed, 0.0).read(0.1)
@@ -133,7 +133,7 @@ class HandHeld:
             raise InputError(f"face: expected one of {', '.join(FACES)}, got '{face}'. Enter the axis that points up.")
         with self.lock:
             start, q = self._after()
-            way = rotation_vector(quaternion_product(quaternion_conjugate(q), self._laid(q, face)))
+            way = rotation_vector(quaternion_product(quaternion_conjugate(q), self._lay(q, face)))
             angle = float(np.linalg.norm(way))
             axis = way / angle if angle > 0.0 else np.eye(3)[0]
             self.face = face
@@ -155,12 +155,12 @@ class HandHeld:
             reached = angle + draw.normal(0.0, ANGLE_SD)
             course = reached * (SMOOTH + draw.uniform(-0.3, 0.3) * UNEVEN)
             q_end = quaternion_product(q, turn_quaternion(leaning, np.array(reached)))
-            back = rotation_vector(quaternion_product(quaternion_conjugate(q_end), self._laid(q_end, self.face)))
+            back = rotation_vector(quaternion_product(quaternion_conjugate(q_end), self._lay(q_end, self.face)))
             quickest_s = STEEPEST * abs(angle) / (REACH * self.device.gyro.full_scale)
             duration_s = max(abs(turns) * draw.uniform(*TURN_S), quickest_s)
             self._add(Move(start, duration_s, q, leaning, course, back))
 
-    def _laid(self, q: FloatArray, face: Face) -> FloatArray:
+    def _lay(self, q: FloatArray, face: Face) -> FloatArray:
         """Return the nearest orientation to q with a face up and a random tilt."""
         up = unit_vector(face)
         return facing(q, up + np.cross(self._draw.normal(0.0, TILT_SD, 3), up))

@@ -128,11 +128,11 @@ def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
         label.set_fontsize(max(label.get_fontsize(), LEAST_SIZE))
     fonts = {"svg.fonttype": "path"} if outlines else {}
     text = _saved(figure, fonts, format="svg", metadata={"Date": None, "Creator": "undrift"}).decode()
-    opening_tag = f'<svg role="img" aria-label="{escape(_described(figure))}" '
+    opening_tag = f'<svg role="img" aria-label="{escape(_describe_figure(figure))}" '
     return text[text.index("<svg") :].replace("<svg ", opening_tag, 1)
 
 
-def _described(figure: "Figure") -> str:
+def _describe_figure(figure: "Figure") -> str:
     """Return the description of a figure: its title, and the labels of its axes."""
     heads = [
         str(figure.get_label()),
@@ -156,7 +156,7 @@ def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
 
 def entitle(figure: "Figure", title: str) -> None:
     """Write a title over the whole figure, in lines that fit."""
-    lines, _ = _in_lines(title, 0.98 * 72.0 * figure.get_figwidth(), 10.0)
+    lines, _ = _wrap_text(title, 0.98 * 72.0 * figure.get_figwidth(), 10.0)
     figure.suptitle(lines, x=0.01, ha="left", fontsize=10)
 
 
@@ -169,24 +169,24 @@ def legend_above(axes: "Axes") -> None:
     across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
     room_pt = 72.0 * axes.figure.bbox.width / axes.figure.dpi / across - _LABELS_PT
     where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2, "frameon": False}
-    axes.legend(handles=handles, **_fitted(names, room_pt), **where)
+    axes.legend(handles=handles, **_fit_legend(names, room_pt), **where)
 
 
 def legend_outside(figure: "Figure", handles: Sequence[Any], names: Sequence[str], where: str = "lower left") -> None:
     """Write a legend next to all panels, in as many columns as fit."""
-    style: Any = _fitted(names, 72.0 * figure.get_figwidth()) | {"loc": f"outside {where}", "frameon": False}
+    style: Any = _fit_legend(names, 72.0 * figure.get_figwidth()) | {"loc": f"outside {where}", "frameon": False}
     figure.legend(handles=list(handles), **style)
 
 
-def _fitted(names: Sequence[str], room_pt: float) -> dict[str, Any]:
+def _fit_legend(names: Sequence[str], room_pt: float) -> dict[str, Any]:
     """Return the labels of a legend in lines that fit, and how many columns of them do."""
     size = 9.0  # legend spaces are in units of the font size: a handle with its gaps 4, the frame 1.5
-    labels, widths = zip(*(_in_lines(name, room_pt - 5.5 * size, size) for name in names), strict=True)
+    labels, widths = zip(*(_wrap_text(name, room_pt - 5.5 * size, size) for name in names), strict=True)
     columns = int((room_pt - 0.3 * size) / (max(widths) + 4.0 * size))
     return {"labels": labels, "ncols": min(max(columns, 1), len(labels)), "fontsize": size, "columnspacing": 1.2}
 
 
-def _in_lines(text: str, room_pt: float, size: float) -> tuple[str, float]:
+def _wrap_text(text: str, room_pt: float, size: float) -> tuple[str, float]:
     """Return a text in lines that fit a width, and the longest of them, points."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
@@ -321,7 +321,7 @@ def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, titl
     panels[-1].set(xlabel="time (s)" + ", recordings one after the other" * (len(records) > 1))
     panels[-1].set_xlim(starts[0], starts[-1])
     room_pt = 72.0 * figure.get_figwidth() - _LABELS_PT
-    strip.set_title(_in_lines(title, room_pt, 10.0)[0], loc="left", fontsize=10)
+    strip.set_title(_wrap_text(title, room_pt, 10.0)[0], loc="left", fontsize=10)
     lines = {axis: Line2D([], [], **axis_style(k, marked=True) | {"markevery": None}) for k, axis in enumerate(AXES)}
     _add_legend(figure, pieces, lines | marks, used=used)
     return figure

@@ -106,7 +106,7 @@ _LETTER = 0.56 * _SIZE  # mean width of a letter
 def draw_figure1() -> "Figure":
     """Draw the note's Figure 1, how the parameters of the calibration are optimised."""
     left_edge, wide = _EDGE + 22.0, 72.0 * figures.WIDTH - 2.0 * _EDGE - 22.0
-    boxes, bottom = _stacked(FIGURE_1, left_edge, _EDGE, wide)
+    boxes, bottom = _stack_boxes(FIGURE_1, left_edge, _EDGE, wide)
     figure, axes = _sheet(bottom + _EDGE, "Figure 1: how the parameters are optimised")
     _draw_boxes(axes, boxes)
     start, stop, word = LOOP
@@ -123,16 +123,16 @@ def draw_figure2() -> "Figure":
     """Draw the note's Figure 2, how the drift of the gyroscopes is compensated."""
     width = 72.0 * figures.WIDTH
     wide, half = width - 2.0 * _EDGE, 0.5 * (width - 3.0 * _EDGE)
-    before, bottom = _stacked((BEFORE,), _EDGE, _EDGE, wide)
+    before, bottom = _stack_boxes((BEFORE,), _EDGE, _EDGE, wide)
     top = bottom + _GAP
     sides, ends = [], []
     for k, branch in enumerate((STATIC, DYNAMIC)):
         left_edge = _EDGE + k * (half + _EDGE)
-        inner, end = _stacked(branch.steps, left_edge + _EDGE, top + _LINE * 2.6 + _EDGE, half - 2.0 * _EDGE)
+        inner, end = _stack_boxes(branch.steps, left_edge + _EDGE, top + _LINE * 2.6 + _EDGE, half - 2.0 * _EDGE)
         sides.append(inner)
         ends.append(end + _EDGE)
     low = max(ends)
-    after, bottom = _stacked(AFTER, _EDGE, low + _GAP, wide)
+    after, bottom = _stack_boxes(AFTER, _EDGE, low + _GAP, wide)
     figure, axes = _sheet(bottom + _EDGE, "Figure 2: how the drift is compensated")
     for k, (branch, inner) in enumerate(zip((STATIC, DYNAMIC), sides, strict=True)):
         left_edge = _EDGE + k * (half + _EDGE)
@@ -164,7 +164,7 @@ def place_of(dotted: str) -> tuple[str, str]:
     return ".".join(parts[first:]), "/".join(parts[:first]) + ".py"
 
 
-def _stacked(steps: Sequence[NoteStep], left_edge: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
+def _stack_boxes(steps: Sequence[NoteStep], left_edge: float, top: float, width: float) -> tuple[list[_NoteBox], float]:
     """Arrange boxes below each other. Return them and the end of the last."""
     boxes, letters = [], int((width - 2.0 * _PAD) / _LETTER)
     for step in steps:

@@ -47,9 +47,7 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
             ordered=most_consequential_first,
             first=SHOWN_FIRST,
             style=style,
-            inlined=lambda picture: _inlined(
-                _drawn(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))
-            ),
+            inlined=lambda picture: _inline(_draw(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
             origin=origin or Origin(),
             spoken=spoken,
             versions=_versions(),
@@ -57,7 +55,7 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
     write_whole(path, text.lstrip())
 
 
-def _drawn(picture: Drawing | str) -> str:
+def _draw(picture: Drawing | str) -> str:
     return picture if isinstance(picture, str) else str(at("undrift.report.figures:svg_of")(picture.draw()))
 
 
@@ -68,7 +66,7 @@ def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
     return [*(item for item in ordered if item in first), *(item for item in ordered if item not in first)]
 
 
-def _inlined(svg: str, number: int, palette: set[str]) -> str:
+def _inline(svg: str, number: int, palette: set[str]) -> str:
     """Return a picture as a part of a page: no names of other places, own ids, colours that follow the scheme."""
     svg = re.sub(r"<metadata>.*?</metadata>|<\?xml.*?\?>|<!DOCTYPE.*?>| xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.S)
     svg = re.sub(

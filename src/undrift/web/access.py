@@ -73,7 +73,7 @@ def refused(scope: Scope, token: str | None) -> str:
     changes = scope["type"] == "websocket" or scope["method"] not in SAFE
     if changes and origin is not None and urlsplit(origin).netloc != host:
         return "bench: this request comes from another site. Open the bench itself."
-    if token is not None and not hmac.compare_digest(_given(scope, headers).encode(), token.encode()):
+    if token is not None and not hmac.compare_digest(_given_token(scope, headers).encode(), token.encode()):
         return "bench: the token is missing or wrong. Open the address that undrift bench printed."
     return ""
 
@@ -95,7 +95,7 @@ def _cookie_of(headers: Mapping[str, str]) -> str:
     return f"{COOKIE}_{match[1]}" if (match := re.search(r":(\d{1,5})$", headers.get("host", ""))) else COOKIE
 
 
-def _given(scope: Scope, headers: Mapping[str, str]) -> str:
+def _given_token(scope: Scope, headers: Mapping[str, str]) -> str:
     query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
     if "token" in query:
         return str(query["token"][0])

@@ -142,7 +142,7 @@ class Bench:
     async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
         """Run ``undrift calibrate`` for a job: a session, or recordings and options."""
         calibration, report = job.folder / "calibration.json", job.folder / "report.html"
-        job.words = self._below(words)
+        job.words = self._relative_to_folder(words)
         job.save()
         place = () if _states_gravity(self.folder / job.words[0]) else self.place.words()
         outcome = await self.command("calibrate", *words, *place, "-o", calibration, "--report", report)
@@ -165,7 +165,7 @@ class Bench:
         def heard(line: str) -> None:
             now.line = line
 
-        now.task = asyncio.create_task(run_command(self._below(words), folder or self.folder, heard))
+        now.task = asyncio.create_task(run_command(self._relative_to_folder(words), folder or self.folder, heard))
         try:
             await asyncio.wait([now.task])
             return CommandOutcome(code=2, error=f"{now.what}: cancelled") if now.task.cancelled() else now.task.result()
@@ -173,7 +173,7 @@ class Bench:
             now.cancel()
             self.working.remove(now)
 
-    def _below(self, arguments: Sequence[object]) -> tuple[str, ...]:
+    def _relative_to_folder(self, arguments: Sequence[object]) -> tuple[str, ...]:
         """Return the words of a command with files by their paths below the folder, in which it runs."""
         return tuple(str(word).removeprefix(f"{self.folder}/") for word in arguments)
 

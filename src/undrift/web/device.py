@@ -107,7 +107,7 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
     with parts.section("Device"):
         parts.status_line(lambda: parts.device_line(bench), "")
         parts.button("Look for devices", visit.search)
-        parts.redrawn(lambda: visit.ways, lambda: _found(visit))
+        parts.redrawn(lambda: visit.ways, lambda: _device_list(visit))
         parts.Field("Kind of device", options=("", *parts.texts()["presets"]), keep=preset)
         address = parts.Field("Address of the device", visit.address, keep=partial(setattr, visit, "address"))
         with parts.row():
@@ -118,7 +118,7 @@ def connect_form(visit: "Visit", *, practice: bool = True) -> None:
         parts.error_line(lambda: bench.source_error)
 
 
-def _found(visit: "Visit") -> None:
+def _device_list(visit: "Visit") -> None:
     """List the devices found. A click connects a device."""
     ways = {"serial_ports": "serial://", "lsl_streams": "lsl:"}
     pairs = [(kind, device) for way, kind in ways.items() for device in visit.ways.get(way, ())]

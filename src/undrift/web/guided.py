@@ -128,7 +128,7 @@ def page(title: str, visit: "Visit") -> None:
 def _faces(visit: "Visit", guided: Guided) -> None:
     bench = visit.bench
     guide = guided.faces
-    _watched(bench, guided, guide)
+    _watch(bench, guided, guide)
     _guide_part(
         guide,
         lambda: [next((face for face in ORDER if face == guide.wanted), guide.light.face or "+z")],
@@ -157,7 +157,7 @@ def _turns(visit: "Visit", guided: Guided) -> None:
         parts.next_step("Go to six faces", "/six-faces")
         return
     guide = guided.turns
-    _watched(bench, guided, guide)
+    _watch(bench, guided, guide)
     _guide_part(
         guide,
         lambda: [UPS[guide.wanted[1]], guide.wanted[0]] if guide.wanted else ["+z"],
@@ -192,7 +192,7 @@ def _after_turns(visit: "Visit", guided: Guided) -> None:
 # ---- What both show
 
 
-def _watched(bench: "Bench", guided: Guided, guide: Guide) -> None:
+def _watch(bench: "Bench", guided: Guided, guide: Guide) -> None:
     """Keep a guide active while the page is open, and show errors."""
     parts.bound(lambda: guided.look(guide) if guided_of(bench) is guided else None)
     parts.error_line(lambda: guided.error)

@@ -269,7 +269,7 @@ def check_page(visit: "Visit") -> None:
     parts.text("p", "Drop a recording, its optical reference or a calibration. Files stay on this computer.")
     entries.drop(visit)
     _listed(visit)
-    parts.redrawn(lambda: _state(visit), lambda: _checked(visit, recordings.chosen))
+    parts.redrawn(lambda: _state(visit), lambda: _check_part(visit, recordings.chosen))
 
 
 def calibrate_page(visit: "Visit") -> None:
@@ -281,7 +281,7 @@ def calibrate_page(visit: "Visit") -> None:
 def use_page(visit: "Visit") -> None:
     """Build the page that corrects and orients recordings."""
     _listed(visit)
-    parts.redrawn(lambda: _state(visit), lambda: _used(visit, visit.recordings.chosen))
+    parts.redrawn(lambda: _state(visit), lambda: _use_part(visit, visit.recordings.chosen))
 
 
 def _listed(visit: "Visit") -> None:
@@ -308,7 +308,7 @@ def _state(visit: "Visit") -> object:
     return state, references, visit.calibration, id(visit.recordings.offsets.get(stored.path))
 
 
-def _headed(visit: "Visit", stored: StoredFile) -> None:
+def _heading_part(visit: "Visit", stored: StoredFile) -> None:
     """Add the name of a file, with its errors or missing information."""
     parts.text("h2", stored.name)
     if stored.needs_rate:
@@ -317,11 +317,11 @@ def _headed(visit: "Visit", stored: StoredFile) -> None:
         parts.error_line(stored.error)
 
 
-def _checked(visit: "Visit", stored: StoredFile | None) -> None:
+def _check_part(visit: "Visit", stored: StoredFile | None) -> None:
     """Add the content of a file, and the information it needs."""
     if stored is None:
         return
-    _headed(visit, stored)
+    _heading_part(visit, stored)
     if stored.needs_map:
         _map_form(visit.recordings, stored)
     elif stored.kind == "calibration":
@@ -336,13 +336,13 @@ def _checked(visit: "Visit", stored: StoredFile | None) -> None:
             parts.button("Choose other columns or units", lambda: visit.recordings.choose_again(stored))
 
 
-def _used(visit: "Visit", stored: StoredFile | None) -> None:
+def _use_part(visit: "Visit", stored: StoredFile | None) -> None:
     """Add the actions for a recording, and its results."""
     if stored is None or stored.kind != "recording":
         parts.text("p", "Choose a recording of this list, or drop one.")
         parts.next_step("Check files", "/check")
         return
-    _headed(visit, stored)
+    _heading_part(visit, stored)
     _actions(visit, stored)
     for command, remarks in stored.remarks.items():
         if remarks and command != "info":
@@ -458,7 +458,7 @@ def _actions(visit: "Visit", stored: StoredFile) -> None:
         parts.button("How accurate is each sensor here?", lambda: recordings.compare_offsets(stored))
         parts.next_step("Correct", lambda: recordings.run(stored, "correct"))
     _wearing_form(visit, stored)
-    parts.button("Orient", lambda: recordings.run(stored, "orient") if _worn(recordings, stored) else None)
+    parts.button("Orient", lambda: recordings.run(stored, "orient") if _mounting_is_known(recordings, stored) else None)
     if recordings.references():
         _optics_form(recordings, stored)
 
@@ -516,7 +516,7 @@ def _wearing_form(visit: "Visit", stored: StoredFile) -> None:
                     parts.form(form, "forward", "up")
 
 
-def _worn(recordings: Recordings, stored: StoredFile) -> bool:
+def _mounting_is_known(recordings: Recordings, stored: StoredFile) -> bool:
     """Return True if the mounting is known, from the calibration or two sides. Otherwise show an error."""
     forward, up = recordings.form.forward, recordings.form.up
     sided = bool(forward and up) and forward[1] != up[1]
@@ -542,7 +542,7 @@ def _optics_form(recordings: Recordings, stored: StoredFile) -> None:
             parts.form(recordings.form, "markers", "reference_up")
 
         async def validate() -> None:
-            if _worn(recordings, stored):
+            if _mounting_is_known(recordings, stored):
                 await recordings.validate(stored, choices[chosen.value])
 
         async def calibrate() -> str | None:

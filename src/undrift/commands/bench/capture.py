@@ -184,7 +184,7 @@ class Capture:
 
     def tail(self, seconds: float) -> Record | None:
         """Return the newest readings since the last gap. Single lost readings are left out."""
-        return _without_lost(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
+        return _drop_lost_rows(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
 
     def lost(self, start_s: float, stop_s: float) -> bool:
         """Whether a reading of the newest stretch was lost in a span of time."""
@@ -214,7 +214,7 @@ class Capture:
         mean = within.mean(axis=0)
         # computed first, because it distinguishes a cloud of noise from a sphere
         self._noise = float(np.linalg.norm(within.std(axis=0)))
-        if self._swaying(within, mean, record.sample_rate_hz):
+        if self._varies_in_counts(within, mean, record.sample_rate_hz):
             return None
         rest = Rest(start_s=float(record.time[start]), stop_s=float(record.time[-1]), mean=mean)
         similar = (np.linalg.norm(mean - earlier) < 0.05 * np.linalg.norm(earlier) for earlier in self._rests)
@@ -222,7 +222,7 @@ class Capture:
             self._rests.append(mean)
         return rest
 
-    def _swaying(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
+    def _varies_in_counts(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
         """Return True if readings in counts vary by more than a bench allows, as shares of gravity. `find_still` judges
         physical readings.
         """
@@ -261,7 +261,7 @@ class Capture:
         along = np.abs(rests).max(axis=1) / np.where(length > 0.0, length, 1.0)
         if length.max() < ALIKE * length.min() and along.max() > math.cos(LOOSE_DEG * RADIAN_PER_DEGREE):
             return np.zeros(3), TILT_DEG
-        return _turned_over(np.array(self._cloud), rests, self._noise), LOOSE_DEG
+        return _fit_zero_sphere(np.array(self._cloud), rests, self._noise), LOOSE_DEG
 
     # ---- What is captured
 
@@ -341,7 +341,7 @@ class Capture:
         self.saved = True
 
 
-def _turned_over(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArray | None:
+def _fit_zero_sphere(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArray | None:
     """Return the centre of the sphere that the readings of a device lie on that was turned over all its sides.
 
     A device that was shaken or knocked leaves a ball of points with its rest inside, or most of them on one side.
@@ -364,7 +364,7 @@ def _longest_s(record: Record) -> float:
     return max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
 
 
-def _without_lost(record: Record) -> Record | None:
+def _drop_lost_rows(record: Record) -> Record | None:
     """Return a record without lost rows, from the last longer loss on, or None if all rows were lost."""
     at = np.flatnonzero(~np.isnan(np.column_stack((record.gyro, record.accel))).any(axis=1))  # type: ignore[arg-type]
     if len(at) == len(record) or len(at) < 2:

@@ -94,14 +94,14 @@ class Guide(ABC):
         if self.capture.silent(now_s):
             self.light = Light(state="no readings", text="No readings. Check power and connection of the device.")
         else:
-            self.light = self._judged(self.capture.rest())
+            self.light = self._judge(self.capture.rest())
         return self.light
 
     def _captured(self, step: str) -> None:
         self.again = None if step == self.again else self.again
 
     @abstractmethod
-    def _judged(self, rest: Rest | None) -> Light: ...
+    def _judge(self, rest: Rest | None) -> Light: ...
 
 
 class SixFaces(Guide):
@@ -123,7 +123,7 @@ class SixFaces(Guide):
         super().redo(step)
         self._asked = (self.capture.stretch, self.capture.newest_s)
 
-    def _judged(self, rest: Rest | None) -> Light:
+    def _judge(self, rest: Rest | None) -> Light:
         wanted = self.wanted
         if rest is None:
             return Light(state="moving", text=f"Moving. {_turn(wanted)}")
@@ -167,7 +167,7 @@ class Poses(Guide):
         """Return the captured poses by number."""
         return self._done
 
-    def _judged(self, rest: Rest | None) -> Light:
+    def _judge(self, rest: Rest | None) -> Light:
         if self.complete:
             return Light(state="captured", text=f"All {POSES} poses are captured.")
         if rest is None:
@@ -219,7 +219,7 @@ class Turns(Guide):
         self._before = None if light.state == "no readings" else self._before
         return light
 
-    def _judged(self, rest: Rest | None) -> Light:
+    def _judge(self, rest: Rest | None) -> Light:
         before = self._before
         if before is not None and before.stretch != self.capture.stretch:
             before = self._before = None
@@ -269,7 +269,7 @@ class Turns(Guide):
         if turn.axis is None:
             return "That was about no axis of the device. Lay it flat, and turn it on the bench."
         along = float(reading["xyz".index(turn.axis)])
-        count, reason = self._whole(turn.axis, along, record.gyro_unit)
+        count, reason = self._count_turns(turn.axis, along, record.gyro_unit)
         if not count:
             return reason
         piece = CapturedTurn(
@@ -288,7 +288,7 @@ class Turns(Guide):
         self._captured(way)
         return f"Captured: {named(way)}{'' if abs(count) == 1 else f', {abs(count)} turns'}."
 
-    def _whole(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
+    def _count_turns(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
         """Return the number of whole turns of a reading, or 0 and the reason."""
         if is_physical(unit):
             turns = along * si_factor(unit, "rate") / FULL_TURN

@@ -198,7 +198,7 @@ def read_object(path: Path) -> dict[str, Any]:
 
 def came_words(entry: StoredFile | Job) -> str:
     """Return when something came."""
-    return f"{datetime.fromtimestamp(_came(entry.folder)):%Y-%m-%d %H:%M}" if entry.folder.is_dir() else ""
+    return f"{datetime.fromtimestamp(_arrival_time(entry.folder)):%Y-%m-%d %H:%M}" if entry.folder.is_dir() else ""
 
 
 def _newest(folder: Path) -> list[Path]:
@@ -207,10 +207,10 @@ def _newest(folder: Path) -> list[Path]:
     for upload in folder.glob("*/**/sent.part"):
         upload.unlink()
     places = [place for place in folder.iterdir() if place.is_dir()]
-    return sorted(places, key=lambda place: (_came(place), place.name), reverse=True)
+    return sorted(places, key=lambda place: (_arrival_time(place), place.name), reverse=True)
 
 
-def _came(place: Path) -> float:
+def _arrival_time(place: Path) -> float:
     """Return when the first file of a folder came, s since 1970."""
     return min((path.stat().st_mtime for path in place.iterdir() if path.name != ABOUT), default=place.stat().st_mtime)
 
