@@ -86,8 +86,8 @@ def _track(record: Record) -> _Track:
     check_whole(record := unpadded(record.in_si()))
     if not LEAST_HZ <= record.sample_rate_hz <= MOST_HZ:
         raise Implausible(
-            f"mount: {record.sample_rate_hz:.3g} samples a second are not between {LEAST_HZ:g} and {MOST_HZ:g}. State the unit of "
-            "time or the sample rate: milliseconds or microseconds may be taken for s."
+            f"mount: {record.sample_rate_hz:.3g} samples a second are not between {LEAST_HZ:g} and {MOST_HZ:g}. Correct the unit "
+            "of time or the sample rate. Milliseconds or microseconds may have been read as s."
         )
     check_triads(record)
     if record.accel is None or np.isnan(record.accel).any():

@@ -71,7 +71,7 @@ def test_the_wrong_conversion_of_the_st_sensor_is_found_and_called_implausible(r
     scale = fit.model.forward_matrix[1, 1] * np.pi / 180.0
     show(f"{run} LSM scale", f"{scale:.4f}", "0.848..0.855; 30.5 / 35 = 0.872 of the true sensitivity")
     assert 0.848 <= round(scale, 3) <= 0.855
-    with pytest.raises(Implausible, match=f"within {100 * tolerance:g} % of the unit's own, got 0.8[45]") as caught:
+    with pytest.raises(Implausible, match=f"within {100 * tolerance:g} % of its nominal value, got 0.8[45]") as caught:
         fit_rate_table(dwells, scale_tolerance=tolerance)
     assert caught.value.ratio == pytest.approx(scale, rel=0.01)  # the check takes the line before the fit
 

@@ -91,7 +91,7 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     few = tuple(still for still in made("bench").stills[:6])  # its faces alone: nine rests would give the gyroscopes
     found = calibrate(replace(session, stills=few))
     assert found.gyro is None
-    steady = [f for f in found.verdict.findings if f.action.startswith("state the turn_rate_dps")]
+    steady = [f for f in found.verdict.findings if f.action.startswith("give turn_rate_dps")]
     assert [f.values["why"] for f in steady] == ["102 steady turns have no rate"]
 
 

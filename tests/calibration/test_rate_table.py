@@ -385,7 +385,7 @@ def test_a_reversed_or_foreign_column_is_refused(dwells, reads, unit):
 
 
 def test_a_scale_beyond_the_tolerance_is_refused():
-    with pytest.raises(Implausible, match=r"within 3 % of the unit's own, got 0\.8530"):
+    with pytest.raises(Implausible, match=r"within 3 % of its nominal value, got 0\.8530"):
         fit_rate_table(turned(0.853), scale_tolerance=0.03)
 
 

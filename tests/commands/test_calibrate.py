@@ -72,7 +72,7 @@ def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with
     )
     answer = undrift("calibrate", tmp_path / "s", "--details", "-o", tmp_path / "c.json")
     assert answer.code == code
-    assert ("that of gyroscope y is" in answer.out) == bool(code)
+    assert ("gyroscope y is" in answer.out) == bool(code)
     assert "No turns about x, z: nominal scale kept" in answer.out
     made = read_calibration(tmp_path / "c.json").gyro
     off = made.forward_matrix[1, 1] * np.pi / 180.0 - 1.0

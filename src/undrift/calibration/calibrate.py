@@ -71,7 +71,7 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
     if np.isnan(offset).any():
         return Outcome(findings=(_not_observable("Gyroscope", "warn", record=RECORD_TURNS),))
     share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, observed.settings.cross_axis_prior)
-    nominal = f"the unit's own scale is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
+    nominal = f"the nominal scale of the unit is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
     fit = triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
         Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=RECORD_TURNS)),
@@ -316,7 +316,7 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
             raise
         why, record = str(error), RECORD_TURNS
         if steady:  # turns on a table are not moves between rests, so the fit fails
-            why, record = f"{steady} steady turns have no rate", "state the turn_rate_dps and axis of each"
+            why, record = f"{steady} steady turns have no rate", "give turn_rate_dps and axis for each"
         rest = calibrate_rest(observed, mode, accel)
         failed = _not_observable("Gyroscope scale", "warn", why=why, record=record)
         outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))

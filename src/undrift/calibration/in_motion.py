@@ -336,7 +336,7 @@ def _result(
     acceleration = np.sqrt([np.mean(recording_variances) for recording_variances in variances])
     if (most := float(acceleration.max())) > NOT_GRAVITY:
         raise Implausible(
-            f"motion, recording {int(acceleration.argmax()) + 1}: force does not stay gravity where the gyroscopes turn it: "
+            f"motion, recording {int(acceleration.argmax()) + 1}: after the gyroscopes' rotation, "
             f"{most:.2g} m/s2 of acceleration remain in means over 5 s. Check sample rate, units and axes of both triads.",
             acceleration_m_s2=most,
         )

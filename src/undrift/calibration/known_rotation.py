@@ -297,7 +297,9 @@ def _combine_with_moves(
     if away @ np.linalg.solve(spread, away) <= CONTRADICTION:
         return joined, []
     percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moves.matrix, 2))
-    what = f"the matrix of the turns is {percent:.2g} % off that of {moves.moves} moves, beyond its uncertainty"
+    what = (
+        f"the matrices of the turns and of {moves.moves} moves differ by {percent:.2g} %, more than their uncertainty"
+    )
     return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
 
 
@@ -425,7 +427,7 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
         return ()
     values = dict(conflict.values)
     if ratio := values["turned_ratio"]:
-        values["text"] = f"the given angles of the turns are {ratio:.3g} times as large as gravity shows"
+        values["text"] = f"the given angles of the turns are {ratio:.3g} times the angles measured with gravity"
         values["action"] = "give angles in deg, not rad, and 360 for a full turn"
     else:
         values["text"] = f"{values['text']}, or the given axes of the turns are wrong"

@@ -70,7 +70,7 @@ def allan_deviation(
     if not 1.0 <= lengths[0] <= lengths[-1] <= count / 2.0:
         raise InputError(
             f"allan_deviation: expected averaging times from {1.0 / sample_rate_hz:g} s to {count / 2 / sample_rate_hz:g} s, got "
-            f"{lengths[0] / sample_rate_hz:g} to {lengths[-1] / sample_rate_hz:g} s. Record longer, or ask for less."
+            f"{lengths[0] / sample_rate_hz:g} to {lengths[-1] / sample_rate_hz:g} s. Record longer, or choose other times."
         )
     phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
     missing = np.concatenate(([0], np.cumsum(gap)))

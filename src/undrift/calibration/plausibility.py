@@ -281,7 +281,7 @@ def check_own_scale(
                 f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second instead of {sample_rate_hz:.3g}"
             )
         raise Implausible(
-            f"{what}: expected a scale factor within {100 * tolerance:g} % of the unit's own, got {worst:.4f} of it "
+            f"{what}: expected a scale factor within {100 * tolerance:g} % of its nominal value, got {worst:.4f} of it "
             f"({100 * (worst - 1.0):+.1f} %): {cause}. Check the unit, the range setting and the sample rate.",
             ratio=worst,
             tolerance=tolerance,
@@ -298,7 +298,7 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, sta
         ratio = scale_factor * si_factor(unit, "rate") - 1.0
         axis = int(np.abs(ratio).argmax())
         percent = 100.0 * float(ratio[axis])
-        what = f"that of gyroscope {AXES[axis]} is {percent:+.1f} % off the unit's own"
+        what = f"gyroscope {AXES[axis]} is {percent:+.1f} % off its nominal scale factor"
         yield from above(
             "gyro.scale_factor", abs(ratio[axis]), (SCALE_LIMIT, 2.0 * SCALE_LIMIT), what=what, off_percent=percent
         )

@@ -392,8 +392,8 @@ def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) 
     difference = float(np.sqrt((away / rate).max()))
     if difference > MATRIX_DIFFERENCE:
         raise AlignmentError(
-            f"reference: the matrices of the recordings differ by {difference:.0%}. Fit another sensor separately, and with "
-            "`mounting` one another placement of the markers.",
+            f"reference: the matrices of the recordings differ by {difference:.0%}. Fit each sensor separately. With "
+            "`mounting` one, also fit each placement of the markers separately.",
             difference=difference,
         )
     return np.asarray(shared)

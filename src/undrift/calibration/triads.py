@@ -268,16 +268,16 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
             action = "correct the unit of the gyroscope in the map or the columns' names"
             yield Mistake(text=text, action=action, kept=residuals, turned_ratio=1.0 / unit)
             return
-    text = f"turns {1.0 / scale:.3g} times as large as gravity shows: "
+    text = f"turns {1.0 / scale:.3g} times as large as measured with gravity: "
     if scale < COUNTS:  # no person mistakes a sample rate by as much
         text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts per declared unit)"
-        action = "state the sensitivity: unit count and its scale"
+        action = "give the sensitivity: unit count and its scale"
     else:
         rate_hz = record.sample_rate_hz / scale
         text += (
             f"the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
             "another"
         )
-        action = "state the true sample rate, unit of time or sensitivity"
+        action = "correct the sample rate, unit of time or sensitivity"
     residuals = windows.kept(np.eye(3), scale)
     yield Mistake(text=text, action=action, kept=residuals, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)

@@ -176,7 +176,7 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
         numbers = f"{low:.1f} to {high:.1f} degC were recorded (thermometer lag subtracted: {lag_s:g} s)"
         findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
     if (seconds := reach.seconds_extrapolated) > 0.0:
-        what = f"{seconds:.1f} s where the drift table is extrapolated"
+        what = f"{seconds:.1f} s with an extrapolated drift table"
         numbers = "no data were recorded near these temperatures and rates"
         findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
     if (away := reach.departure_c) > reference_span_c:

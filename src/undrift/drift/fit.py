@@ -294,10 +294,13 @@ def _check_sessions(
     names = (names | {"" if calibration is None else calibration.device}) - {""}
     if len(names) > 1:
         raise InputError(
-            f"drift: sessions and calibration are of different devices: {', '.join(sorted(names))}. Sort them."
+            f"drift: sessions and calibration are of different devices: {', '.join(sorted(names))}. "
+            "Give the sessions of one device."
         )
     if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
-        raise InputError(f"drift: the lag must be 0 s or more, got {settings.lag_s:g}. State the thermometer's.")
+        raise InputError(
+            f"drift: the lag must be 0 s or more, got {settings.lag_s:g}. Give the lag of the thermometer."
+        )
     observe.check_once(sessions)
     return [in_one_unit(session) for session in sessions]
 
@@ -348,7 +351,7 @@ def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
     count = (high - low) / step if step > 0.0 else 0.0
     if count < 1.0 or abs(count - round(count)) > 1e-6:
         raise InputError(
-            f"drift tables: the step must divide the range, got {low:g} to {high:g} degC by {step:g}. Take for example 18 to 75 "
+            f"drift tables: the step must divide the range, got {low:g} to {high:g} degC by {step:g}. Example: 18 to 75 "
             "by 0.5."
         )
     return np.linspace(low, high, round(count) + 1)

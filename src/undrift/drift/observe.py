@@ -120,7 +120,7 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
     if not any(len(rests) for rests in parts):
         raise NotObservable(
             "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, "
-            "and record the temperature or state temp_c."
+            "and record the temperature or set temp_c."
         )
     return RestBlocks.joined(parts)
 
@@ -304,7 +304,7 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
         dwell_temps = temps[turn.recording][turn.start : turn.stop]
         if not np.isfinite(dwell_temps).any():
             raise InputError(
-                f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording} has no temperature. Map its column or state "
+                f"dwell [{turn.start}, {turn.stop}) of recording {turn.recording} has no temperature. Map its column or set "
                 "temp_c."
             )
         temp_c[k] = np.nanmean(dwell_temps)
@@ -514,7 +514,7 @@ def check_once(sessions: Sequence[Session]) -> None:
             digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
             if digest in first:
                 raise InputError(
-                    f"drift: sessions {first[digest]} and {number} hold the same data. Leave one out: the same data twice would "
-                    "make the uncertainty too small."
+                    f"drift: sessions {first[digest]} and {number} contain the same data. Omit one of them, because repeated data "
+                    "would make the uncertainty too small."
                 )
             first[digest] = number

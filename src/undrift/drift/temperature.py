@@ -90,7 +90,7 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
     if temp_c is None and not set_points:
         raise InputError(
             f"temperature of recording {index}: there is neither a column (columns.temp) nor a set-point (temp_c of stills and "
-            "turns). Map the thermometer's column or state temp_c."
+            "turns). Map the thermometer's column or set temp_c."
         )
     source: Source = "means" if session.means else "set-points" if temp_c is None else "column"
     if temp_c is None:
@@ -100,7 +100,7 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
     bad = np.flatnonzero((temp_c < BOARD_C[0]) | (temp_c > BOARD_C[1]))
     if len(bad):
         raise InputError(
-            f"temperature of recording {index}: {temp_c[bad[0]]:g} degC at {record.time[bad[0]]:.6g} s ({len(bad)} such) is "
+            f"temperature of recording {index}: {temp_c[bad[0]]:g} degC at {record.time[bad[0]]:.6g} s ({len(bad)} readings) is "
             f"outside {BOARD_C[0]:g} to {BOARD_C[1]:g} degC. Check units.temp and scale.temp.",
             temp_c=float(temp_c[bad[0]]),
         )
@@ -132,7 +132,7 @@ def _column_temperature(
     if finite.mean() < 1.0 - MOST_MISSING or finite.sum() < 2:
         raise InputError(
             f"temperature of recording {index}: only {finite.sum()} of {len(readings)} rows have a reading. Map another column, or "
-            "leave it out and state set-points.",
+            "omit it and give set-points.",
             missing=1.0 - float(finite.mean()),
         )
     step, findings = step_of(readings[finite]), list[Finding]()
