@@ -235,7 +235,7 @@ class OverTemperature:
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n, 3) offsets or (n, 3, 3) matrices
     uncertainty: FloatArray | None  # like ``value``, standard uncertainty
-    extrapolated: BoolArray | None  # (n,), true where no data were near the node
+    extrapolated: BoolArray | None  # (n,), true without data near the node
 
 
 @stored()

@@ -137,7 +137,7 @@ def find_mounting(
         covariance=np.diag((*variances, scatter**2 + shared**2)),
         basis=f"{basis}; {way}",
     )
-    # a wrong sign of the accelerometers leaves no other trace
+    # a wrong sign of the accelerometers has no other effect
     ahead, upward = (
         f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
     )

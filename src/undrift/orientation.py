@@ -72,7 +72,7 @@ class Tilt:
     q_nb: Annotated[FloatArray, Shape(4)]  # b to n, w-x-y-z
     specific_force: Annotated[FloatArray, Shape(3)]  # mean over the still phase, m/s2, frame b
     inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
-    expanded_uncertainty: float  # 95 % of directions err by less, rad
+    expanded_uncertainty: float  # 95 % quantile of the error of the direction, rad
     parts: tuple[tuple[str, float], ...]  # share of each source, rad, with a sum of squares equal to the total
     basis: str  # "calibration", or why the accelerometers' own part is missing
 
@@ -123,7 +123,8 @@ def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, Float
     parts = {name: level @ covariance @ level for name, covariance in covariances.items()}
     total = np.sum([*parts.values()], axis=0)
     variance = float(np.trace(total))
-    freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)  # 1: one component errs, 2: both do alike
+    # 1: errors in one component, 2: equal errors in both
+    freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)
     turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
     lacking = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
     return Tilt(

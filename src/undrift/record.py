@@ -463,7 +463,7 @@ class TemperatureSensitivity:
     accel_offset_mg_per_k: float = 0.5  # change of the zero-g offset, mg/K
     gyro_scale_percent_per_k: float = 0.02  # change of the gyroscope scale factor, %/K
     accel_scale_percent_per_k: float = 0.02  # change of the accelerometer scale factor, %/K
-    # assumed temperature change, K, if neither a thermometer nor rests in deg/s can show it
+    # assumed temperature change, K, if neither a thermometer nor rests in deg/s can determine it
     unrecorded_span_k: float = 1.0
     # lag of the thermometer behind the sensors, s: assumed 0 on the same die, 80 for an LM335 in still air
     thermometer_lag_s: float = 0.0

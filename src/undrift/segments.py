@@ -28,8 +28,8 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- still phases
 
-# A device at rest varies less than this within a window, in physical units: rms of three axes after smoothing. Benches and
-# hands that rest on something give 0.02-0.6 deg/s and 0.01-0.06 m/s2. A person who stands or sits gives more.
+# Limits of the variation within a window at rest, in physical units: rms of three axes after smoothing. Benches, and hands on a
+# support, give 0.02-0.6 deg/s and 0.01-0.06 m/s2. A person in quiet stance or on a chair gives more.
 BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
 BENCH_ACCEL_LIMIT = 0.1  # m/s2
 # limits for a pose in the hand: tremor and slow sway
@@ -102,7 +102,7 @@ class StillSearch:
     stills: tuple[Still, ...]  # in order of time, without faces
     thresholds: tuple[StillThreshold, ...]  # one for each triad of the record
     settings: StillSettings
-    reason: str = ""  # why there are no stills, or ""
+    reason: str = ""  # why no still was found, or ""
 
 
 def find_still(
@@ -447,7 +447,7 @@ FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 LEAST_POSES = 9  # free poses of a fit of nine parameters
 _SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
 _APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart give a fit new information
-_SPAN = 0.2  # smallest singular value of their directions: they lie all around, not in a plane
+_SPAN = 0.2  # smallest singular value of their directions, which are not in a plane
 _NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
 _ALL_STILL = 0.95  # share of still samples from which nothing moves, and no pose can be missing
 _MOST_SAMPLES = 2_000_000  # nobody poses a device in the hand for longer
@@ -571,7 +571,7 @@ def sphere_of(points: FloatArray) -> tuple[FloatArray, float]:
 
 _AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 _STEADY_S = 1.0  # length over which a rate must be steady, and shortest plateau
-_AVERAGED_S = 0.1  # before the spread is taken
+_AVERAGED_S = 0.1  # averaging time before the spread is computed
 _STEADINESS = 0.05  # largest spread of a plateau as a share of its rate
 _LEAST_FLOORS = 10.0  # a plateau or rotation must exceed this many noise floors
 

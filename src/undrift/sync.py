@@ -41,7 +41,7 @@ class PoseRates:
     start: FloatArray  # (K,), time of the first pose, s
     stop: FloatArray  # (K,), of the second, s
     rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body, with zeros for invalid rows
-    valid: BoolArray  # (K,), false where a pose is missing or the step is a gap
+    valid: BoolArray  # (K,), false if a pose is missing or the step is a gap
 
     def part(self, rows: IntArray | BoolArray | slice, later_s: float = 0.0) -> "PoseRates":
         """Return some of the rates, on a clock that is ahead by ``later_s``."""
@@ -159,9 +159,9 @@ def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple
 
 # ---- poses as the instrument took them: undo a linear up-sampling of the reference
 #
-# Many files hold optics at the sensor's sample rate, drawn on straight lines (great arcs) between the frames that the cameras took.
+# Many files contain poses at the sensor's sample rate, on straight lines (great arcs) between the frames of the cameras.
 # Between frames such a pose cuts the corner by a h^2 / 8 for an angular acceleration a and a frame interval h, always towards less
-# motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which a fit would take as scale factor.
+# motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which would look like a scale factor.
 #
 # On a straight line the rate between neighbours repeats to the last digit, and changes at the frames. The middles of the repeats
 # form a comb of the frame rate. The largest Fourier sum gives its frequency and phase, and each frame is the end of a line.
@@ -169,7 +169,7 @@ def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
 COMB_SHARPNESS = 0.95  # relative to a perfect comb
 SAME_RATE = 1e-4  # relative to the median change of rate: two rates are equal
-NEAR_FRAME_S = 2e-5  # a sample this close to a frame may lie on either side of it
+NEAR_FRAME_S = 2e-5  # a sample this close to a frame may be on either side of it
 
 
 def native_poses(reference: Reference) -> Reference:
@@ -244,7 +244,7 @@ class LagSettings:
     """Settings of the search for the lag."""
 
     longest_lag_s: float = 5.0  # Half-width of the search, s
-    # Both sides are averaged over this long, s. Longer takes more pose noise away and blurs fast motion
+    # averaging time of both sides, s. A longer time removes more pose noise but blurs fast motion
     average_s: float = AVERAGE_S
 
 
@@ -322,7 +322,7 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
     residual, power = w - u @ a, float((w**2).sum())
     if not power > 0.0:
         return None, 0.0
-    # The column of the lag, cleared of what A and c explain, leaves one equation: step = sum(s r) / sum(s s).
+    # The column of the lag, without the part that A and c explain, leaves one equation: step = sum(s r) / sum(s s).
     column = (slope - slope.mean(axis=0)) @ a
     column -= u @ np.linalg.lstsq(u, column, rcond=_THREE_AXES)[0]
     square, step, uncertainty = float((column**2).sum()), 0.0, float("inf")
@@ -343,7 +343,7 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
 # ---- two clocks that do not run alike: a straight line through the lags of parts of a recording
 
 PARTS, LEAST_PART_S = 5, 6.0  # number of parts of a recording, each with its own lag, and shortest part
-LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks that run alike differ by up to 0.1 ms, in BROAD
+LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks in step differ by up to 0.1 ms, in BROAD
 OUT_OF_STEP_S = 0.03  # off a line through the lags: samples were lost, or another trial's were put in. Assumed.
 TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest has such rates, for any offset of the device
 
@@ -415,7 +415,7 @@ def in_step(
     parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
     try:
         line = lag_line(record, parts, settings, near=lag.seconds)
-    except AlignmentError:  # a part lies still, or has no poses
+    except AlignmentError:  # a part is still, or has no poses
         return record, lag, []
     if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
         record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))

@@ -28,7 +28,7 @@ from undrift.findings import Finding, finding
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
-MIN_CODES, MAX_CODES = 4, 200_000  # distinct readings that show a grid, and that are searched for it
+MIN_CODES, MAX_CODES = 4, 200_000  # fewest different readings on a grid, and number of readings that are searched
 MAX_GRID_MISS = 0.15  # largest distance of readings from the grid, in steps (files round to a tenth of a step)
 MAX_PHASE = 0.05  # in steps (a larger phase means that an offset was subtracted from the codes)
 FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # relative to the largest reading: float rounding, not a step

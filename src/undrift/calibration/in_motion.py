@@ -42,7 +42,7 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 # ratio of the actual errors to those of the equations: gyroscopes 1.2 simulated, 1.5 in real trials, accelerometers 1.8
 WIDENED = {"gyro": 1.5, "accel": 1.8}
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
-NOT_GRAVITY = 1.0  # m/s2, left in a mean over 5 s: people who walk leave 0.03, hands 0.1. Assumed.
+NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
 IMPLAUSIBLE = 0.25  # largest relative error of a scale factor (raw parts are within 0.2)
 SHOWN = 0.7  # share of the prior deviation below which an element counts as determined
 WANTED_PERCENT = 0.2  # uncertainty of the gyroscope's matrix
@@ -192,7 +192,7 @@ def fit_in_motion(
             right[place] += towards
         covariance: FloatArray = np.linalg.inv(weighted.T @ rows + motion)
         x = x + covariance @ right
-        # the size of each kind of element follows this device: its deviation, and how uncertain that is
+        # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of this
         square = (TO_KINDS @ (x[:21] - NOMINAL)) ** 2 + np.diag(TO_KINDS @ covariance[:21, :21] @ TO_KINDS.T)
         sizes = np.sqrt((KNOWN_FROM * SIZE**2 + square.reshape(7, 3).sum(axis=1)) / (KNOWN_FROM + 3.0))
     wide = np.full(len(x), WIDENED["gyro"])

@@ -77,7 +77,7 @@ class RotationRows:
     angle: FloatArray  # (R,), of each turn about +axis, rad
     slip: FloatArray | None = None  # (R, 3, 3), covariance of the integral by jitter of the clock, (unit s)^2
     span: FloatArray | None = None  # (E, 2), start and stop of each piece on one clock, s
-    rounding: FloatArray | None = None  # (3,), what rounding leaves in a mean at rest, ``unit``
+    rounding: FloatArray | None = None  # (3,), rounding error of a mean at rest, ``unit``
     unit: str = "rad/s"
     pieces: tuple[Still | Turn, ...] = ()  # (E,)
 
@@ -182,7 +182,7 @@ def _sources(
     if rows.slip is not None:
         angle = angle + matrix @ rows.slip @ matrix.T
     per_turn = rows.of_turns(angle / rows.duration[:, None, None] ** 2)
-    # all turns about one axis lean alike, as a fixture or an edge does
+    # all turns about the same axis have a common tilt, from a fixture or an edge
     leaning = np.einsum("ej,fj,jk->efk", rows.rate, rows.rate, 1.0 - np.eye(3))
     sources = {
         "noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2),
@@ -227,7 +227,7 @@ def fit_known_rotation(
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
         excess = walks_of(rows.span)
-        if len(rows.axis) > len(turn_axes):  # one turn about each axis shows nothing of the hand
+        if len(rows.axis) > len(turn_axes):  # a single turn per axis does not reveal the scatter of the hand
             excess["angle"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
         prior = table_prior(matrix, turn_axes, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)

@@ -65,7 +65,7 @@ class FieldFit:
     recording: tuple[int, ...]  # (R,), its place among all
     field_ut: FloatArray  # (R,), size of the field
     dip: FloatArray  # (R,), rad, below the horizon
-    disturbed: FloatArray  # (R,), share of the time that was left out
+    disturbed: FloatArray  # (R,), share of the time that was omitted
     verdict: Verdict
 
 

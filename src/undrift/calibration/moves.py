@@ -197,7 +197,7 @@ def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatAr
     for first, last in zip(moves.first, moves.last, strict=True):
         step_s = (moves.time[last] - moves.time[first]) / max(1, last - first)
         block = max(2, round(0.2 / step_s))
-        low = max(0, first - block)  # starts within the still, where the direction is certain
+        low = max(0, first - block)  # starts within the still, because the direction is certain there
         blocks = (min(last + block, len(moves.time)) - low) // block
         if blocks < 3:
             continue
@@ -261,7 +261,7 @@ class _Problem:
     reading: FloatArray  # (R, 3), means of the rests
     variance: FloatArray  # (R, 3), of the means
     noise: FloatArray  # (3,), variance of a sample
-    codes: FloatArray  # (3,), what rounding leaves in a mean at rest
+    codes: FloatArray  # (3,), rounding error of a mean at rest
     force: FloatArray  # (N, 3), specific force in each sample, m/s2, or (N, 0) if H is not fitted
     felt: FloatArray  # (R + J, 3), mean force in each rest and move, or (R + J, 0)
     slip: FloatArray  # (J, 3, 3), covariance of the integral of each move by jitter of time stamps, (raw unit s)^2
@@ -277,7 +277,7 @@ class _MoveRows:
     """Rows (E,) of the fit, linearised."""
 
     rests: int  # rows for the rests (rows for the moves follow)
-    misfit: FloatArray  # (E,), of the parameters as they are
+    misfit: FloatArray  # (E,), for the current parameters
     design: FloatArray  # (E, P)
     by_offset: FloatArray  # (E, R + J, 3), by the offset in each rest and move, rad/s
     by_still: FloatArray  # (E, K, 3), by the direction of gravity in each still

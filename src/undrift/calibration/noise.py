@@ -133,7 +133,7 @@ OBSERVABLE, UPPER = 2.0, 5.0
 # variances have weight 1 / SHARED, or 1 / SHARED_LONG below FEW degrees of freedom
 SHARED, SHARED_LONG, FEW = 2.0, 3.5, 100.0
 SHORTEST = 64  # samples
-LONGER = 4  # times the record that does not show a term: twice the averaging time with twice the confidence
+LONGER = 4  # factor of the record length: twice the averaging time with twice the confidence
 MOST_DROP_OUTS = 0.1  # largest share of steps that are drop-outs in an evenly sampled record
 ROUNDS = 6  # iterations of the fit, whose weights follow from the model
 DEPARTURE = 0.1  # largest relative deviation of the variance from the model without a finding
@@ -179,7 +179,7 @@ class NoiseFit(Shown):
     accel_unit: str
     duration_s: float
     confidence: float  # probability of the intervals
-    verdict: Verdict  # terms that are not observable, and how long to record
+    verdict: Verdict  # terms that are not observable, and the necessary record length
 
     def _rows(self) -> dict[str, str]:
         rows = {"record": f"{self.duration_s:.4g} s"}

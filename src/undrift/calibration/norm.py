@@ -217,7 +217,7 @@ def _upper(p: FloatArray) -> FloatArray:
 
 def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArray, FloatArray]:
     """Return design (K, 9) and residuals (K,) at p."""
-    matrix, d = _upper(p), np.ascontiguousarray((v - p[6:]).T)  # rows of K, which numpy takes fastest
+    matrix, d = _upper(p), np.ascontiguousarray((v - p[6:]).T)  # rows of K, the fastest layout in numpy
     a = matrix @ d
     length = np.sqrt((a * a).sum(axis=0))
     n = a / length

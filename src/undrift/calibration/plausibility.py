@@ -127,7 +127,7 @@ def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
     for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
         limits = [limit for limit, _ in saturated_runs(column)]
         values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
-        if len(values) > MANY_VALUES:  # most readings at one end: ``saturated_runs`` takes that for the usual level
+        if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
             far = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
             limits += [float(values[k]) for k in (0, -1) if far[k] and 2 * counts[k] > len(column)]
         if limits:

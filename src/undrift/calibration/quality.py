@@ -257,7 +257,7 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
 
 LARGEST_ANGLE_DEG = 5.0  # largest angle between a sensor and its axis of the case (parts and boards: 1 to 3)
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
-BEYOND_SIGMAS = 4.0  # a still misses gravity by more than its uncertainty: by chance 1 of 16,000
+BEYOND_SIGMAS = 4.0  # limit in uncertainties (chance exceeds it in 1 of 16,000)
 MIN_MISSES = 2  # stills that fail: one may be no rest
 
 

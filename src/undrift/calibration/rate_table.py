@@ -282,11 +282,11 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
 # weights, s = K w + b, with rests + H a and a separate b per recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is
 # refused if |e_i| is beyond 8 times the typical |e|, the median over the dwells minus one for every parameter that the fit
-# makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table stay below that.
+# makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table are smaller.
 
-SCATTERS = 8.0  # times the typical error: beyond any tail that noise, wobble or drift makes of a few tens of dwells
+SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
 SHARE = 0.02  # relative to the largest rate
-LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell stands out
+LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell is recognisable
 
 
 def check_dwells(
@@ -322,7 +322,8 @@ def check_dwells(
     away = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error, size = np.linalg.norm(away, axis=1), np.linalg.norm(rates, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
-    with_rate = np.median(error[:count] / np.maximum(size, 1e-300)) * size  # a table that wobbles errs with its rate
+    # the error from a wobble of the table is proportional to its rate
+    with_rate = np.median(error[:count] / np.maximum(size, 1e-300)) * size
     limits = np.maximum(SCATTERS * np.maximum(typical, with_rate), SHARE * float(np.abs(rates).max()))
     wrong = np.flatnonzero(error[:count] > limits)
     if len(wrong):

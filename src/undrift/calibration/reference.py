@@ -97,7 +97,7 @@ class Aligned:
 
     record: Record
     gyro: FloatArray  # (N, 3), readings
-    reference: Reference  # poses at the frames that the cameras took
+    reference: Reference  # poses at the frames of the cameras
     lag: sync.Lag  # lag of the gyroscope's readings behind the poses
     span: sync.MotionSpan  # motion from the first to the last rest, on the clock of the record
     findings: tuple[Finding, ...]  # about the two clocks, the ends of both files, and saturated readings
@@ -153,7 +153,7 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean reading at rest (3,), its standard uncertainty, and the mean sign, or NaN and zeros without a rest."""
     record, span = aligned.record, aligned.span
     rows: BoolArray = np.asarray(span.rested & (record.time < span.start_s - MARGIN_S))
-    if not span.rested:  # a rest that is too short for the inclination still shows the offset
+    if not span.rested:  # a rest that is too short for the inclination still determines the offset
         for still in find_still(record).stills[:1]:
             rows[still.start : still.stop - 1] = True
     readings = aligned.gyro[rows & np.isfinite(aligned.gyro).all(axis=1)]

@@ -52,9 +52,9 @@ ROOM_C = 25.0
 #
 # m_p = m + c_p z + e_p + d_p       rest p: drift c_p with temperature, z ~ N(0, 1), noise e, scatter d between rests
 #
-# The variance of e_p comes from block means within the rests. Blocks of half a second show what single samples do not (flicker, a
-# filter), and blocks of an eighth of a rest show slow drift. The scatter between rests is an excess variance: each switch-on has
-# an offset of its own.
+# The variance of e_p comes from block means within the rests. Blocks of half a second reveal flicker and filters, which single
+# samples do not, and blocks of an eighth of a rest reveal drift. The scatter between rests is an excess variance: each switch-on
+# has an offset of its own.
 
 LONG_BLOCKS = 8  # blocks per rest
 
@@ -184,7 +184,7 @@ class Observed:
         windows = [windows[k] for k in rests]
         sizes = [block_size(records[self.stills[k].recording].sample_rate_hz) for k in rests]
         mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rests])
-        # the offset lies at the same place between two codes in all rests
+        # the rounding error of the offset is equal in all rests
         scatter = np.mean([window.var(axis=0) for window in windows], axis=0)
         return mean, variance + code_variance(code_steps(records, rate=True), scatter)
 

@@ -26,7 +26,7 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 MOST_SETTLING = 0.5  # largest share of a dwell
 LEAST_SAMPLES = 8
 WHOLE_TURN = 0.99 * 2.0 * np.pi  # rad: over it a ripple averages out
-FILTER_S = 0.3  # in which a second-order filter at 11 Hz settles to 1e-6: gravity leaves out no more of a dwell's start
+FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
 MOST_BLOCKS = 12  # means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
 
@@ -252,7 +252,7 @@ def table_axes(
                 direction[np.ix_(rows, across)], wobble[rows] = tilt, 0.0
                 readings = [np.asarray(record.accel) for record in records]
                 windows = [readings[turns[n].recording][turns[n].start : turns[n].stop] for n in rows]
-                # all dwells feel one gravity, and so read one code
+                # all dwells measure the same gravity, with the same rounding error
                 codes = accel.matrix[across] / gravity * np.nan_to_num(mean_rounding(readings, windows))
                 root = np.concatenate((root, np.broadcast_to(codes, (len(rows), 2, 3))), axis=2)
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset

@@ -33,7 +33,7 @@ def check_corrected(
     """
     from undrift.io.inspect import find_saturated
 
-    both = calibration.gyro is not None and calibration.accel is not None  # else they are in frames of their own
+    both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
     record_findings = (*find_saturated(raw), *padding(raw, unpadded(raw)))
     return (*record_findings, *(check_agreement(record) if both else ()), *check_device(record, calibration, stills))
 

@@ -61,10 +61,10 @@ if TYPE_CHECKING:
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
-OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # offset that the calibration leaves in a recording
+OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # offset that remains in a corrected recording
 Offset: TypeAlias = Literal["none", "rest", "motion"] | OffsetLeft
 
-REFERENCE_SPAN_C = 5.0  # constant offsets are assumed to hold so far from the reference temperature
+REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
 
 
 def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
@@ -313,7 +313,7 @@ def correct_planned(
     outputs = _buffers(len(record), plans, out)
     spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
     rest_offset = None if plans[0] is None else plans[0].constants.at_rest
-    if rest_offset is not None:  # step 6: the constants hold in motion
+    if rest_offset is not None:  # step 6: the constants apply in motion
         outputs[0][:] += rest_offset
         turning, state = find_turning(outputs[0], time, carry.turning)
         outputs[0][turning > 0.0] -= rest_offset

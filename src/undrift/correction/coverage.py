@@ -83,7 +83,8 @@ def find_outside(
     if drift.static is not None and not allowed:
         marks = drift.static.gyro_extrapolated  # marks of the gyroscopes if both triads have marks
         data = seen_span(drift.static.temp_c, drift.static.accel_extrapolated if marks is None else marks)
-        beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)  # subtracting a lag makes a thermometer noisier
+        # subtracting a lag amplifies the noise of a thermometer
+        beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)
         low, high = max(low, data[0] - beyond), min(high, data[1] + beyond)
     least, greatest = extremes(temp_c)
     if least >= low and greatest <= high:

@@ -52,7 +52,7 @@ class MotionOffset:
     rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
     covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # (rad/s)^2
     prior: Annotated[FloatArray, Shape(3)]  # standard deviation of the prior, rad/s
-    acceleration: float  # left in a mean, rms, m/s2
+    acceleration: float  # rms of the remaining acceleration in a mean, m/s2
     rest: RestOffset | None  # None if the device never rested
     vertical: Annotated[
         FloatArray, Shape(3)

@@ -31,7 +31,7 @@ Stretch = tuple[
     float | None, float | None
 ]  # given start and end, s, on the recording's clock, or both None for a search
 NAMED_NONE: Stretch = (None, None)
-FOUND_IN_S = 1800.0  # a stream that is read in chunks finds the rest that the whole recording shows
+FOUND_IN_S = 1800.0  # limit of the search, so that a stream in chunks finds the same rest as the whole recording
 LEAST_IN_MOTION_S = 20.0  # shortest recording whose motion determines the vertical and the remaining offset
 FEWEST = 10  # samples needed to estimate their scatter
 # rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
@@ -220,7 +220,7 @@ def _head(record: Record) -> Record:
 # in the same way, with the square root of the time, is [assumed]
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
-UNKNOWN_K = 5.0  # K, departure where no temperature is known: for so far constant offsets are taken to hold [assumed]
+UNKNOWN_K = 5.0  # K, distance for an unknown temperature, within which constant offsets are assumed to apply [assumed]
 CLOCK_S = (1e9, 4e9)  # range of seconds since 1970 (a recording with a time outside has no date)
 UNKNOWN_YEARS = 1.0  # time from calibration to recording, if either has no date [assumed]
 _SWAY_S = 1.0  # width of means that are insensitive to accelerations of a body

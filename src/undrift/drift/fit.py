@@ -60,11 +60,11 @@ from undrift.units import RADIAN_PER_DEGREE
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
-SURE_LAG = 3.0  # standard uncertainties: a lag below is left in
+SURE_LAG = 3.0  # standard uncertainties: a smaller lag is not subtracted
 OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond the smooth course
 SAME_C = 1.0  # between soaks, in the order of their temperature: further apart is another set-point
 WORTH = 1.05  # an additional table has to reduce the rms by this factor at least
-INPUTS_BEFORE = "drift_inputs_before"  # setting: how many inputs the calibration had before a thermal fit
+INPUTS_BEFORE = "drift_inputs_before"  # setting: number of inputs of the calibration before a thermal fit
 
 Alternative = Literal["none", "scale", "dynamic", "scale + dynamic"]
 ALTERNATIVES: tuple[Alternative, ...] = ("none", "scale", "dynamic", "scale + dynamic")  # simplest first

@@ -40,14 +40,14 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
 
 BLOCK_S = 10.0  # length of a block of rest: shorter follows a fast ramp, longer averages more noise
-RAMP_S = 60.0  # stretch over which the slope of the temperature is taken
+RAMP_S = 60.0  # stretch over which the slope of the temperature is computed
 SETTLE_S = 0.3  # start of each dwell that is discarded
 SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
 # largest angle between mean specific forces in a mounting (drift tilts them by 1-2 deg)
 SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
 LEAST_SHARE = 0.5  # smallest share of valid samples in a block
-GAP_S = 60.0  # a clock that runs on after a longer pause is taken as another switch-on
+GAP_S = 60.0  # longest pause of a continuous clock without another switch-on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -37,8 +37,8 @@ from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict
 from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
 UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: a capacitive sensor shifts by +-1 % in 50 K
-EDGE_C = 0.5  # a node this far outside the temperatures seen is extrapolated
-GAP_C = 5.0  # and so is a node between temperatures seen, this far from both
+EDGE_C = 0.5  # a node this far outside the observed temperatures is extrapolated
+GAP_C = 5.0  # and so is a node between observed temperatures, this far from both
 SLOPE_POINTS = 60
 MOST_OF_SPAN = 0.8  # share of a pose's range that a mounting must cover to replace all mountings [assumed]
 # ---- cells
@@ -49,11 +49,11 @@ LEAST_SOAKS = 5  # temperatures from which a log is one of soaks [assumed]
 OWN = 0.5  # share of the variance of v that a rest does not share with the next rest [assumed]
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
 FLICKER_OF_FLOOR = 2.41  # standard deviation of all of them over the bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
-PAIRED = 30  # blocks of a cell that its correlation is taken from
+PAIRED = 30  # number of blocks of a cell used for its correlation
 SHARED_C = 1.0  # sessions with cells nearer than this share a temperature
 # ---- hysteresis
 CROSSED_C = 4.0  # after a turn the loop is crossed over this much of temperature
-OVERLAP_C = 3.0  # range that both directions must have seen
+OVERLAP_C = 3.0  # common range of both directions
 # ---- warm-up
 CHUNK_S = 120.0  # cells are cut there and at its doubles
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
@@ -69,7 +69,7 @@ class StaticSettings:
     warm_up: bool = False  # fit a power-on transient, if recordings begin at power-on
     accel: bool = True  # False if poses determine the accelerometers, so that the fit to a single pose is not needed
     accel_unit: str = "count"  # unit of the accelerometer's readings without a calibration
-    lag_uncertainty_s: float = THERMOMETER_LAG  # standard uncertainty of the lag that was left, s
+    lag_uncertainty_s: float = THERMOMETER_LAG  # standard uncertainty of the remaining lag, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,7 +80,7 @@ class Offsets:
     value: FloatArray  # (n, 3), raw unit
     variance: FloatArray  # (n, 3), variance by noise, raw unit squared
     step_error: FloatArray | None  # (n, 3), rounding error of the converter in each block, raw unit
-    common_variance: FloatArray  # (3,), variance of what all of them have in common, raw unit squared
+    common_variance: FloatArray  # (3,), variance of the common error, raw unit squared
     flicker: FloatArray  # (3,), known variance of w, raw unit squared
 
     def variance_of_mean(self, rows: IntArray) -> FloatArray:
@@ -121,7 +121,7 @@ class TriadDrift:
     extrapolated: BoolArray  # (n,), True if no data were near
     slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
-    span_c: tuple[float, float]  # least and greatest temperature seen, degC
+    span_c: tuple[float, float]  # lowest and highest temperature of the data, degC
     curve: Curve
     cells: Cells
     offsets: Offsets

@@ -54,7 +54,7 @@ BLURRED = 0.35  # in steps: if the readings scatter more, steps included, their 
 QUIET = 0.05  # in steps: smaller noise does not repeat changes of step
 SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- and of the lag
-RAMP_C_PER_MIN = 1.0  # at which noise and the lag left are balanced
+RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced
 AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
 LONGEST_LAG_S = 300.0
 NODE_C, MOST_KNOTS = 5.0, 16  # between the spline's knots
@@ -348,7 +348,7 @@ def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> Lag
     curve, tilt, _ = np.polyfit(lags[i - 1 : i + 2] - lag, misfit[i - 1 : i + 2], 2)
     if curve > 0.0:
         lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
-    if not two_speeds:  # then hysteresis may be taken for lag
+    if not two_speeds:  # without two speeds, hysteresis may look like lag
         return LagFit(
             lag_s=lag, problem=f"ramps have one speed, and a lag of {lag:.3g} s explains the same loop as hysteresis."
         )

@@ -54,13 +54,13 @@ class TriadSummary:
     """Offset over temperature of three sensors, with n nodes and k blocks of rest, values in ``unit``."""
 
     unit: str  # rad/s or m/s2, or the raw unit if the scale factor is unknown
-    seen_c: tuple[float, float]  # least and greatest temperature seen, degC
+    seen_c: tuple[float, float]  # lowest and highest temperature of the data, degC
     temp_c: FloatArray  # (n,), nodes, degC
     against: str  # reference of the departure: the constant offset, or zero
     departure: FloatArray  # (n, 3)
     uncertainty: FloatArray  # (n, 3), standard uncertainty
     extrapolated: BoolArray  # (n,), True if no data were near
-    slope: FloatArray  # (3,), mean over the temperatures seen, per K
+    slope: FloatArray  # (3,), mean over the temperatures of the data, per K
     slope_uncertainty: FloatArray  # (3,)
     half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming, or None if not observable
     half_loop_uncertainty: FloatArray | None = None  # (3,)

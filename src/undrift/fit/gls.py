@@ -34,7 +34,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import NotObservable
 
 MAX_ITERATIONS, MOST_HALVINGS = 100, 30
-FIRST_STEPS = 5  # for one excess variance by itself: enough to compare their likelihoods
+FIRST_STEPS = 5  # for a single excess variance, enough to compare likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # fit of the inverse model: rounds, and final change in standard deviations of a row
 ROUNDING = 1e-11  # relative to a variance: a sum of covariances is positive definite only within its rounding
@@ -245,7 +245,7 @@ class _Rows:
         covariance = self.stated.copy()
         for shape, variance in zip(self.shapes, variances, strict=True):
             covariance += variance * shape
-        # noise may be less than the rounding of a source in common: the sum is then singular
+        # noise may be smaller than the rounding of a common source, so that the sum is singular
         covariance[np.diag_indices_from(covariance)] *= 1.0 + ROUNDING
         factor = np.linalg.cholesky(covariance)
         white = solve_triangular(factor, np.eye(len(factor)), lower=True)
@@ -276,15 +276,15 @@ class _Rows:
 #
 #     s+ = argmin_{x >= 0} (x - s)' I (x - s) / 2 - g' (x - s)
 #
-# and no farther than the likelihood rises: two shapes that are nearly alike would exchange their variances without end. The
-# likelihood may have several maxima. The descent therefore begins at the one kind that by itself is the likeliest.
+# as long as the likelihood increases. Otherwise two similar shapes would exchange their variances without end. The
+# likelihood may have several maxima, so the descent begins with the kind that is likeliest without the others.
 
 
 def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them."""
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
-    # a shape that the parameters absorb leaves nothing in the residuals, and its variance stays zero
+    # a shape that the parameters absorb does not appear in the residuals, and its variance stays zero
     shares = [((start[1].projector * shape).sum(), SHOWN * (start[1].inverse * shape).sum()) for shape in rows.shapes]
     observable = np.array([k for k, (residual, least) in enumerate(shares) if residual > least], int)
     if len(observable) > 1:
@@ -310,7 +310,7 @@ def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, st
             if (reached := rows.solve(ahead)).deviance < state.deviance:
                 break
         else:
-            break  # the likelihood rises by less than its rounding
+            break  # the increase of the likelihood is below its rounding error
         variances, state = ahead, reached
     return variances, state
 

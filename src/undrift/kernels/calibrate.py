@@ -18,7 +18,7 @@ from undrift.kernels.rotation import matrix_of, turned
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth: float, state: FloatArray) -> None:
-    # (lag s + 1) / (smooth s + 1), exact where the reading is straight between samples: z' = (x - z) / smooth,
+    # (lag s + 1) / (smooth s + 1), exact for readings that are linear between samples: z' = (x - z) / smooth,
     # y = z + lag z'. With m = (1 - e^-a) / a over a step a = dt / smooth: z = e^-a z_before + (m - e^-a) x_before + (1 - m) x.
     # A NaN repeats the output and keeps the state, and the next reading bridges the gap.
     gain = lag / smooth
@@ -55,7 +55,7 @@ def rotations_between(
 ) -> None:
     # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j].
     # The rate of sample k applies to (k-1, k].
-    # rotation (9 J,): R of the end body frame seen in the start body frame, row by row.
+    # rotation (9 J,): R from the end body frame to the start body frame, row by row.
     # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers for each,
     # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
     m0, m1, m2, m3, m4 = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4]

@@ -145,7 +145,7 @@ def servo(state: FloatArray, loop: Loop, powered: bool, profile: FloatArray, str
             else:
                 torque = 0.0 if abs(torque) <= loop.friction else torque - math.copysign(loop.friction, torque)
             after = rate + torque / loop.inertia * loop.period_s
-            if rate * after < 0.0 and abs(drive) <= loop.friction:  # comes to rest and sticks
+            if rate * after < 0.0 and abs(drive) <= loop.friction:  # stops and sticks
                 after = 0.0
             state[ANGLE] = angle + 0.5 * (rate + after) * loop.period_s
             state[RATE], state[ERROR] = after, error

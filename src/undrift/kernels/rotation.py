@@ -103,7 +103,7 @@ def accumulate(
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 BLOCK = 32  # samples per block (the series below runs on vector units, the product cannot)
-SERIES_LIMIT = 0.01  # square of a half angle of 0.1 rad: the first term left out is under 3e-17
+SERIES_LIMIT = 0.01  # square of a half angle of 0.1 rad: the first omitted term is under 3e-17
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
