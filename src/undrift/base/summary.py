@@ -138,7 +138,7 @@ class Summary(Result):
     page: Callable[[], Iterable[Section]] = tuple  # further sections for a page only, created when it is written
     verdict: Verdict | None = None  # a bad verdict sets exit code 1
     judged: str = ""  # subject of the verdict if it is not the result, such as "the calibration"
-    findings: tuple[Finding, ...] = ()  # in addition to those of the verdict
+    findings: tuple[Finding, ...] = ()  # in addition to the findings of the verdict
     notes: tuple[str, ...] = ()
     written: tuple[Path | None, ...] = ()  # Files and folders
     sources: tuple[Path, ...] = ()  # files created during the command that the page lists with the inputs

@@ -60,7 +60,7 @@ class Calibrated(Result):
 
     @property
     def lacking(self) -> list[str]:
-        """Triads with readings and without a model."""
+        """Return the triads with readings but without a model."""
         records = self.session.records
         missing = [key for key in NAMES if getattr(self.calibration, key) is None]
         return [NAMES[key] for key in missing if any(getattr(record, key) is not None for record in records)]

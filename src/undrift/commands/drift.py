@@ -44,7 +44,7 @@ def drift(
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Summary:
-    """Tuning tables over temperature: offsets, matrix and dynamic drift, from soaks, ramps or a warm-up.
+    """Fit tuning tables over temperature (offsets, matrix and dynamic drift) from soaks, ramps or a warm-up.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def noise(
     opening: Opening = Opening(),
     progress: Progress = silent,
 ) -> Noise:
-    """Angle random walk, bias instability, rate random walk of a device at rest, each with its 95 % interval.
+    """Determine angle random walk, bias instability and rate random walk of a device at rest, with 95 % intervals.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ class Oriented(Result):
 
     @property
     def anchor(self) -> int:
-        """The sample from which rates are integrated: the last of the rest, or the first."""
+        """Return the sample from which rates are integrated: the last of the rest, or the first."""
         return 0 if self.orientation.still is None else self.orientation.still.stop - 1
 
     @cached_property

@@ -41,11 +41,11 @@ _UNITS = {  # units in a column name; "?" for an unknown unit, which a reader re
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
 }
 _NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
-# What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
+# range of |a| at rest in each unit (an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more)
 _AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
 _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
-# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
-# 0.3 deg/s, or 0.0005 to 0.005 rad/s
+# The largest rate: 36 rad/s exceeds the 2000 deg/s that gyroscopes reach. Smaller values are judged by the noise at
+# rest: it is 0.03 to 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
 _TEMP_C, _WARM_C = (-30.0, 90.0), 12.0

@@ -242,7 +242,7 @@ class Description:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The findings as texts, but how the file was read."""
+        """Return the findings as texts, without the notes on reading."""
         return tuple(_finding_text(item) for item in self.findings if item.code != "recording.how_read")
 
     def lines(self) -> tuple[str, ...]:

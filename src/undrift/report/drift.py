@@ -107,7 +107,7 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
 
 
 def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
-    """Hatch the spans of nodes that no data were near."""
+    """Hatch the spans of nodes without data."""
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
     hatched: Any = {"facecolor": "#f1f1ee", "edgecolor": "#cfcfca", "hatch": "///", "linewidth": 0.0, "zorder": 0}
     for k, (start, stop) in enumerate(runs(extrapolated)):

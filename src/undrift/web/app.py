@@ -64,7 +64,7 @@ class Prompt(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
     """HTTP that closes a connection on which no request has come after ``FIRST_S``."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Begin to wait."""
+        """Start the time-out of the connection."""
         super().connection_made(transport)
 
         def close_if_silent() -> None:

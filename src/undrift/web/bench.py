@@ -128,7 +128,7 @@ class Bench:
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
     def new_job(self, serial: str = "") -> Job:
-        """Begin with another device: a new folder."""
+        """Create a job with a new folder for another device."""
         stamp, label = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
         folder, k = self.folder / "jobs" / f"{stamp}-{label}", 1
         while folder.exists():

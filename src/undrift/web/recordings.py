@@ -37,7 +37,7 @@ UNITS = {
     "time": ("s", "ms", "us", "date"),
 }
 SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
-MADE = {  # by command of the page Use: file name of the result, and the title
+MADE = {  # by command of the page Use: file ending of the result, and the form fields it uses
     "correct": ("-corrected.parquet", ("offset",)),
     "orient": ("-angles.csv", ("offset", "forward", "up")),
 }
@@ -126,7 +126,7 @@ class Recordings:
             return {}
 
     async def state_rate(self, stored: StoredFile, sample_rate_hz: float | None) -> None:
-        """State the sample rate of a file without time."""
+        """Set the sample rate of a file without time."""
         if not (sample_rate_hz and sample_rate_hz > 0.0):
             raise InputError(NO_NUMBER.format(self.form.rate_hz))
         stored.sample_rate_hz = sample_rate_hz

@@ -179,7 +179,7 @@ class Capture:
 
     @property
     def stretch(self) -> int:
-        """Number of the stretch that the newest readings belong to."""
+        """Return the number of the stretch of the newest readings."""
         return self._stretches[-1].number if self._stretches else -1
 
     def tail(self, seconds: float) -> Record | None:
@@ -187,13 +187,13 @@ class Capture:
         return _drop_lost_rows(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
 
     def lost(self, start_s: float, stop_s: float) -> bool:
-        """Whether a reading of the newest stretch was lost in a span of time."""
+        """Return True if a reading of the newest stretch was lost in a span of time."""
         return bool(np.isnan(np.asarray(self._stretches[-1].record(start_s, stop_s).gyro)).any())
 
     # ---- Rest and face
 
     def silent(self, now_s: float) -> bool:
-        """Whether no reading has come for a while."""
+        """Return True if no readings have come recently."""
         return now_s - self._heard_s > SILENCE_S
 
     def rest(self, seconds: float | None = None) -> Rest | None:

@@ -79,7 +79,7 @@ class Guide(ABC):
 
     @property
     def complete(self) -> bool:
-        """Whether all steps are captured."""
+        """Return True if all steps are captured."""
         return len(self.done) == len(self.order)
 
     def redo(self, step: str | None) -> None:
@@ -210,7 +210,7 @@ class Turns(Guide):
 
     @property
     def enough(self) -> bool:
-        """Whether each axis has one turn or more."""
+        """Return True if each axis has a turn."""
         return {way[1] for way in self.done} == {"x", "y", "z"}
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:

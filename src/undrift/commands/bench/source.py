@@ -79,12 +79,12 @@ class LiveDevice:
 
     @property
     def nominal_rate_hz(self) -> float:
-        """Stated readings per second of the device."""
+        """Return the nominal readings per second of the device."""
         return self.recorder.source.description.rate
 
     @property
     def speed(self) -> float:
-        """Device seconds in one of the host's: 1 for hardware."""
+        """Return the device seconds per second of the host, which is 1 for hardware."""
         return self.recorder.source.description.clock_speed
 
     def start(self) -> None:
