@@ -1,8 +1,8 @@
-"""Run every benchmarks/bench_*.py and print one table; with ``--strict`` exit with 1 where a gate is broken.
+"""Run every benchmarks/bench_*.py and print one table. With ``--strict``, exit with 1 if a gate is violated.
 
-``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Those that take minutes are run
-by their names alone (``study-note`` for ``long_study_note.py``). Gates hold for an idle machine of two cores; a busy one breaks
-some.
+``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Long benchmarks run
+only if they are named (``study-note`` for ``long_study_note.py``). The gates apply to an idle machine with two cores. A
+busy machine violates some.
 """
 
 import importlib

@@ -1,7 +1,8 @@
-"""``undrift correct`` on a 2 GB Parquet recording against pyarrow reading and writing the same rows untouched.
+"""``undrift correct`` on a 2 GB Parquet recording, compared with pyarrow reading and writing the same rows unchanged.
 
-Every run is a process of its own, as a user starts it; pyarrow's takes the same batches and writes with the same settings. The
-readings are random, so nothing in the file can be packed. The calibration has every term: matrices, g-sensitivity, both tables.
+Every run is a separate process, as started by a user. pyarrow reads the same batches and writes with the same settings.
+The readings are random, so the file cannot be compressed. The calibration has every term: matrices, g-sensitivity, both
+tables.
 """
 
 import shutil
@@ -35,7 +36,7 @@ with pq.ParquetFile(source, pre_buffer=False, buffer_size=1 << 20) as handle:
         for batch in handle.iter_batches(batch_size=rows):
             writer.write_table(pa.Table.from_batches([batch]))
 """
-# A process starts with the peak of the one that started it on its account, so a small one must start it.
+# A process inherits the peak memory of its parent, so a small process must start it.
 LAUNCHER = """
 import resource, subprocess, sys, time
 start = time.perf_counter()

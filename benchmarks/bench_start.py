@@ -1,4 +1,4 @@
-"""How long the command takes to answer, each time a fresh process."""
+"""Time until the command answers, each time in a new process."""
 
 import statistics
 import subprocess

@@ -1,4 +1,4 @@
-"""``undrift study``: the note's three tasks as a user starts them, and what one device costs."""
+"""``undrift study``: the note's three tasks as started by a user, and the time per device."""
 
 import subprocess
 import sys
@@ -34,7 +34,7 @@ def run() -> list[Figure]:
 
 
 def one_device() -> float:
-    """Return what a device of the note's preset costs once everything is compiled, s."""
+    """Return the time for a device of the note's preset after compilation, s."""
     study = note_study()
     run_device(study, 0)
     start = time.process_time()
@@ -43,7 +43,7 @@ def one_device() -> float:
 
 
 def drawn_unit() -> float:
-    """Return what a drawn unit of Figure 3 costs once everything is compiled, s of the processor, mean of two units."""
+    """Return the processor time for a drawn unit of Figure 3 after compilation, s, mean of two units."""
     drawn_errors(DEVICE, 0, 12.5, 0)
     start = time.process_time()
     for number in (1, 2):
@@ -52,7 +52,7 @@ def drawn_unit() -> float:
 
 
 def measured(*words: str) -> tuple[float, float]:
-    """Run ``undrift study`` in a process of its own, in a fresh folder; return wall time, s, and peak memory, bytes."""
+    """Run ``undrift study`` in a separate process, in a new folder. Return wall time, s, and peak memory, bytes."""
     with tempfile.TemporaryDirectory(prefix="undrift-study-") as folder:
         command = [sys.executable, "-c", STUDY, "study", *words, "-o", str(Path(folder) / "out")]
         start, peak = time.perf_counter(), 0.0

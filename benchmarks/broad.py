@@ -1,12 +1,14 @@
-"""BROAD trials at hand: what each step of the correction leaves, what was expected, and what devices of a model share.
+"""BROAD trials: remaining error after each step of the correction, expected error, and common properties of devices of
+a model.
 
-``python -m benchmarks.broad`` prints four tables (some minutes), or those that are named: steps, expected, nested, offset.
+``python -m benchmarks.broad`` prints four tables (some minutes), or only the named tables: steps, expected, nested,
+offset.
 
 1. End error and root-mean-square error of each device, raw to calibrated on the *other* trials of the device.
 2. Expected against observed errors, over every fit to a part of a device's trials that is judged on another trial. Its prior
    (spread of matrix and in-motion offset between recordings) is learnt from the other devices.
-3. A hierarchical prior, nested: all that is chosen for a held-out trial comes from other trials (docs/decisions, 2026-11-22).
-4. The offset that motion shows of each trial as it was read, with its rest and without, and how long it takes.
+3. A hierarchical prior, nested: all choices for a held-out trial come from other trials (docs/decisions, 2026-11-22).
+4. The offset of each trial from motion, as it was read, with and without its rest, and the run time.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
 """
@@ -114,9 +116,10 @@ def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]
 
 
 def learnt(devices: Sequence[str]) -> ErrorPrior:
-    """Return the spread between recordings of one device on these devices: root of its mean square by the restricted likelihood.
+    """Return the spread between recordings of these devices: root of its mean square by restricted likelihood.
 
-    Few recordings cannot exclude a spread of zero, nor a large one: their likelihood is averaged, each size as probable before.
+    Few recordings can exclude neither a spread of zero nor a large one. Therefore their likelihood is averaged with
+    equal prior probability.
     """
     groups = estimates(devices)
     grid = np.array([(matrix, offset) for matrix in MATRIX_GRID for offset in OFFSET_GRID])
@@ -161,7 +164,7 @@ VARIANTS = ("pooled", "recordings weighed", "and devices shared")
 
 
 def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> Figures:
-    """Return the errors of a trial by its device's other trials, and for the prior by other devices alone."""
+    """Return the errors of a trial with the other trials of its device, and for the prior with other devices only."""
     numbers, adc = DEVICES[device], adc_of(device)
     left = [n for n in numbers if n != number]
     if variant == "pooled":
@@ -171,14 +174,14 @@ def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> F
         parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
         x = _posterior(parts, others, shared=variant == VARIANTS[2])
         model = single(left[0], adc).triad.model
-        offset = at_rest(number, adc, model)  # the rest alone is taken from the held-out trial
+        offset = at_rest(number, adc, model)  # only the rest is taken from the held-out trial
         model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset, moving_offset=x[9:])
     made = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc)
     return validate_trial(*trial(number), calibration=made).figures
 
 
 def at_rest(number: str, adc: AdcModel | None, model: TriadModel) -> FloatArray:
-    """Return what a trial reads at rest, codes corrected as a model has it."""
+    """Return the mean reading of a trial at rest, with codes corrected as in a model."""
     own = single(number, adc)
     rest, codes, other = own.rest_offsets[0], own.triad.model.code_offset, model.code_offset
     return rest if codes is None or other is None else rest + (own.triad.model.offset - rest) / codes * other

@@ -1,7 +1,8 @@
-"""Trials of BROAD: one HDF5 file holds the sensor and the optics on one clock.
+"""Trials of BROAD. An HDF5 file contains the sensor and the optics on a common clock.
 
-rad/s; m/s2, specific force; uT; w-x-y-z, body to east-north-up; m. Where the optics lost the body its pose is NaN.
-D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 6(7), 72, 2021.
+Units are rad/s, m/s2 (specific force), uT and m. Quaternions are w-x-y-z, body to east-north-up. Lost poses are NaN. D.
+Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 6(7),
+72, 2021.
 """
 
 import os
@@ -36,7 +37,7 @@ def read_broad(path: str | Path) -> tuple[Record, Reference]:
 
 @cache
 def broad_file(name: str) -> Path:
-    """Return a trial as one Parquet file with readings and poses, for commands; ``name`` without an ending."""
+    """Return a trial as a Parquet file with readings and poses, for commands. ``name`` has no ending."""
     record, reference = read_broad(FOLDER / f"{name}.hdf5")
     table = dict(zip(*native_columns(record), strict=True))
     table |= dict(zip(("q_w", "q_x", "q_y", "q_z"), reference.q_nb.T, strict=True))

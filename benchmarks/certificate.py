@@ -1,8 +1,8 @@
-"""Share of certificates that hold: truth of simulated devices inside the stated expanded uncertainty.
+"""Share of certificates that are valid: truth of simulated devices inside the reported expanded uncertainty.
 
-``python -m benchmarks.certificate [--devices 1000]``: rate table and six faces, each device with mounting, level, wobble and rate
-of its own, 12 bits, and a temperature that rises by 1 K. The simulator writes its own forward equation. Prints a row for each
-kind of parameter.
+``python -m benchmarks.certificate [--devices 1000]``: rate table and six faces. Each device has random mounting, level,
+wobble and rate errors, 12 bits, and a temperature rise of 1 K. The simulator has its own forward equation. Prints a row
+for each kind of parameter.
 """
 
 import argparse

@@ -1,10 +1,10 @@
-"""Every recording at hand from its file to a result at the first attempt; ``python -m benchmarks.door``.
+"""Every available recording, from its file to a result at the first attempt: ``python -m benchmarks.door``.
 
-No TOML is edited by hand, except where the map needs a key that only the owner of a file knows (KEYS).
+No TOML is edited by hand, except for keys of a map that only the owner of a file knows (KEYS).
 
-A recording is calibrated and corrected where its poses allow; otherwise corrected by the calibration of another device in
-physical units, made by the same commands. Optics count as references once ``info`` reads them. Prints the commands; ends with
-1 where any file failed.
+A recording is calibrated and corrected if its poses are sufficient. Otherwise it is corrected with the calibration of
+another device in physical units, made with the same commands. Optics count as references if ``info`` reads them. Prints
+the commands, and exits with 1 if a file failed.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from pathlib import Path
 from undrift.cli.app import run
 
 DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")).resolve()
-# What only the owner of a file knows, by SOURCE.md beside it; where that is silent a rate is assumed, and printed as such.
+# keys that only the owner of a file knows, from SOURCE.md; a missing rate is assumed and printed as assumed.
 RATES = {"multipos_mpu9150": 100, "ferraris_nilspod": 102.4, "ximu": 256, "worn_lowback": 100, "static_mpu6050": 100}
 RATES |= {"thermal_bmi270": 50}
 ASSUMED = 100
@@ -49,7 +49,7 @@ def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[objec
     asked = [item["values"].get("missing") for item in found["findings"] if item["code"] == "recording.not_read"]
     rate = next((value for name, value in RATES.items() if name in str(path)), ASSUMED)
     if "sensor" in asked:
-        # of an autopilot's log the sensor's own readings: those of sensor_combined are corrected already
+        # readings of the sensor itself in an autopilot's log, because sensor_combined is already corrected
         options: list[object] = ["--sensor", next(name for name in found["columns"] if name != "sensor_combined")]
         return options + options_of(path, described(path, options), steps)
     if "sample_rate_hz" in asked:
@@ -69,10 +69,10 @@ def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[objec
 
 
 def outcome(path: Path, device: Path) -> tuple[str, list[list[object]]]:
-    """Return what a file came to, and the commands after info."""
+    """Return the result for a file, and the commands after info."""
     first: list[object] = []
     code, out, err = call("info", path, "--json")
-    if code and "drop_bad_rows" in err:  # the message says so
+    if code and "drop_bad_rows" in err:  # the message recommends it
         Path("rows.toml").write_text("drop_bad_rows = true\n")
         first = ["--map", "rows.toml"]
         code, out, err = call("info", path, *first, "--json")

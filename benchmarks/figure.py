@@ -1,7 +1,7 @@
-"""Figure: one measured number and the gate that it is held to; and the stopwatch that makes such numbers fair.
+"""Figure: a measured number and its gate, and a stopwatch for fair measurements.
 
-Absolute times drift on a shared machine; ratios within one run hold. Rivals therefore run in alternating rounds, in a fresh
-random order each round, and the median round of each is compared.
+Absolute times vary on a shared machine, but ratios within a run are stable. Rivals therefore run in alternating rounds,
+in a new random order each round, and the medians are compared.
 """
 
 import gc

@@ -1,7 +1,8 @@
-"""Figure 3 beside its rival without a chamber, typical unit and units of the kind, simulated and actual, as docs/note.md has it.
+"""Figure 3 and its rival without a chamber, for the typical unit and drawn units, simulated and actual, as in
+docs/note.md.
 
-``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints both tables: the device 12.5 K above the bench, tables from rising
-soaks, each drawn unit on a person of its own. 5 s a unit.
+``python -m benchmarks.figure3 [--units 30] [--seed 0]`` prints both tables. The device is 12.5 K warmer than on the
+bench, tables are from rising soaks, and each drawn unit is on another person. It takes 5 s per unit.
 """
 
 import argparse
@@ -20,7 +21,7 @@ EXCURSION_K = 12.5
 
 
 def typical_row(found: Figure3, k: int) -> str:
-    """Return the row of one correction for the typical unit."""
+    """Return the row of a correction for the typical unit."""
     figures = (
         found.simulated_max_deg[k],
         found.actual_max_deg[k],
@@ -31,7 +32,7 @@ def typical_row(found: Figure3, k: int) -> str:
 
 
 def drawn_row(errors: FloatArray, k: int) -> str:
-    """Return the row of one correction over drawn units, from their errors (units, 4, 5)."""
+    """Return the row of a correction over drawn units, from their errors (units, 4, 5)."""
     simulated, actual, difference, correlation = errors[:, :, k].T
     quartiles = (np.quantile(x, (0.5, 0.25, 0.75)) for x in (simulated, actual, difference))
     spreads = ["{:.2f} ({:.2f} to {:.2f})".format(*values) for values in quartiles]

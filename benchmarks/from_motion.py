@@ -1,14 +1,15 @@
-"""What motion alone gives: BROAD by each step, pitch of simulated tasks by each offset, and how long the fits take.
+"""Calibration and offset from motion only: BROAD at each step, pitch of simulated tasks for each offset, and run times.
 
-``python -m benchmarks.from_motion`` prints four tables, or those that are named: broad, heading, tasks, times.
+``python -m benchmarks.from_motion`` prints four tables, or only the named tables: broad, heading, tasks, times.
 
-broad: end error, total / inclination, deg, of the eight trials at hand, each calibrated on the *other* trials of its device, by
-strapdown and by VQF (offline, as ``orient --method vqf`` has it) fed with the same readings; beside it the expected error.
-heading: error of the heading over the movement, rms, deg, by VQF with a magnetometer (9D), of raw readings and of those by the
-motion of the other trials; the mean error in the five seconds before the movement is taken away, or nothing.
-tasks: pitch error, rms over the motion, deg, of three simulated devices, each calibrated by a bench session, on another day.
-There is no walking in ``sim``: ten minutes are ten ``free`` tasks in one recording, and a walk of sinusoids that is made here.
-times: 30 recordings of two minutes through the fit of both triads; 30 units of one with their magnetometer; the offset of one.
+broad: end error, total / inclination, deg, of eight trials, each calibrated on the *other* trials of its device, by
+strapdown and by VQF (offline, as in ``orient --method vqf``) with the same readings. The expected error is also given.
+heading: error of the heading over the movement, rms, deg, by VQF with a magnetometer (9D), for raw readings and for
+readings calibrated from the motion of the other trials. The mean error in the five seconds before the movement is
+subtracted, or nothing. tasks: pitch error, rms over the motion, deg, of three simulated devices, each calibrated by a
+bench session, on another day. ``sim`` has no walking. Ten minutes consist of ten ``free`` tasks in a recording, and a
+walk of sinusoids defined here. times: 30 recordings of two minutes with the fit of both triads, 30 units of a recording
+with their magnetometer, and the offset of a recording.
 """
 
 import sys
@@ -56,7 +57,7 @@ from undrift.validation.trial import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ended:
-    """End errors of one trial after one step, deg."""
+    """End errors of a trial after a step, deg."""
 
     number: str
     strapdown: tuple[float, float]  # total, inclination
@@ -125,9 +126,10 @@ def _ended(number: str, judged: Trial, filtered: tuple[float, float]) -> Ended:
 def by_vqf(
     judged: Trial, record: Record, reference: Reference, calibration: Calibration | None, offset: OffsetChoice
 ) -> tuple[float, float]:
-    """Return the end error of VQF, total and inclination, deg, where ``validate`` takes it; heading equal before the motion.
+    """Return the end error of VQF, total and inclination, deg, at the same time as in ``validate``. Headings are equal
+    before the motion.
 
-    With the magnetometer where the calibration has one.
+    The magnetometer is used if the calibration has one.
     """
     done = record.in_si() if calibration is None else correct(record, calibration)
     model = None if calibration is None else calibration.gyro
@@ -211,7 +213,7 @@ def heading_errors(record: Record, reference: Reference, calibration: Calibratio
 
 
 def print_heading() -> None:
-    """Print the heading's error of each trial, and means of the undisturbed ones and of all."""
+    """Print the heading error of each trial, and means over the undisturbed trials and over all."""
     rows = {}
     for numbers in DEVICES.values():
         for n in numbers:
@@ -229,11 +231,11 @@ def print_heading() -> None:
 
 # ---- tasks
 
-# Rests of 10 s: the offset from motion refuses recordings below 20 s, and a sit-to-stand lasts 3 s
+# Rests of 10 s, because the offset from motion refuses recordings below 20 s, and a sit-to-stand task lasts 3 s
 RATE_HZ, PAUSE_S, MINUTES, SEEDS = 100.0, 10.0, 10, (1, 2, 3)
-TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s: what the offset moves by from the bench session to another day [assumed]
-CADENCE_HZ, COURSE_S = 1.8, 15.0  # steps of a walk; time between two turns about [assumed]
-# A walk [assumed]: amplitude, deg or m, and frequency over that of steps
+TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s, change of the offset from the bench session to another day [assumed]
+CADENCE_HZ, COURSE_S = 1.8, 15.0  # steps of a walk, and time between two turns [assumed]
+# A walk [assumed]: amplitude, deg or m, and frequency relative to the steps
 WALK = {
     "roll": ((2.5, 0.5), (0.5, 1.5)),
     "pitch": ((1.5, 1.0), (0.5, 0.5)),
@@ -283,7 +285,7 @@ TASKS: dict[str, Callable[[np.random.Generator], Task]] = {
 
 
 def pitch_errors(name: str, seed: int) -> list[float]:
-    """Return the pitch error of one device in a task, rms, deg: offset none, rest, motion."""
+    """Return the pitch error of a device in a task, rms, deg, for the offsets none, rest and motion."""
     rng = np.random.default_rng(seed)
     device = random_device(rng)
     calibration = calibrate(simulate_session("bench", device, rng=rng))

@@ -1,10 +1,9 @@
-"""Recordings that begin and end in motion, beside a reference: what each calibration leaves of their orientation, deg.
+"""Recordings with a reference that begin and end in motion: remaining orientation error of each calibration, deg.
 
-``python -m benchmarks.in_motion`` prints a table of each set (two minutes), or of those named: chain, carpus, radius, pendulum.
-Each recording is judged raw, by the fit to the others of its device, by the motion of the others alone, and each of these with the
-offset that its own motion shows. Raw
-and calibrated readings start from the reference; the robot's rests at the start are cut to a second, so that accelerometers, which
-are off by 1 deg there, do not count.
+``python -m benchmarks.in_motion`` prints a table of each set (two minutes), or of the named sets: chain, carpus,
+radius, pendulum. Each recording is judged raw, with the fit to the other recordings of its device, and with the fit to
+their motion only. Each is also judged with the offset from its own motion. Raw and calibrated readings start from the
+reference. The robot's rests at the start are cut to a second, because its accelerometers have errors of 1 deg there.
 
 Sets and their sources: SOURCE.md of chain_with_optics, robot_arm_reference and pendulum_with_optics.
 """
@@ -75,7 +74,7 @@ def pairs(name: str) -> list[tuple[Record, Reference]]:
 
 
 def table(name: str) -> Iterator[tuple[str, Validation]]:
-    """Yield what is judged and the trials of a device."""
+    """Yield the calibrations and the trials of a device."""
     held, called = pairs(name), SETS[name]
     for offset in ("none", "motion"):
         settings, more = TrialSettings(offset=offset), " + offset from motion" * (offset == "motion")
@@ -100,7 +99,7 @@ def by_motion(held: list[tuple[Record, Reference]], settings: TrialSettings, nam
 
 
 def by_themselves(name: str) -> Validation:
-    """Return the trials of a device, each by a fit to itself: what the reference and the model leave."""
+    """Return the trials of a device, each fitted to itself: the residual errors of reference and model."""
 
     def judged(record: Record, reference: Reference) -> Trial:
         return validate_trial(record, reference, calibration=calibrate_to_references([record], [reference]))

@@ -1,13 +1,13 @@
-"""Levels of correction and a simulated device, as ``undrift validate --compare`` has them, on trials of four kinds, deg.
+"""Levels of correction and a simulated device, as in ``undrift validate --compare``, on trials of four kinds, deg.
 
-``python -m benchmarks.levels`` prints a table of each set, or of those named:
+``python -m benchmarks.levels`` prints a table of each set, or of the named sets:
 
     note     a note-like device (ENC-03J, hysteresis, thermometer lag, bow of the converter, g-sensitivity) on five simulated people
     captured the same device in captured motions of three people: sit-to-stand, squats, stairs (mocap_*, c3d)
     b, c, d  BROAD trials of a device, each by the reference fit to the others
-    chain    chain_with_optics, likewise: 40 Hz, optics at 30 Hz, no rest, no positions
+    chain    chain_with_optics, in the same way: 40 Hz, optics at 30 Hz, no rest, no positions
 
-Simulated devices are calibrated on the simulated bench at 25 degC and by soaks while warming alone; trials are 12.5 K warmer.
+Simulated devices are calibrated on the simulated bench at 25 degC and by soaks while warming. Trials are 12.5 K warmer.
 """
 
 import os
@@ -73,7 +73,7 @@ def simulated(seed: int = 1, people: int = 5) -> LevelTable:
 
 
 def captured(seed: int = 2) -> LevelTable:
-    """Compare them in captured motions, held still before."""
+    """Compare them in captured motions that begin at rest."""
     device = actual_device(preset("enc03j_3031"))
     full = calibrated(device, rng=np.random.default_rng(seed), back=False)
     pairs = Pairs()

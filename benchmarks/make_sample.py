@@ -1,4 +1,5 @@
-"""Record the sample session of the package anew: ``python -m benchmarks.make_sample FOLDER``; about 20 s on an idle machine.
+"""Record the sample session of the package again: ``python -m benchmarks.make_sample FOLDER``, about 20 s on an idle
+machine.
 
 Table, chamber and device are simulated, as in ``undrift demo``, and the device and the person are drawn by fixed seeds, so a new
 recording is the same.
@@ -20,7 +21,7 @@ REST_S = 240.0
 
 
 def main(folder: Path) -> None:
-    """Write bench/ (six faces and rates), thermal/ (set-points), rest.parquet, and a sit-to-stand with its optics."""
+    """Write bench/ (six faces and rates), thermal/ (set-points), rest.parquet, and a sit-to-stand task with its optics."""
     plan, device = bench_plan(quick=True), bench_device()
     room = replace(plan.bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
     rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)

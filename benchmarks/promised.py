@@ -1,7 +1,9 @@
-"""Promised against delivered: errors of new devices on the simulated rig, and the interval of a single device that a study prints.
+"""Promised and delivered errors: new devices on the simulated rig, compared with the interval of a single device in a
+study.
 
 ``python -m benchmarks.promised [--devices 30] [--new 8]`` prints a row per session: the interval, the delivered errors,
-and the number of errors inside. About 95 % should lie inside: n - 1 of n + 1 for n devices, from 39 devices on 95 %.
+and the number of errors inside. The expected share inside is (n - 1) / (n + 1) for n devices, and 95 % from 39 devices
+on.
 """
 
 import argparse
@@ -33,13 +35,13 @@ NEW = 1000  # number of the first device that the study does not have
 
 
 def study_of(devices: int) -> Study:
-    """Return a study of a sit-to-stand with the three sessions."""
+    """Return a study of a sit-to-stand task with the three sessions."""
     sessions = tuple(SESSIONS[name] for name in NAMES)
     return Study(tasks=(StudyTask(name="sit_to_stand"),), sessions=sessions, subjects=devices, subjects_max=devices)
 
 
 def promise(study: Study) -> dict[str, SessionErrors]:
-    """Return what a study states of each session."""
+    """Return the result of a study for each session."""
     with executor() as spread:
         runs = run_study(study, spread)
     return {row.session.name: row for row in judge_sessions(study, runs, study.tasks[0])}

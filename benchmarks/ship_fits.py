@@ -1,8 +1,8 @@
 """Make the fits that ship with the package (study/shipped.py): ``python -m benchmarks.ship_fits [STUDY ...] [--sessions ...]``.
 
-The note's study, with the effects, rivals and short sessions of the other group, then each preset by the sessions of a default
-study. Fits in the file are kept if those of device 0 agree. All of them take an hour of two processors. The file is written after
-each study.
+It makes the note's study, with the effects, rivals and short sessions of the other group, then each preset with the
+sessions of a default study. Fits in the file are kept if the fits of device 0 agree. All fits take an hour on two
+processors. The file is written after each study.
 """
 
 import argparse
@@ -33,7 +33,9 @@ def studies() -> Iterator[Study]:
 
 
 def fits_of_device(study: Study, number: int) -> dict[int, Values]:
-    """Return the fits of a device by their key; in the note's study, of its variations, effects, rivals and other group too."""
+    """Return the fits of a device by key. For the note's study, variations, effects, rivals and the other group are
+    included.
+    """
     short = [session for session in study.sessions if session.length_min < SHORT_MIN]
     tried = dict.fromkeys(numbers.session() for task in study.tasks for _, _, numbers in task.variations())
     device = StudyDevice(study, number)

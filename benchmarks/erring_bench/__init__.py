@@ -1,7 +1,8 @@
-"""Coverage on a bench that errs: how many of the stated 95 % intervals of each fit hold the truth of drawn devices.
+"""Coverage on an imperfect bench: the share of 95 % intervals of each fit that contain the truth of drawn devices.
 
-``python -m benchmarks.erring_bench`` prints one table. Every row draws devices and benches (mounting, level, wobble, rate ripple,
-temperature creep, coloured noise, 10-16 bit, jitter) with the simulator's own forward model; the fit sees readings alone.
+``python -m benchmarks.erring_bench`` prints one table. Every row draws devices and benches (mounting, level, wobble,
+rate ripple, temperature creep, coloured noise, 10-16 bit, jitter) with the simulator's own forward model. The fit
+receives only readings.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +31,7 @@ class Row:
     devices: int
     inside_percent: float
     rmse: float  # of the estimates
-    stated: float  # root mean square of the stated standard deviations, in the unit of ``rmse``
+    stated: float  # root mean square of the reported standard deviations, in the unit of ``rmse``
     good_percent: float  # share of verdicts that read "good"
     reasons: str  # codes of the findings that lowered the others, most frequent first
 
@@ -43,7 +44,7 @@ class Row:
 def chain_that_errs(
     chain: SensorChain, *, bits: int | None, span: float, flicker: float | None, **others: Any
 ) -> SensorChain:
-    """Return a chain with a converter over +-span and flicker, both in SI units; None for none."""
+    """Return a chain with a converter over +-span and flicker, both in SI units. None omits an effect."""
     adc = None if bits is None else Adc(bits=bits, reference=span * chain.gain, codes=False)
     instability = None if flicker is None else BiasInstability(instability=np.full(3, flicker))
     return replace(chain, adc=adc, instability=instability, **others)
@@ -60,7 +61,7 @@ def even_rise(rise_c: float, samples: int) -> FloatArray:
 
 
 class Tally:
-    """Errors and stated standard deviations of one fit on one bench, device by device."""
+    """Errors and reported standard deviations of a fit on a bench, for each device."""
 
     def __init__(self, fit: str, case: str) -> None:
         self.fit, self.case = fit, case
@@ -69,7 +70,7 @@ class Tally:
         self._verdicts: list[Verdict] = []
 
     def add(self, verdict: Verdict, **groups: tuple[FloatArray, FloatArray]) -> None:
-        """Add one device: for each group its errors and their stated standard deviations, of equal shape."""
+        """Add a device. Each group has errors and their reported standard deviations, of equal shape."""
         self._verdicts.append(verdict)
         for group, (error, sigma) in groups.items():
             self._error.setdefault(group, []).append(np.ravel(error))
@@ -78,7 +79,9 @@ class Tally:
     def add_model(
         self, verdict: Verdict, model: TriadModel, matrix: FloatArray, offset: FloatArray, seen: FloatArray = ACROSS
     ) -> None:
-        """Add a fitted model beside the true matrix (3, 3) and offset (3,), in its units; ``seen`` cross-axis terms count."""
+        """Add a fitted model and the true matrix (3, 3) and offset (3,), in its units. Only cross-axis terms in
+        ``seen`` count.
+        """
         away, sigma, size = model.matrix - matrix, model.standard_uncertainty, float(np.diag(matrix).mean())
         stated, own = sigma[:9].reshape(3, 3), np.eye(3, dtype=bool)
         self.add(

@@ -1,4 +1,4 @@
-"""Print the table: ``python -m benchmarks.erring_bench [--devices 300] [--only NAME ...]``; exit 1 where a row does not hold."""
+"""Print the table: ``python -m benchmarks.erring_bench [--devices 300] [--only NAME ...]``. Exit with 1 if a row fails."""
 
 import argparse
 import importlib

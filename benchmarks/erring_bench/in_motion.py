@@ -1,8 +1,10 @@
-"""Both triads from motion alone on a bench that errs: three recordings of one device in hands, on three days, half without a rest.
+"""Both triads from motion only, on an imperfect bench: three hand-held recordings of a device on three days, half
+without a rest.
 
-Readings are scaled by the data sheet. Their errors: turn-on offset of each recording, random walk of the grade, flicker, cross-axis
-terms, g-sensitivity, and codes cut off where the grade has them; gravity is assumed. The truth of a recording's offset is the mean
-of what these add to its rates. How the case turns both triads is not seen: of cross-axis terms the symmetric part counts.
+Readings are scaled by the data sheet. Their errors: turn-on offset of each recording, random walk of the grade,
+flicker, cross-axis terms, g-sensitivity, and truncated codes, depending on the grade. Gravity is assumed. The true
+offset of a recording is the mean of these errors of its rates. A common rotation of both triads is not observable.
+Therefore only the symmetric part of cross-axis terms counts.
 """
 
 from collections.abc import Iterator
@@ -26,7 +28,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 RATE_HZ, RECORDINGS, WITHOUT_REST = 50.0, 3, 0.5
 TURN_ON = 0.05 * RADIAN_PER_DEGREE  # rad/s, of each recording
-GRAVITY = 0.02  # m/s2, what is assumed of gravity is off by
+GRAVITY = 0.02  # m/s2, error of the assumed gravity
 FLICKER = {"gyro": 8.0 / 3600.0 * RADIAN_PER_DEGREE, "accel": 5e-5 * STANDARD_GRAVITY}  # of an MPU-6050's data sheet
 SLOW = ("offset", "g_sensitivity", "instability", "random_walk")  # effects whose mean is a recording's offset
 SCALE = np.eye(9)[[0, 4, 8]]
@@ -64,7 +66,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def erring(device: DeviceModel) -> DeviceModel:
-    """Return a device with flicker; walk, g-sensitivity and codes are those of its grade."""
+    """Return a device with flicker. Walk, g-sensitivity and codes depend on its grade."""
     gyro, accel = (
         replace(chain, instability=BiasInstability(instability=np.full(3, FLICKER[kind])))
         for kind, chain in (("gyro", device.gyro), ("accel", device.accel))
@@ -95,7 +97,9 @@ def handled(device: DeviceModel, rng: np.random.Generator) -> tuple[tuple[Record
 def _against(
     seen: FloatArray, made: TriadModel | None, true: TriadModel | None, gain: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return errors of what motion shows of a matrix and their standard uncertainties; the true one is of raw readings."""
+    """Return errors of the observable elements of a matrix and their standard uncertainties. The true matrix is for raw
+    readings.
+    """
     assert made is not None
     assert true is not None
     error = seen @ (made.matrix - gain * true.matrix).ravel()

@@ -1,8 +1,9 @@
-"""Known rotation: temperature creep, low-pass, 10 bit, flicker, clock, angle and axis by hand, each alone and all together.
+"""Known rotation with temperature creep, low-pass, 10 bit, flicker, clock, angle and axis errors, each separately and
+combined.
 
-Gyroscopes drift by 0.05 deg/s/K and 0.02 %/K at one standard deviation; they flicker by 8 deg/h as a data sheet states it, and
-their offset is then that of the whole session. 10 bits span +-500 deg/s. Angle and axis are stated as the hand errs, 0 where
-it does not.
+Gyroscopes drift by 0.05 deg/s/K and 0.02 %/K (standard deviation). Their bias instability is 8 deg/h, and the true
+offset is then the mean over the session. 10 bits span +-500 deg/s. The uncertainties of angle and axis equal the errors
+of the hand, or 0 without errors.
 """
 
 from collections.abc import Iterator
@@ -44,15 +45,15 @@ class Case:
     cutoff_hz: float | None = None
     bits: int | None = None
     flicker: bool = False
-    jitter_s: float = 0.0  # Of the time stamps
+    jitter_s: float = 0.0  # jitter of the time stamps
     by_hand: bool = False
-    level: float = 0.0  # Of each face about each horizontal axis, rad
+    level: float = 0.0  # tilt of each face about each horizontal axis, rad
     whole_walk: bool = False  # Rate random walk of a consumer part
-    faces_alone: bool = False  # No rest beside the turns is stated
+    faces_alone: bool = False  # no rests next to the turns are marked
     none_found: bool = False  # Nor does the search find one
-    warm_up_dps: float = 0.0  # Of the offset at the first sample, either way, with WARM_UP_S
-    creep_s: float | None = None  # Time constant of the rise; None rises evenly
-    sure: bool = False  # Turned to 0.05 deg about axes true to 0.03 deg, and stated as by hand
+    warm_up_dps: float = 0.0  # offset at the first sample, of either sign, with WARM_UP_S
+    creep_s: float | None = None  # time constant of the rise, or None for a linear rise
+    sure: bool = False  # turned to 0.05 deg about axes true to 0.03 deg, with the uncertainties of turns by hand
 
 
 CASES = {
@@ -90,7 +91,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of one case."""
+    """Yield the rows of a case."""
     case, rng, tally = CASES[name], np.random.default_rng(seed), Tally("known rotation", name)
     settings = CalibrateSettings(
         identify_adc=False,

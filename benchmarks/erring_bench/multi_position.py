@@ -1,8 +1,9 @@
-"""Free poses and hand moves between them: temperature creep, 10 bit, flicker, quadratic terms, g-sensitivity, alone and together.
+"""Free poses and hand moves with temperature creep, 10 bit, flicker, quadratic terms and g-sensitivity, separately and
+combined.
 
-Slopes of offset and scale over temperature are drawn as the fit states them: 0.5 mg/K, 0.05 deg/s/K and 0.02 %/K at one standard
-deviation; ``steep`` takes the bounds of data sheets, 0.8 mg/K and 0.032 %/K, for that. The axes are those of the fit: z of the
-accelerometers is the case's, y lies in the case's y-z plane. The offset is the reading at zero input.
+Slopes of offset and scale over temperature are drawn with the standard deviations of the fit: 0.5 mg/K, 0.05 deg/s/K
+and 0.02 %/K. ``steep`` uses the bounds of data sheets, 0.8 mg/K and 0.032 %/K. Axes are defined as in the fit: z of the
+accelerometers is the case's z, and y is in the case's y-z plane. The offset is the reading at zero input.
 """
 
 from collections.abc import Iterator
@@ -39,9 +40,9 @@ class Case:
     thermometer: bool = True
     warm_s: float | None = None  # Time constant of a rise that is not even
     step_c: float | None = None  # Of the thermometer
-    steep: float = 1.0  # Slopes over temperature, in those that the fit states
+    steep: float = 1.0  # slopes over temperature, relative to the standard deviations of the fit
     quadratic: float = 0.0  # Standard deviation of the accelerometers' terms, per m/s2
-    g_dps_per_g: float = 0.0  # Of each element of the gyroscopes' g-sensitivity
+    g_dps_per_g: float = 0.0  # each element of the gyroscopes' g-sensitivity
     poses: int = 18
 
 
@@ -74,14 +75,14 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of one case."""
+    """Yield the rows of a case."""
     case, rng = CASES[name], np.random.default_rng(seed)
     tallies = Tally("poses, accelerometers", name), Tally("poses, gyroscopes", name)
     for _ in range(devices):
         session, truth = drawn(case, rng)
         try:
             made = calibrate(session, accel="multi-position", gyro="multi-position", settings=SETTINGS)
-        except NotObservable:  # a fit that is refused states nothing: the row counts one device less
+        except NotObservable:  # a refused fit has no result, so the row counts one device fewer
             continue
         for tally, model, (matrix, offset) in zip(tallies, (made.accel, made.gyro), truth, strict=True):
             assert model is not None

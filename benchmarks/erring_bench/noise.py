@@ -15,7 +15,8 @@ from undrift.record import Record
 
 RATE_HZ, RANGE_DPS, WHITE_DPS = 50.0, 250.0, 0.25  # N in deg/s/sqrt(Hz): rounding of 10 bit is 0.14 deg/s
 NAMES = {"N": "angle_random_walk", "B": "bias_instability", "K": "rate_random_walk"}
-# seconds, flicker B in deg/s, random walk K in deg/s/sqrt(s), bits; K shows from 860 s (0.0005) or 170 s (0.0025) of averaging on
+# seconds, flicker B in deg/s, random walk K in deg/s/sqrt(s), bits (K is observable from 860 s (0.0005) or 170 s
+# (0.0025))
 CASES = (
     (600.0, 0.0, 0.01, 0), (600.0, 0.0, 0.025, 10), (600.0, 0.2, 0.025, 0), (600.0, 0.2, 0.1, 12),
     (3600.0, 0.0, 0.01, 16), (3600.0, 0.2, 0.01, 0), (3600.0, 0.2, 0.025, 10), (3600.0, 0.2, 0.1, 16),

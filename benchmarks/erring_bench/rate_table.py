@@ -1,9 +1,11 @@
-"""Rate table: mounting, wobble, ripple and settling, 10 bit, flicker, each alone and all together, with and without accelerometers.
+"""Rate table with mounting, wobble, ripple, settling, 10 bit and flicker, separately and combined, with and without
+accelerometers.
 
-Every row but the ideal one draws what a fit takes as usual unless stated otherwise: 0.1 deg of mounting about each axis, 0.1 deg
-of level, 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not stated. A
-consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its accelerometers, by six faces on a level
-plate, and without. The true offset is the mean over the session, from the first to the last of turns and rests.
+Every row except the ideal row draws the default errors of a fit: 0.1 deg of mounting about each axis, 0.1 deg of level,
+0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not
+specified in the fit. A consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its
+accelerometers, from six faces on a level plate, and without. The true offset is the mean over the session, from the
+first to the last of turns and rests.
 """
 
 from collections.abc import Iterator
@@ -34,15 +36,15 @@ RANGE = (300.0 * DEG, 3.0 * G)  # of 10 bits
 
 @dataclass(frozen=True)
 class Case:
-    """One bench: what the table does wrong, and the device."""
+    """A bench: the errors of the table, and the device."""
 
     table: BenchErrors
     bits: int | None = None
     flicker: bool = False
     g_sensitivity: bool = False
     warm_up_dps: float = 0.0  # of the offset at the first sample, either way, with 60 s
-    walk_dps: float | None = None  # deg/s/sqrt(s); None for a consumer part's
-    alone_deg: float | None = None  # stated mounting where no accelerometers show it, deg; None for the default
+    walk_dps: float | None = None  # deg/s/sqrt(s), or None for a consumer device
+    alone_deg: float | None = None  # mounting uncertainty without accelerometers, deg, or None for the default
     stated: RateTable = field(default_factory=RateTable)
 
 
@@ -77,7 +79,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of one case."""
+    """Yield the rows of a case."""
     case, rng = CASES[name], np.random.default_rng(seed)
     tallies = Tally("rate table, six faces", name), Tally("rate table alone", name)
     for _ in range(devices):

@@ -1,9 +1,10 @@
-"""Fit to references on a bench that errs: markers put on anew, cameras with noise and slow errors, parts with all their effects.
+"""Fit to references on an imperfect bench: markers put on again, cameras with noise and slow errors, sensors with all
+effects.
 
-The mounting of each recording is drawn and not known, so scale and cross-axis terms are compared as M'M, which no rotation changes.
-The accelerometers' offset is that of the whole recording, with what flickers.
-The gyroscopes' offset is that of these recordings in motion, with g-sensitivity and what the offset did on that day: no constant of
-the device, and not compared. What it adds to an error in degrees is judged by ``benchmarks.broad``.
+The mounting of each recording is drawn and not known, so scale and cross-axis terms are compared as M'M, which no
+rotation changes. The true offset of the accelerometers is the mean over the recording, including flicker. The
+gyroscopes' offset applies to these recordings in motion, with g-sensitivity and the offset of that day. It is not a
+constant of the device and is not compared. ``benchmarks.broad`` judges its effect on errors in degrees.
 """
 
 from collections.abc import Iterator
@@ -61,7 +62,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of one bench."""
+    """Yield the rows of a bench."""
     case, rng = CASES[name], np.random.default_rng(seed)
     gyro, accel = (Tally(f"reference, {triad}", name) for triad in ("gyroscope", "accelerometer"))
     for _ in range(devices):
@@ -124,7 +125,7 @@ def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:
 def _seen(
     device: DeviceModel, rng: np.random.Generator, case: Case, *, six_rests: bool = False
 ) -> tuple[Record, Reference, FloatArray]:
-    """Return a recording, what the cameras saw, and the mean flicker (3,) of the accelerometers in it, raw unit."""
+    """Return a recording, the camera poses, and the mean flicker (3,) of the accelerometers in it, raw unit."""
     from scipy.signal import lfilter
 
     task = draw_task("free", rng=rng)
@@ -147,9 +148,10 @@ def _seen(
 
 
 def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[TriadFit, TriadFit | None, FloatArray]:
-    """Return the gyroscopes by three recordings, the accelerometers by one with rests on six sides, and its mean flicker.
+    """Return the gyroscopes from three recordings, the accelerometers from one with rests on six sides, and its mean
+    flicker.
 
-    Where the errors hide some of the rests, the accelerometers are refused, and n of their rows is smaller.
+    If errors hide some of the rests, the fit of the accelerometers is refused, and n of their rows is smaller.
     """
     gyro = fit_reference(*zip(*(_seen(device, rng, case)[:2] for _ in range(3)), strict=True)).triad
     *pair, flicker = _seen(device, rng, case, six_rests=True)

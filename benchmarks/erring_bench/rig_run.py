@@ -1,7 +1,8 @@
-"""A rig run on the simulated bench: `undrift rig run`, the operator mounts each face and axis 0.1 deg off about every axis.
+"""A rig run on the simulated bench with `undrift rig run`. The operator mounts each face and axis with an error of 0.1
+deg.
 
-One run for each thirty devices that are asked for. The offset is that of the session, with the flicker noise of this run, which the
-simulated device does not state: it is not compared.
+There is a run for each thirty requested devices. The offset is not compared, because it includes the flicker noise of
+the run.
 """
 
 import contextlib
@@ -49,7 +50,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def run_of(seed: int, mount_tilt_deg: float) -> tuple[DeviceModel, Calibration]:
-    """Return the simulated device and what a run calibrates it to."""
+    """Return the simulated device and its calibration from a run."""
     address = f"simulated:?seed={seed}&tilt_deg={mount_tilt_deg:g}"
     with tempfile.TemporaryDirectory() as held:
         folder = Path(held)

@@ -1,8 +1,8 @@
-"""Six faces: temperature creep, level, 10 bit, flicker, each alone and all together.
+"""Six faces with temperature creep, level, 10 bit and flicker errors, separately and combined.
 
-Slopes of offset and scale over temperature are drawn as the fit states them, 0.5 mg/K and 0.02 %/K at one standard deviation; 10
-bits span +-2 g; accelerometers flicker by 0.05 mg, and their offset is then that of the whole session. A plate off level by more
-than 0.5 deg is a finding in any case.
+Slopes of offset and scale over temperature are drawn with the standard deviations of the fit, 0.5 mg/K and 0.02 %/K. 10
+bits span +-2 g. Accelerometers flicker by 0.05 mg, and the true offset is then the mean over the session. A plate
+tilted by more than 0.5 deg always gives a finding.
 """
 
 from collections.abc import Iterator
@@ -62,7 +62,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 
 
 def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of one case."""
+    """Yield the rows of a case."""
     case, rng, tally = CASES[name], np.random.default_rng(seed), Tally("six faces", name)
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)

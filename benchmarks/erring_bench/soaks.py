@@ -1,7 +1,8 @@
-"""Static drift: soaks that were left out, of drawn devices whose offset differs from one visit to a set-point to the next.
+"""Static drift: soaks left out of the fit, of drawn devices whose offset differs between visits to a set-point.
 
-Truth is the mean reading of a soak between the first and the last that the fit did not get: the table at its temperature, on the
-branch of the loop by which it was reached, with the stated uncertainty of a visit to come and the noise of the soak's own rows.
+Truth is the mean reading of a soak that the fit did not use, between the first and the last. It is compared with the
+table at its temperature, on its branch of the loop. The uncertainty is that for a future visit, plus the noise of the
+soak's rows.
 """
 
 from collections.abc import Iterator
@@ -32,7 +33,7 @@ _HOLD_S, _RAMP_S = 400, 600  # before the rest of a soak, and between two
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
-    """Yield a row for each course, length of soak and scatter; one draw of devices serves all rows of a course."""
+    """Yield a row for each course, length of soak and scatter. One draw of devices serves all rows of a course."""
     up_and_down = np.concatenate((POINTS, POINTS[-2::-1]))
     courses = (("six soaks of an ICM-20948", FEW), ("once", POINTS), ("twice", up_and_down))
     for visits, (name, course) in enumerate(courses):
@@ -84,7 +85,7 @@ def _add_left_out(fit: StaticFit, left: RestBlocks, branch: float, calibration: 
     noise = variance_of_mean(left.gyro, np.nan_to_num(left.gyro_variance), left.gyro_step_error)
     error, variance = left.gyro.mean(axis=0) - found.offset[node], found.uncertainty[node] ** 2 + noise
     if found.hysteresis is not None and found.hysteresis_uncertainty is not None:
-        # the branch is known, so that the half-width is no uncertainty
+        # the branch is known, so the half-width is not an uncertainty
         error = error - branch * found.hysteresis
         variance = variance - found.hysteresis**2 + found.hysteresis_uncertainty**2
     per_raw = 1.0 / (DPS * calibration.gyro.scale_factor)
@@ -97,7 +98,7 @@ def _add_left_out(fit: StaticFit, left: RestBlocks, branch: float, calibration: 
 def _soaks(
     rng: np.random.Generator, device: DeviceModel, course: FloatArray
 ) -> dict[int, tuple[RestBlocks, np.ndarray[tuple[int], np.dtype[np.int64]]]]:
-    """Return the rests of one course through set-points for each length of soak, and the visit of each block."""
+    """Return the rests of a course through set-points for each length of soak, and the visit of each block."""
     temp, ends, n, longest = list[FloatArray](), list[int](), 0, max(SOAK_ROWS)
     for k, point in enumerate(course):
         ramp = np.linspace(course[k - 1], point, _RAMP_S, endpoint=False) if k else np.zeros(0)
@@ -114,7 +115,7 @@ def _soaks(
         session = Session(kind="thermal", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=stills)
         blocks = observe_rests([session], temperatures=[[read_c]])
         visit = np.searchsorted(record.time[np.array(ends) - 1], blocks.time)
-        if length == 1:  # a table of single readings: nothing says how noisy they are
+        if length == 1:  # a table of single readings has no information about noise
             last = np.array(ends) - 1
             first = np.unique(visit, return_index=True)[1]
             blocks = replace(

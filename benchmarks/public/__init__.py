@@ -1,4 +1,4 @@
-"""Methods of calibration and orientation side by side on public recordings: `python -m benchmarks.public`.
+"""Comparison of calibration and orientation methods on public recordings: `python -m benchmarks.public`.
 
 orientation   BROAD: calibrations by filters
 bench         poses, six faces, a rate table, a warm-up, Allan deviation

@@ -1,7 +1,7 @@
 """The open comparison: ``UNDRIFT_RIVALS=PYTHON python -m benchmarks.public [orientation|bench]``.
 
-PYTHON is that of an environment with ahrs, allantools, imucal and vqf. Writes docs/comparison.json, from which the page of the docs
-and its figure are made; tables that are not made anew stay as they are there.
+PYTHON is the interpreter of an environment with ahrs, allantools, imucal and vqf. Writes docs/comparison.json, the
+source of the docs page and its figure. Other tables in it remain unchanged.
 """
 
 import datetime

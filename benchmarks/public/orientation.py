@@ -1,7 +1,8 @@
-"""BROAD: what each calibration leaves of the orientation, by strapdown and by filters of other programs fed with the same readings.
+"""BROAD: remaining orientation error of each calibration, by strapdown and with filters of other programs on the same
+readings.
 
-Each trial is corrected by what the *other* trials of its device show. Strapdown starts from the reference; filters run over the
-whole recording with their own defaults, and their heading is made equal in the rest before the motion.
+Each trial is corrected with a fit to the *other* trials of its device. Strapdown starts from the reference. Filters
+process the whole recording with their defaults, and their heading is aligned in the rest before the motion.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,7 @@ SOURCE = (
     "BROAD, Laidig et al., Data 6(7), 72, 2021, CC BY 4.0: the eight trials at hand, two minutes each, three devices"
 )
 OPTICS, MOTION = "calibrated with optics, other trials", "calibrated from motion alone, other trials"
-# What leave-one-out returns has the offset of the held-out trial's rest in it
+# The result of leave-one-out includes the offset from the held-out trial's rest
 STEPS: tuple[tuple[str, OffsetChoice], ...] = (("as read", "none"), ("offset of the rest", "rest"), (OPTICS, "none"),
     (OPTICS, "motion"), (MOTION, "rest"), (MOTION, "motion"))  # fmt: skip
 OWN = "settings of the fit were chosen on BROAD trials; constants on the device's other trials"

@@ -1,7 +1,7 @@
-"""Other programs on the readings of one job; run by the Python of an environment of their own.
+"""Other programs on the readings of a job, run by the Python of a separate environment.
 
-``python rivals.py JOB.npz OUT.npz``. The environment has ahrs, allantools, imucal and vqf; this file imports nothing of undrift.
-A job has a ``kind`` and the arrays that its function names.
+``python rivals.py JOB.npz OUT.npz``. The environment contains ahrs, allantools, imucal and vqf. This file does not
+import undrift. A job has a ``kind`` and the arrays that are the parameters of its function.
 """
 
 import sys
@@ -28,9 +28,11 @@ def orientation(gyr, acc, hz):
 
 
 def six_faces(faces, gravity):
-    """Return matrix and offset of accelerometers, a = matrix (u - offset): faces (6, 3), means of +x, -x, +y, -y, +z, -z.
+    """Return matrix and offset of accelerometers, a = matrix (u - offset). faces (6, 3) are means of +x, -x, +y, -y,
+    +z, -z.
 
-    imucal wants three turns too: 360 deg of a gyroscope without error stand in, which its accelerometers do not read.
+    imucal also requires three turns. They are replaced by 360 deg of an ideal gyroscope, which the accelerometers do
+    not measure.
     """
     from imucal import FerrarisCalibration, FerrarisSignalRegions
 

@@ -17,7 +17,7 @@ DATA = Path(os.environ.get("UNDRIFT_DATA", Path(__file__).parents[2] / ".." / "s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What one method leaves of each recording."""
+    """The remaining error of a method for each recording."""
 
     method: str
     values: list[float]
@@ -42,7 +42,7 @@ class Table:
     name: str
     title: str
     unit: str
-    what: str  # How it was judged
+    what: str  # method of judging
     source: str  # Of the recordings
     recordings: list[str]
     rows: list[Row] = field(default_factory=list)
