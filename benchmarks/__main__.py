@@ -28,14 +28,14 @@ def main(names: list[str]) -> int:
     """
     strict = "--strict" in names
     names = [name.replace("_", "-") for name in names if name != "--strict"]
-    found, long = _modules("bench_"), _modules("long_")
-    every = {**found, **long}
+    quick, long = _modules("bench_"), _modules("long_")
+    every = {**quick, **long}
     unknown = sorted(set(names) - set(every))
     if unknown:
         print(f"no benchmark named {', '.join(unknown)}; there are {', '.join(every)}", file=sys.stderr)
         return 2
     broken: list[str] = []
-    for name in names or found:
+    for name in names or quick:
         start = time.perf_counter()
         figures: list[Figure] = importlib.import_module(f"benchmarks.{every[name]}").run()
         print(f"\n{name}   ({time.perf_counter() - start:.0f} s)")

@@ -78,14 +78,14 @@ def page(outcomes: Sequence[StudyOutcome], seconds: float) -> str:
     first = outcomes[0].study
     targets = [f"{target:g} deg" for target in first.target_deg]
     minutes = [f"{name} ({SESSIONS[name].length_min:.0f})" for name in SESSION_NAMES]
-    by_hand = sum(answer_row(outcome)[0] == "hand, warm" for outcome in outcomes)
+    hand_count = sum(answer_row(outcome)[0] == "hand, warm" for outcome in outcomes)
     warm = sum("warm" in answer_row(outcome)[0] for outcome in outcomes)
     count = sum(answer_row(outcome)[1] in ("hand", "free poses", "motion") for outcome in outcomes)
     lines = [
         "# Answers for each kind of device",
         "",
         f"**At 1 deg, a few minutes by hand at room temperature are enough for {count} of {len(outcomes)} devices. At 0.5 deg, "
-        f"calibrate at the temperature at which the device is worn: {warm} of {len(outcomes)} devices, {by_hand} by hand.**",
+        f"calibrate at the temperature at which the device is worn: {warm} of {len(outcomes)} devices, {hand_count} by hand.**",
         "",
         "Good enough means that 95 % of the simulated devices stay below the target, each on a different person.",
         f"Each row has {outcomes[0].subjects} devices, seed {first.seed}, "
@@ -123,14 +123,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--devices", type=int, default=30)
     parser.add_argument("--output", type=Path, default=PAGE)
-    given = parser.parse_args()
+    options = parser.parse_args()
     start, outcomes = time.perf_counter(), list[StudyOutcome]()
     with executor() as spread:
         for kind in PRESETS:
-            study = with_checked_fits(study_of(kind, given.devices), spread)
+            study = with_checked_fits(study_of(kind, options.devices), spread)
             outcomes.append(judge(study, run_study(study, spread)))
             print(kind, *answer_row(outcomes[-1]), *worst_row(outcomes[-1]), flush=True)
-            given.output.write_text(page(outcomes, time.perf_counter() - start), encoding="utf-8")
+            options.output.write_text(page(outcomes, time.perf_counter() - start), encoding="utf-8")
     return 0
 
 

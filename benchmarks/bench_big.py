@@ -53,8 +53,8 @@ def run() -> list[Figure]:
     list of Figure
         Seconds, their ratio, and the peak memory; nothing where the disk is too full.
     """
-    with tempfile.TemporaryDirectory(prefix="undrift-big-") as held:
-        folder = Path(held)
+    with tempfile.TemporaryDirectory(prefix="undrift-big-") as folder_name:
+        folder = Path(folder_name)
         if (free := shutil.disk_usage(folder).free) < FREE:
             print(f"big: left out, wants {FREE / 1e9:.0f} GB of free disk in {folder.parent}, got {free / 1e9:.1f}")
             return []

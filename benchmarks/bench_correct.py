@@ -170,7 +170,7 @@ def _tables(record: Record) -> list[Figure]:
     s = stopwatch(rivals, rounds=11)
     slow = stopwatch({"scipy": partial(_scipy, record, c)}, rounds=3)["scipy"]
     correct_whole(record, c, out=(w, a), threads=1)
-    one = w.tobytes()
+    single = w.tobytes()
     correct_whole(record, c, out=(w, a), threads=2)
     figures = [
         Figure(
@@ -181,7 +181,7 @@ def _tables(record: Record) -> list[Figure]:
         ),
         Figure("W2 correct, out=, two threads", s["two"] / n * 1e9, "ns/sample"),
         Figure("W2 numpy and RegularGridInterpolator over correct, one thread", slow / s["one"], "x", ">= 15"),
-        Figure("W2 two threads give the bits of one (1 is yes)", float(w.tobytes() == one), "", ">= 1"),
+        Figure("W2 two threads give the bits of one (1 is yes)", float(w.tobytes() == single), "", ">= 1"),
     ]
     if library:
         figures.append(Figure("W2 correct, one thread, over C", s["one"] / s["c"], "x", "<= 1.3"))

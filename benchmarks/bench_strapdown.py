@@ -32,13 +32,13 @@ def run() -> list[Figure]:
         rivals["c"] = partial(library.strapdown, *pointers, ctypes.c_int64(N))
     s = stopwatch(rivals)
     slow = stopwatch(_slow(gyro[:FEW], time[:FEW], start), rounds=3)
-    each = s["undrift"] / N
-    figures = [Figure("W3 integrate_strapdown, out=", each * 1e9, "ns/sample", "<= 10")]
+    base_s = s["undrift"] / N
+    figures = [Figure("W3 integrate_strapdown, out=", base_s * 1e9, "ns/sample", "<= 10")]
     if library:
         figures.append(Figure("W3 integrate_strapdown over C", s["undrift"] / s["c"], "x", "<= 1.2"))
     gates = {"ahrs": ">= 1500", "scikit-kinematics": ">= 3000"}
     return figures + [
-        Figure(f"W3 {name} over integrate_strapdown", seconds / FEW / each, "x", gates.get(name, ""))
+        Figure(f"W3 {name} over integrate_strapdown", seconds / FEW / base_s, "x", gates.get(name, ""))
         for name, seconds in slow.items()
     ]
 

@@ -69,6 +69,6 @@ def _memory(pid: int) -> float:
     """Return the memory of a process and its children, pages that they share counted once."""
     try:
         processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
-        return float(sum(one.memory_full_info().uss for one in processes))
+        return float(sum(process.memory_full_info().uss for process in processes))
     except psutil.Error:
         return 0.0

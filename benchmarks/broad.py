@@ -57,15 +57,15 @@ def pairs(numbers: Sequence[str]) -> list[tuple[Record, Reference]]:
 
 def steps(numbers: tuple[str, ...]) -> Iterator[tuple[str, Validation]]:
     """Yield the trials of a device after each step of the correction."""
-    held = pairs(numbers)
+    trials = pairs(numbers)
     for name, settings in (
         ("raw", TrialSettings(adc="none")),
         ("rest offset", TrialSettings(adc="none", offset="rest")),
         ("rest offset and quantisation", TrialSettings(offset="rest")),
     ):
-        yield name, validate_trials(held, settings=settings, names=numbers)
+        yield name, validate_trials(trials, settings=settings, names=numbers)
     for name, settings in (("calibrated", TrialSettings(adc="none")), ("and quantisation", TrialSettings())):
-        yield name, validate_leave_one_out(held, settings=settings, names=numbers)
+        yield name, validate_leave_one_out(trials, settings=settings, names=numbers)
 
 
 def floor(numbers: tuple[str, ...]) -> Validation:
@@ -107,12 +107,14 @@ def adc_of(device: str) -> AdcModel | None:
 
 def estimates(devices: Sequence[str]) -> list[list[tuple[FloatArray, FloatArray]]]:
     """Return what each trial of each device gives by itself: matrix and change to motion (12,), rad/s, and their covariance."""
-    each = []
+    estimates_by_device = []
     for device in devices:
         adc = adc_of(device)
-        models, own = [single(n, adc).triad.model for n in DEVICES[device]], np.r_[:9, 12:15]
-        each.append([(np.append(m.matrix.ravel(), m.moving_offset), m.covariance[np.ix_(own, own)]) for m in models])
-    return each
+        models, elements = [single(n, adc).triad.model for n in DEVICES[device]], np.r_[:9, 12:15]
+        estimates_by_device.append(
+            [(np.append(m.matrix.ravel(), m.moving_offset), m.covariance[np.ix_(elements, elements)]) for m in models]
+        )
+    return estimates_by_device
 
 
 def learnt(devices: Sequence[str]) -> ErrorPrior:
@@ -163,46 +165,50 @@ def expected(device: str, prior: ErrorPrior) -> Iterator[tuple[int, Validation]]
 VARIANTS = ("pooled", "recordings weighed", "and devices shared")
 
 
-def held_out(variant: str, device: str, number: str, others: Sequence[str]) -> Figures:
+def held_out(variant: str, device: str, number: str, learning_devices: Sequence[str]) -> Figures:
     """Return the errors of a trial with the other trials of its device, and for the prior with other devices only."""
     numbers, adc = DEVICES[device], adc_of(device)
-    left = [n for n in numbers if n != number]
+    remaining = [n for n in numbers if n != number]
     if variant == "pooled":
-        fit = _pooled(tuple(left), device)
+        fit = _pooled(tuple(remaining), device)
         model = fit.model_at_rest_offset(at_rest(number, adc, fit.triad.model))
     else:
         parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
-        x = _posterior(parts, others, shared=variant == VARIANTS[2])
-        model = single(left[0], adc).triad.model
+        x = _posterior(parts, learning_devices, shared=variant == VARIANTS[2])
+        model = single(remaining[0], adc).triad.model
         offset = at_rest(number, adc, model)  # only the rest is taken from the held-out trial
         model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset, moving_offset=x[9:])
-    made = Calibration(device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc)
-    return validate_trial(*trial(number), calibration=made).figures
+    calibration = Calibration(
+        device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc
+    )
+    return validate_trial(*trial(number), calibration=calibration).figures
 
 
 def at_rest(number: str, adc: AdcModel | None, model: TriadModel) -> FloatArray:
     """Return the mean reading of a trial at rest, with codes corrected as in a model."""
-    own = single(number, adc)
-    rest, codes, other = own.rest_offsets[0], own.triad.model.code_offset, model.code_offset
-    return rest if codes is None or other is None else rest + (own.triad.model.offset - rest) / codes * other
+    single_fit = single(number, adc)
+    rest, codes, other = single_fit.rest_offsets[0], single_fit.triad.model.code_offset, model.code_offset
+    return rest if codes is None or other is None else rest + (single_fit.triad.model.offset - rest) / codes * other
 
 
 @cache
 def _pooled(numbers: tuple[str, ...], device: str) -> ReferenceFit:
-    held, adc = pairs(numbers), adc_of(device)
-    return fit_reference([p[0] for p in held], [p[1] for p in held], adc=adc)
+    trials, adc = pairs(numbers), adc_of(device)
+    return fit_reference([p[0] for p in trials], [p[1] for p in trials], adc=adc)
 
 
-def _posterior(parts: list[tuple[FloatArray, FloatArray]], others: Sequence[str], *, shared: bool) -> FloatArray:
-    prior = learnt(others)
+def _posterior(
+    parts: list[tuple[FloatArray, FloatArray]], learning_devices: Sequence[str], *, shared: bool
+) -> FloatArray:
+    prior = learnt(learning_devices)
     within = np.diag(np.repeat((prior.matrix**2, prior.motion_offset**2), (9, 3)))
     weights = [np.linalg.inv(covariance + within) for _, covariance in parts]
     normal, total = sum(weights), sum(w @ x for w, (x, _) in zip(weights, parts, strict=True))
     if shared:
-        means = np.array([np.mean([x for x, _ in group], axis=0) for group in estimates(others)])
+        means = np.array([np.mean([x for x, _ in group], axis=0) for group in estimates(learning_devices)])
         nominal = np.append(np.eye(3).ravel(), means[:, 9:].mean(axis=0))
-        apart = means - nominal
-        between = np.repeat((np.mean(apart[:, :9] ** 2), np.mean(means[:, 9:] ** 2)), (9, 3))
+        deviations = means - nominal
+        between = np.repeat((np.mean(deviations[:, :9] ** 2), np.mean(means[:, 9:] ** 2)), (9, 3))
         normal, total = normal + np.diag(1.0 / between), total + nominal / between
     return np.linalg.solve(normal, total)
 
@@ -210,18 +216,18 @@ def _posterior(parts: list[tuple[FloatArray, FloatArray]], others: Sequence[str]
 def nested() -> Iterator[tuple[str, dict[str, list[Figures]], str]]:
     """Yield each device with the errors of its trials by each variant, and the variant that the other devices choose."""
     for device, numbers in DEVICES.items():
-        others = [d for d in DEVICES if d != device]
+        learning_devices = [d for d in DEVICES if d != device]
         inner = {
             variant: np.mean(
                 [
-                    held_out(variant, d, n, [e for e in others if e != d]).end_total_deg
-                    for d in others
+                    held_out(variant, d, n, [e for e in learning_devices if e != d]).end_total_deg
+                    for d in learning_devices
                     for n in DEVICES[d]
                 ]
             )
             for variant in VARIANTS
         }
-        outer = {variant: [held_out(variant, device, n, others) for n in numbers] for variant in VARIANTS}
+        outer = {variant: [held_out(variant, device, n, learning_devices) for n in numbers] for variant in VARIANTS}
         yield device, outer, min(inner, key=lambda name: inner[name])
 
 
@@ -236,8 +242,10 @@ def _row(name: str, figures: Sequence[Figures]) -> str:
 
 def main() -> None:
     """Print the tables."""
-    for part in sys.argv[1:] or ("steps", "expected", "nested", "offset"):
-        {"steps": print_steps, "expected": print_expected, "nested": print_nested, "offset": print_offsets}[part]()
+    for table_name in sys.argv[1:] or ("steps", "expected", "nested", "offset"):
+        {"steps": print_steps, "expected": print_expected, "nested": print_nested, "offset": print_offsets}[
+            table_name
+        ]()
 
 
 def print_nested() -> None:
@@ -262,7 +270,7 @@ def print_steps() -> None:
 
 def print_expected() -> None:
     """Print expected against observed errors, how many lie inside 95 %."""
-    inside, seen = np.zeros(2, int), np.zeros(2, int)
+    inside, counted = np.zeros(2, int), np.zeros(2, int)
     for device in DEVICES:
         prior = learnt([other for other in DEVICES if other != device])
         print(
@@ -272,22 +280,23 @@ def print_expected() -> None:
         )
         for count, result in expected(device, prior):
             for t in result.trials:
-                made = t.expected
-                assert made is not None
+                predicted = t.expected
+                assert predicted is not None
                 pairs = (
-                    (made.end_interval_deg, t.figures.end_total_deg),
-                    (made.rmse_interval_deg, t.figures.rmse_total_deg),
+                    (predicted.end_interval_deg, t.figures.end_total_deg),
+                    (predicted.rmse_interval_deg, t.figures.rmse_total_deg),
                 )
                 inside += [low <= value <= high for (low, high), value in pairs]
-                seen += [bool(np.isfinite(value)) for _, value in pairs]
+                counted += [bool(np.isfinite(value)) for _, value in pairs]
                 print(
-                    f"  {count - 1} to fit, {t.recording}: end {t.figures.end_total_deg:.2f}, expected {made.end_total_deg:.2f} "
-                    "[{:.2f}, {:.2f}]; ".format(*made.end_interval_deg)
-                    + f"rmse {t.figures.rmse_total_deg:.2f}, expected {made.rmse_total_deg:.2f} "
-                    "[{:.2f}, {:.2f}]".format(*made.rmse_interval_deg),
+                    f"  {count - 1} to fit, {t.recording}: end {t.figures.end_total_deg:.2f}, "
+                    f"expected {predicted.end_total_deg:.2f} "
+                    "[{:.2f}, {:.2f}]; ".format(*predicted.end_interval_deg)
+                    + f"rmse {t.figures.rmse_total_deg:.2f}, expected {predicted.rmse_total_deg:.2f} "
+                    "[{:.2f}, {:.2f}]".format(*predicted.rmse_interval_deg),
                     flush=True,
                 )
-    print(f"inside 95 %: end {inside[0]} of {seen[0]}, rmse {inside[1]} of {seen[1]}")
+    print(f"inside 95 %: end {inside[0]} of {counted[0]}, rmse {inside[1]} of {counted[1]}")
 
 
 def print_offsets() -> None:
@@ -297,12 +306,13 @@ def print_offsets() -> None:
         for name, rest in (("with its rest", find_rest_offset(record)), ("without", None)):
             find_motion_offset(record, rest)  # the compiler's time is not the estimator's
             start = perf_counter()
-            found = find_motion_offset(record, rest)
-            took, sigma = perf_counter() - start, np.sqrt(np.diag(found.covariance[0]))
+            motion_offset = find_motion_offset(record, rest)
+            took, sigma = perf_counter() - start, np.sqrt(np.diag(motion_offset.covariance[0]))
             print(
                 f"  {number}, {record.duration_s:.0f} s, {name:13} {took:5.2f} s   "
                 + " ".join(
-                    f"{np.degrees(o):8.4f} +- {np.degrees(s):.4f}" for o, s in zip(found.rate[0], sigma, strict=True)
+                    f"{np.degrees(o):8.4f} +- {np.degrees(s):.4f}"
+                    for o, s in zip(motion_offset.rate[0], sigma, strict=True)
                 ),
                 flush=True,
             )

@@ -44,19 +44,19 @@ def drawn(rng: np.random.Generator) -> tuple[Calibration, dict[str, FloatArray]]
     )
     motion = bench_motion("bench", rng=rng, settings=bench)
     temp_c = even_rise(RISE_C, len(motion))
-    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     session = Session(
-        kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
+        kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(simulated.record,),
         stills=motion.stills, turns=motion.turns,
     )  # fmt: skip
-    made = calibrate(session, settings=CalibrateSettings(identify_adc=False))
-    truth = true_calibration(device, temp_c=made.reference_temp_c)
+    calibration = calibrate(session, settings=CalibrateSettings(identify_adc=False))
+    truth = true_calibration(device, temp_c=calibration.reference_temp_c)
     assert truth.gyro is not None
     assert truth.accel is not None
     pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
     middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
-    moved = device.gyro.gain * shown.gyro.of("random_walk")[middle]
-    return made, {
+    moved = device.gyro.gain * simulated.gyro.of("random_walk")[middle]
+    return calibration, {
         "gyro": np.concatenate((truth.gyro.matrix.ravel(), truth.gyro.offset + moved)),
         "accel": np.concatenate((truth.accel.matrix.ravel(), truth.accel.offset)),
     }
@@ -66,8 +66,8 @@ def held(devices: int, seed: int = 1) -> Iterator[tuple[str, bool]]:
     """Yield the kind of each parameter of each device, and whether its truth lies inside U."""
     rng = np.random.default_rng(seed)
     for _ in range(devices):
-        made, truth = drawn(rng)
-        for name, triad in (("gyro", made.gyro), ("accel", made.accel)):
+        calibration, truth = drawn(rng)
+        for name, triad in (("gyro", calibration.gyro), ("accel", calibration.accel)):
             assert triad is not None
             result = expand(triad)
             for parameter, value, true, expanded in zip(
@@ -80,12 +80,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--devices", type=int, default=1000)
     devices = parser.parse_args().devices
-    found: dict[str, list[bool]] = {}
+    inside_by_kind: dict[str, list[bool]] = {}
     for kind, inside in held(devices):
-        found.setdefault(kind, []).append(inside)
-    for kind, each in found.items():
-        print(f"{kind:14} {100.0 * np.mean(each):5.1f} % of {len(each)}")
-    share = 100.0 * float(np.mean([inside for kind, each in found.items() if kind != BEYOND for inside in each]))
+        inside_by_kind.setdefault(kind, []).append(inside)
+    for kind, results in inside_by_kind.items():
+        print(f"{kind:14} {100.0 * np.mean(results):5.1f} % of {len(results)}")
+    share = 100.0 * float(
+        np.mean([inside for kind, results in inside_by_kind.items() if kind != BEYOND for inside in results])
+    )
     print(f"{'all':14} {share:5.1f} % inside U of {devices} devices; wanted {LEAST:g} to {MOST:g}")
     return int(not LEAST <= share <= MOST)
 

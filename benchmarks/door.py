@@ -44,25 +44,27 @@ def described(path: Path, options: list[object]) -> dict:
     return json.loads(call("info", path, *options, "--json")[1])
 
 
-def options_of(path: Path, found: dict, steps: list[list[object]]) -> list[object]:
+def options_of(path: Path, description: dict, steps: list[list[object]]) -> list[object]:
     """Return the options that info asks for, with a map written where it proposes one."""
-    asked = [item["values"].get("missing") for item in found["findings"] if item["code"] == "recording.not_read"]
+    missing = [
+        item["values"].get("missing") for item in description["findings"] if item["code"] == "recording.not_read"
+    ]
     rate = next((value for name, value in RATES.items() if name in str(path)), ASSUMED)
-    if "sensor" in asked:
+    if "sensor" in missing:
         # readings of the sensor itself in an autopilot's log, because sensor_combined is already corrected
-        options: list[object] = ["--sensor", next(name for name in found["columns"] if name != "sensor_combined")]
+        options: list[object] = ["--sensor", next(name for name in description["columns"] if name != "sensor_combined")]
         return options + options_of(path, described(path, options), steps)
-    if "sample_rate_hz" in asked:
+    if "sample_rate_hz" in missing:
         return ["--sample-rate-hz", rate]
-    if "needs a map" not in found["summary"]:
+    if "needs a map" not in description["summary"]:
         return []
-    words: list[object] = ["info", path, "--write-map", f"{path.name}.toml"]
-    words += next((shlex.split(more) for name, more in MORE.items() if name in path.name), [])
-    code, _, err = call(*words)
+    command: list[object] = ["info", path, "--write-map", f"{path.name}.toml"]
+    command += next((shlex.split(extra) for name, extra in MORE.items() if name in path.name), [])
+    code, _, err = call(*command)
     if code and "--sample-rate-hz" in err:
-        words += ["--sample-rate-hz", rate]
-        call(*words)
-    steps.append(words)
+        command += ["--sample-rate-hz", rate]
+        call(*command)
+    steps.append(command)
     with Path(f"{path.name}.toml").open("a") as written:
         written.writelines(f"{key}\n" for name, key in KEYS.items() if name in path.name)
     return ["--map", f"{path.name}.toml"]
@@ -78,25 +80,25 @@ def outcome(path: Path, device: Path) -> tuple[str, list[list[object]]]:
         code, out, err = call("info", path, *first, "--json")
     if code:
         return f"refused: {err.strip()}", []
-    found, steps = json.loads(out), list[list[object]]()
-    if found["kind"] in ("markers", "reference"):
+    description, steps = json.loads(out), list[list[object]]()
+    if description["kind"] in ("markers", "reference"):
         return "reference", steps
-    options = [*first, *options_of(path, found, steps)]
-    if found["kind"] != "recording" and not options:
-        return f"no recording ({found['summary'][:60]})", steps
+    options = [*first, *options_of(path, description, steps)]
+    if description["kind"] != "recording" and not options:
+        return f"no recording ({description['summary'][:60]})", steps
     name, wide = f"{path.name}.json", any(word == "--map" for word in options)
-    words: list[object] = ["calibrate", path, *options, "-o", name]
-    if call(*words)[0] != 2:
-        steps += [words, ["correct", path, *([] if wide else options), "--calibration", name, "-o", "out.csv"]]
+    command: list[object] = ["calibrate", path, *options, "-o", name]
+    if call(*command)[0] != 2:
+        steps += [command, ["correct", path, *([] if wide else options), "--calibration", name, "-o", "out.csv"]]
         code, _, err = call(*steps[-1])
         return ("calibrated and corrected" if code == 0 else f"refused: {err.strip()}"), steps
     last = ["correct", path, *options, "--calibration", device, "-o", "out.csv"]
     code, _, err = call(*last)
     if code == 0:
         return "corrected", [*steps, last]
-    words = ["drift", path, *options, "-o", name]
-    if call(*words)[0] != 2:
-        steps += [words, ["correct", path, "--calibration", name, "-o", "out.csv"]]
+    command = ["drift", path, *options, "-o", name]
+    if call(*command)[0] != 2:
+        steps += [command, ["correct", path, "--calibration", name, "-o", "out.csv"]]
         code, _, err = call(*steps[-1])
         return ("tables over temperature and corrected" if code == 0 else f"refused: {err.strip()}"), steps
     steps.append(["noise", path, *options, "--report", "noise.html"])
@@ -121,13 +123,13 @@ def main() -> int:
             start = time.perf_counter()
             what, steps = outcome(path, device)
             failed += what.startswith("refused")
-            stated = any(name in str(path) for name in RATES)
+            has_rate = any(name in str(path) for name in RATES)
             rated = any("--sample-rate-hz" in step for step in steps)
-            what += ", rate assumed" if rated and not stated else ""
+            what += ", rate assumed" if rated and not has_rate else ""
             print(f"{path.relative_to(DATA)}: {what} ({time.perf_counter() - start:.1f} s)", flush=True)
             for step in steps:
-                shown = [Path(str(word)).name if isinstance(word, Path) else word for word in step]
-                print(f"    undrift {shlex.join(map(str, shown))}", flush=True)
+                printable = [Path(str(word)).name if isinstance(word, Path) else word for word in step]
+                print(f"    undrift {shlex.join(map(str, printable))}", flush=True)
         print(f"{len(paths)} files, {failed} refused; one attempt each")
     return 1 if failed else 0
 

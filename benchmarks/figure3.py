@@ -20,13 +20,13 @@ from undrift.validation.levels import NOTE_DIFFERENCE_DEG
 EXCURSION_K = 12.5
 
 
-def typical_row(found: Figure3, k: int) -> str:
+def typical_row(result: Figure3, k: int) -> str:
     """Return the row of a correction for the typical unit."""
     figures = (
-        found.simulated_max_deg[k],
-        found.actual_max_deg[k],
-        found.simulated_actual_max_deg[k],
-        found.correlation[k],
+        result.simulated_max_deg[k],
+        result.actual_max_deg[k],
+        result.simulated_actual_max_deg[k],
+        result.correlation[k],
     )
     return " | ".join((COMPARED[k], *(f"{value:.2f}" for value in figures)))
 
@@ -49,14 +49,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--units", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    options = parser.parse_args()
     print("correction | simulated | actual | largest difference | r")
-    typical = figure3(seed=given.seed)
+    typical = figure3(seed=options.seed)
     print("\n".join(typical_row(typical, k) for k in range(len(COMPARED))))
     print(
-        f"\n{given.units} drawn: correction | simulated | actual | difference | within 0.15 deg | r over time | r over units"
+        f"\n{options.units} drawn: correction | simulated | actual | difference | within 0.15 deg | r over time | r over units"
     )
-    errors = np.array([drawn_errors(DEVICE, given.seed, EXCURSION_K, number) for number in range(given.units)])
+    errors = np.array([drawn_errors(DEVICE, options.seed, EXCURSION_K, number) for number in range(options.units)])
     for k in range(len(COMPARED)):
         print(drawn_row(errors, k))
     return 0

@@ -29,7 +29,7 @@ def main() -> int:
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL"))}
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "unknown.csv").symlink_to(RECORDING)
-        whole = time.perf_counter()
+        started = time.perf_counter()
         for command in COMMANDS:
             start = time.perf_counter()
             done = subprocess.run(
@@ -39,8 +39,10 @@ def main() -> int:
             if done.returncode:
                 print(done.stdout, done.stderr)
                 return 1
-        made = [name for name in ("corrected.csv", "recording.svg", "used.svg") if (Path(folder) / name).stat().st_size]
-        print(f"{time.perf_counter() - whole:6.1f} s in all: {', '.join(made)}")
+        outputs = [
+            name for name in ("corrected.csv", "recording.svg", "used.svg") if (Path(folder) / name).stat().st_size
+        ]
+        print(f"{time.perf_counter() - started:6.1f} s in all: {', '.join(outputs)}")
     return 0
 
 

@@ -73,12 +73,12 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
     adc = device_adc(records)
     fits = [
         Calibration(
-            device="", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=one.model, adc=adc,
-            verdict=one.fit.triad.verdict,
+            device="", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=single.model, adc=adc,
+            verdict=single.fit.triad.verdict,
         )
-        for one in leave_one_out(records, references, adc=adc)
+        for single in leave_one_out(records, references, adc=adc)
     ]  # fmt: skip
-    in_motion = [calibrate_from_motion([other for other in records if other is not record]) for record in records]
+    from_others = [calibrate_from_motion([other for other in records if other is not record]) for record in records]
     with_field = [
         calibrate_from_motion([other for other in records if other is not record], magnetometer=True)
         for record in records
@@ -90,8 +90,8 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         ("rest", without, "rest"),
         ("reference fit", fits, "none"),
         ("reference fit, offset from motion", fits, "motion"),
-        ("motion of the others, rest", in_motion, "rest"),
-        ("motion of the others, offset from motion", in_motion, "motion"),
+        ("motion of the others, rest", from_others, "rest"),
+        ("motion of the others, offset from motion", from_others, "motion"),
         ("and the magnetometer, rest", with_field, "rest"),
         ("and the magnetometer, offset from motion", with_field, "motion"),
     )
@@ -101,14 +101,14 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
             trials = validate_leave_one_out(every, settings=settings, names=numbers).trials
         else:
             trials = tuple(
-                validate_trial(*pair, calibration=made, settings=settings)
-                for pair, made in zip(every, calibrations, strict=True)
+                validate_trial(*pair, calibration=calibration, settings=settings)
+                for pair, calibration in zip(every, calibrations, strict=True)
             )
         yield (
             name,
             [
-                _ended(number, one, by_vqf(one, *pair, made, offset))
-                for number, one, pair, made in zip(numbers, trials, every, calibrations, strict=True)
+                _ended(number, single, by_vqf(single, *pair, calibration, offset))
+                for number, single, pair, calibration in zip(numbers, trials, every, calibrations, strict=True)
             ],
         )
 
@@ -117,9 +117,13 @@ def _ended(number: str, judged: Trial, filtered: tuple[float, float]) -> Ended:
     ends = judged.figures.end_total_deg, judged.figures.end_inclination_deg
     if judged.expected is None:
         return Ended(number=number, strapdown=ends, filtered=filtered)
-    made = judged.expected
+    expected = judged.expected
     return Ended(
-        number=number, strapdown=ends, filtered=filtered, expected=made.end_total_deg, interval=made.end_interval_deg
+        number=number,
+        strapdown=ends,
+        filtered=filtered,
+        expected=expected.end_total_deg,
+        interval=expected.end_interval_deg,
     )
 
 
@@ -147,12 +151,12 @@ def end_errors(
     shift_s = (judged.lag.seconds - 0.5 / record.sample_rate_hz) * judged.lag_undone
     q = orientation_at(time, q_nb, poses.time + shift_s)
     start_s, stop_s = judged.motion.start_s - lag_s, judged.motion.stop_s - lag_s
-    seen = poses.valid & np.isfinite(q).all(axis=1)
-    before = seen & (poses.time >= start_s - REST_S) & (poses.time < start_s - LEAD_S)
+    valid = poses.valid & np.isfinite(q).all(axis=1)
+    before = valid & (poses.time >= start_s - REST_S) & (poses.time < start_s - LEAD_S)
     off = heading_of(quaternion_product(q, quaternion_conjugate(poses.q_nb)))[before]
     turn = -0.5 * float(np.angle(np.exp(1j * off).mean()))
     q = quaternion_product(np.array([np.cos(turn), 0.0, 0.0, np.sin(turn)]), q)
-    after = seen & (poses.time >= stop_s) & (poses.time < stop_s + END_S)
+    after = valid & (poses.time >= stop_s) & (poses.time < stop_s + END_S)
     error = compare_orientations(q[after], poses.q_nb[after])
     return float(np.degrees(np.median(error.total))), float(np.degrees(np.median(error.inclination)))
 
@@ -167,15 +171,17 @@ def print_broad() -> None:
     print(f"\n{'mean of eight, deg':50} {'strapdown':13} {'VQF':13} observed / expected (rms), inside 95 %")
     for name, ended in every.items():
         means = [
-            f"{np.mean([e[k] for e in each]):5.2f}" for each in zip(*map(_pairs, ended), strict=True) for k in (0, 1)
+            f"{np.mean([e[k] for e in errors]):5.2f}"
+            for errors in zip(*map(_pairs, ended), strict=True)
+            for k in (0, 1)
         ]
-        known = [e for e in ended if np.isfinite(e.expected)]
+        with_expected = [e for e in ended if np.isfinite(e.expected)]
         text = ""
-        if known:
-            ratio = np.sqrt(np.mean([(e.strapdown[0] / e.expected) ** 2 for e in known]))
-            inside = sum(e.interval[0] <= e.strapdown[0] <= e.interval[1] for e in known)
-            below = sum(e.strapdown[0] < e.interval[0] for e in known)
-            text = f"{ratio:.2f}, {inside} of {len(known)}" + f" ({below} below)" * (below > 0)
+        if with_expected:
+            ratio = np.sqrt(np.mean([(e.strapdown[0] / e.expected) ** 2 for e in with_expected]))
+            inside = sum(e.interval[0] <= e.strapdown[0] <= e.interval[1] for e in with_expected)
+            below = sum(e.strapdown[0] < e.interval[0] for e in with_expected)
+            text = f"{ratio:.2f}, {inside} of {len(with_expected)}" + f" ({below} below)" * (below > 0)
         print(f"{name:50} {means[0]} ({means[1]}) {means[2]} ({means[3]}) {text}")
 
 
@@ -205,11 +211,11 @@ def heading_errors(record: Record, reference: Reference, calibration: Calibratio
     off, moving = heading_of(quaternion_product(track.q_nb, quaternion_conjugate(q))), reference.moving > 0.0
     begins = float(reference.time[moving][0])
     before = np.isfinite(off) & (track.time < begins) & (track.time > begins - 5.0)
-    found = []
+    rms_errors = []
     for angle in (np.angle(np.exp(1j * off[before]).mean()), 0.0):
-        left = np.angle(np.exp(1j * (off - angle)))[moving & np.isfinite(off)]
-        found.append(float(np.degrees(np.sqrt((left**2).mean()))))
-    return found[0], found[1]
+        residual = np.angle(np.exp(1j * (off - angle)))[moving & np.isfinite(off)]
+        rms_errors.append(float(np.degrees(np.sqrt((residual**2).mean()))))
+    return rms_errors[0], rms_errors[1]
 
 
 def print_heading() -> None:
@@ -217,9 +223,9 @@ def print_heading() -> None:
     rows = {}
     for numbers in DEVICES.values():
         for n in numbers:
-            others = [trial(o)[0] for o in numbers if o != n]
-            made = calibrate_from_motion(others, magnetometer=True)
-            rows[n] = (*heading_errors(*trial(n), None), *heading_errors(*trial(n), made))
+            other_records = [trial(o)[0] for o in numbers if o != n]
+            calibration = calibrate_from_motion(other_records, magnetometer=True)
+            rows[n] = (*heading_errors(*trial(n), None), *heading_errors(*trial(n), calibration))
             print(
                 f"{n}: raw {rows[n][0]:.2f} ({rows[n][1]:.2f}), corrected {rows[n][2]:.2f} ({rows[n][3]:.2f})",
                 flush=True,
@@ -248,9 +254,9 @@ WALK = {
 
 def ten_free(rng: np.random.Generator) -> Task:
     """Return ten free tasks in one recording, one after another."""
-    each = [draw_task("free", rng=rng, rest_s=PAUSE_S + 60.0 * k) for k in range(MINUTES)]
-    courses = {name: tuple(term for one in each for term in getattr(one, name)) for name in WALK}
-    stop = each[-1].moving_s[1]
+    tasks = [draw_task("free", rng=rng, rest_s=PAUSE_S + 60.0 * k) for k in range(MINUTES)]
+    courses = {name: tuple(term for task in tasks for term in getattr(task, name)) for name in WALK}
+    stop = tasks[-1].moving_s[1]
     return Task(name="free, 10 min", duration_s=stop + PAUSE_S, moving_s=(PAUSE_S, stop), **courses)
 
 
@@ -306,8 +312,8 @@ def print_tasks() -> None:
     """Print the pitch error of each task."""
     print(f"{'pitch error, rms, deg':21} {'none':24} {'rest':24} motion")
     for name in TASKS:
-        found: FloatArray = np.array([pitch_errors(name, seed) for seed in SEEDS]).T
-        cells = [f"{np.sqrt((row**2).mean()):.3f} ({' '.join(f'{e:.3f}' for e in row)})" for row in found]
+        errors: FloatArray = np.array([pitch_errors(name, seed) for seed in SEEDS]).T
+        cells = [f"{np.sqrt((row**2).mean()):.3f} ({' '.join(f'{e:.3f}' for e in row)})" for row in errors]
         print(f"{name:21} " + " ".join(f"{cell:27}" for cell in cells), flush=True)
 
 
@@ -330,17 +336,17 @@ def print_times() -> None:
         calibrate_from_motion([record], magnetometer=True)
     print(f"calibrate_from_motion with a magnetometer, 30 units of one such recording: {perf_counter() - start:.1f} s")
     rest = find_rest_offset(records[0])
-    for name, known in (("with its rest", rest), ("without", None)):
-        find_motion_offset(records[0], known)
+    for name, rest_or_none in (("with its rest", rest), ("without", None)):
+        find_motion_offset(records[0], rest_or_none)
         start = perf_counter()
-        find_motion_offset(records[0], known)
+        find_motion_offset(records[0], rest_or_none)
         print(f"find_motion_offset, {records[0].duration_s:.0f} s, {name}: {perf_counter() - start:.2f} s")
 
 
 def main() -> None:
     """Print the tables."""
-    for part in sys.argv[1:] or ("broad", "heading", "tasks", "times"):
-        {"broad": print_broad, "heading": print_heading, "tasks": print_tasks, "times": print_times}[part]()
+    for table_name in sys.argv[1:] or ("broad", "heading", "tasks", "times"):
+        {"broad": print_broad, "heading": print_heading, "tasks": print_tasks, "times": print_times}[table_name]()
 
 
 if __name__ == "__main__":

@@ -48,15 +48,15 @@ def pair(name: str) -> tuple[Record, Reference]:
     """Return record and reference of a recording."""
     if name.startswith("seg"):
         rows, poses = _rows("chain_with_optics", f"{name}_imu", 3), _rows("chain_with_optics", f"{name}_optics", 3)
-        time, seen = np.arange(len(rows)) / 40.0, np.arange(len(poses)) / 30.0
+        time, optics_time = np.arange(len(rows)) / 40.0, np.arange(len(poses)) / 30.0
         return Record(time=time, gyro=rows[:, 3:6], accel=rows[:, :3]), Reference(
-            time=seen, q_nb=poses[:, -4:], name=name
+            time=optics_time, q_nb=poses[:, -4:], name=name
         )
     if name.startswith("circle"):
         rows, poses = _rows("robot_arm_reference", f"{name}_imu", 1), _rows("robot_arm_reference", f"{name}_robot", 1)
-        time, seen = np.arange(len(rows)) / 125.0, 1e-6 * (poses[:, 0] - poses[0, 0])
+        time, optics_time = np.arange(len(rows)) / 125.0, 1e-6 * (poses[:, 0] - poses[0, 0])
         return Record(time=time, gyro=rows[:, 4:7], accel=rows[:, 1:4]), Reference(
-            time=seen, q_nb=poses[:, 1:], name=name
+            time=optics_time, q_nb=poses[:, 1:], name=name
         )
     rows = _rows("pendulum_with_optics", name, 2, ";")
     time = np.linspace(rows[0, 0], rows[-1, 0], len(rows))  # stamps are rounded to 10 ms, and repeat
@@ -66,34 +66,34 @@ def pair(name: str) -> tuple[Record, Reference]:
 
 def pairs(name: str) -> list[tuple[Record, Reference]]:
     """Return the recordings of a device, rests of three seconds and more cut to one."""
-    made = []
+    trials = []
     for record, reference in map(pair, SETS[name]):
         late = 2.2 if record is pair("circle-250_carpus")[0] or record is pair("circle-250_radius")[0] else 0.0
-        made.append((record.between(late, np.inf), reference))
-    return made
+        trials.append((record.between(late, np.inf), reference))
+    return trials
 
 
 def table(name: str) -> Iterator[tuple[str, Validation]]:
     """Yield the calibrations and the trials of a device."""
-    held, called = pairs(name), SETS[name]
+    trials, called = pairs(name), SETS[name]
     for offset in ("none", "motion"):
-        settings, more = TrialSettings(offset=offset), " + offset from motion" * (offset == "motion")
-        yield f"raw{more}", validate_trials(held, settings=settings, names=called)
-        yield f"fit to the others{more}", validate_leave_one_out(held, settings=settings, names=called)
-        yield f"motion of the others alone{more}", by_motion(held, settings, called)
+        settings, suffix = TrialSettings(offset=offset), " + offset from motion" * (offset == "motion")
+        yield f"raw{suffix}", validate_trials(trials, settings=settings, names=called)
+        yield f"fit to the others{suffix}", validate_leave_one_out(trials, settings=settings, names=called)
+        yield f"motion of the others alone{suffix}", by_motion(trials, settings, called)
 
 
-def by_motion(held: list[tuple[Record, Reference]], settings: TrialSettings, names: tuple[str, ...]) -> Validation:
+def by_motion(trials: list[tuple[Record, Reference]], settings: TrialSettings, names: tuple[str, ...]) -> Validation:
     """Return the trials of a device, each calibrated by the motion in the others, without their reference."""
     return summed(
         tuple(
             validate_trial(
                 *pair,
-                calibration=calibrate_from_motion([record for record, _ in held if record is not pair[0]]),
+                calibration=calibrate_from_motion([record for record, _ in trials if record is not pair[0]]),
                 settings=settings,
                 name=name,
             )
-            for pair, name in zip(held, names, strict=True)
+            for pair, name in zip(trials, names, strict=True)
         )
     )
 
@@ -104,7 +104,7 @@ def by_themselves(name: str) -> Validation:
     def judged(record: Record, reference: Reference) -> Trial:
         return validate_trial(record, reference, calibration=calibrate_to_references([record], [reference]))
 
-    return summed(tuple(judged(*each) for each in pairs(name)))
+    return summed(tuple(judged(*trial_results) for trial_results in pairs(name)))
 
 
 def main(names: tuple[str, ...]) -> None:
@@ -116,14 +116,14 @@ def main(names: tuple[str, ...]) -> None:
             rows.append(("fit to itself", by_themselves(name)))
         except UndriftError as error:
             print(f"  fit to itself: {error}")
-        for what, found in rows:
+        for what, result in rows:
             cells = [
                 f"{f.rmse_total_deg:6.2f} {f.end_total_deg:6.2f} {f.end_inclination_deg:6.2f}"
-                for f in (*(trial.figures for trial in found.trials), found.mean)
+                for f in (*(trial.figures for trial in result.trials), result.mean)
             ]
             print(f"  {what:40s} {' | '.join(cells)}")
         unseen = fit_reference(*zip(*pairs(name), strict=True)).triad.verdict.findings
-        print("  " + "; ".join(one.text for one in unseen))
+        print("  " + "; ".join(entry.text for entry in unseen))
 
 
 if __name__ == "__main__":

@@ -92,21 +92,21 @@ def captured(seed: int = 2) -> LevelTable:
         motion = after_rest(moving, rest, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)
         position = spline.position(time)
         position = np.concatenate((np.repeat(position[:1], before, axis=0), position))
-        made = simulate_device(
+        simulated = simulate_device(
             device, motion, rng=np.random.default_rng([5, k]), temp_c=ROOM_C + EXCURSION_K, power_on_s=SETTLED_S
         )
         pairs.append(
-            (made.record, Reference(time=motion.time, q_nb=motion.q_nb, position=position, moving=motion.moving))
+            (simulated.record, Reference(time=motion.time, q_nb=motion.q_nb, position=position, moving=motion.moving))
         )
     return _compared(pairs, [full] * len(pairs), [task for _, task, _ in CAPTURES], [who for *_, who in CAPTURES])
 
 
 def left_out(pairs: Pairs) -> LevelTable:
     """Compare the levels of a real device, each trial by the reference fit to the others."""
-    held = validate_leave_one_out(pairs).held_out
-    model = calibrate_to_references([one for one, _ in pairs], [poses for _, poses in pairs])
+    trials = validate_leave_one_out(pairs).held_out
+    model = calibrate_to_references([item for item, _ in pairs], [poses for _, poses in pairs])
     settings = TrialSettings(align_above=MOUNTING_ABOVE)
-    return _compared(pairs, [replace(model, gyro=one.fit.triad.model) for one in held], settings=settings)
+    return _compared(pairs, [replace(model, gyro=item.fit.triad.model) for item in trials], settings=settings)
 
 
 def _compared(
@@ -133,13 +133,13 @@ def _compared(
     return judge_levels(trials, settings=settings)
 
 
-def show(name: str, found: LevelTable) -> None:
+def show(name: str, table: LevelTable) -> None:
     """Print one table."""
     print(
-        f"{name}: {found.quantity}, rms, deg; mean over people [95 %], less than above; simulated; difference mean, most"
+        f"{name}: {table.quantity}, rms, deg; mean over people [95 %], less than above; simulated; difference mean, most"
     )
-    for row in found.errors:
-        mean = next(one for one in found.summaries if (one.group, one.level) == ("all", row.level))
+    for row in table.errors:
+        mean = next(summary for summary in table.summaries if (summary.group, summary.level) == ("all", row.level))
         if not mean.people:
             print(f"  {row.level:16} {row.missing}")
             continue

@@ -26,16 +26,16 @@ def main(folder: Path) -> None:
     room = replace(plan.bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
     rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)
     folder.mkdir(parents=True)
-    with tempfile.TemporaryDirectory() as apart:
+    with tempfile.TemporaryDirectory() as temporary:
         record_on_bench(replace(plan, bench=room), device, folder, tell=lambda what, left_s: None)
-        made = Path(apart)
+        recorded = Path(temporary)
         record_on_bench(
             replace(plan, bench=rest, thermal=replace(rest, name="again", face_s=1.0)),
             device,
-            made,
+            recorded,
             tell=lambda what, left_s: None,
         )
-        (piece,) = (made / "rest" / "pieces").iterdir()
+        (piece,) = (recorded / "rest" / "pieces").iterdir()
         shutil.copy(piece, folder / "rest.parquet")
     for lock in folder.rglob("lock"):
         lock.unlink()

@@ -88,13 +88,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--devices", type=int, default=30)
     parser.add_argument("--new", type=int, default=8)
-    given = parser.parse_args()
-    study = study_of(given.devices)
+    options = parser.parse_args()
+    study = study_of(options.devices)
     promised = promise(study)
     for name in NAMES:
         low, high = promised[name].single_deg
         with tempfile.TemporaryDirectory() as folder:
-            errors = [deliver(study, name, NEW + k, Path(folder) / f"run-{k}") for k in range(given.new)]
+            errors = [deliver(study, name, NEW + k, Path(folder) / f"run-{k}") for k in range(options.new)]
         inside = sum(low <= error <= high for error in errors)
         listed = ", ".join(f"{error:.3f}" for error in errors)
         print(f"{name}: promised {low:.3f} to {high:.3f} deg, inside {inside} of {len(errors)}: {listed}", flush=True)

@@ -50,9 +50,9 @@ def fits_of_device(study: Study, number: int) -> dict[int, Values]:
 
 
 def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[int, Values]:
-    known = shipped_fits() if device.study.shipped else {}
+    stored = shipped_fits() if device.study.shipped else {}
     wanted = {device.key(session): session for session in sessions if session.suits(device.model)}
-    packed = {key: known.get(key) or pack(device.fit(session)) for key, session in wanted.items()}
+    packed = {key: stored.get(key) or pack(device.fit(session)) for key, session in wanted.items()}
     return {key: values for key, values in packed.items() if values is not None}
 
 
@@ -61,17 +61,17 @@ def main() -> int:
     parser.add_argument("names", nargs="*", help="note, or presets; all if not given")
     parser.add_argument("--sessions", nargs="*", default=[*SESSIONS], help="sessions to fit; all if not given")
     parser.add_argument("--devices", type=int, default=SUBJECTS)
-    given = parser.parse_args()
+    options = parser.parse_args()
     fits = dict(shipped_fits())
     for study in studies():
-        if given.names and study.name not in given.names:
+        if options.names and study.name not in options.names:
             continue
         start = time.perf_counter()
-        study = replace(study, sessions=tuple(SESSIONS[name] for name in given.sessions))
+        study = replace(study, sessions=tuple(SESSIONS[name] for name in options.sessions))
         with executor() as spread:
             study = with_checked_fits(study, spread)
-            for made in spread(partial(fits_of_device, study), range(given.devices)):
-                fits |= made
+            for device_fits in spread(partial(fits_of_device, study), range(options.devices)):
+                fits |= device_fits
         write_fits(fits, {"undrift": undrift.__version__, "seed": str(study.seed)})
         print(f"{study.name}: {len(fits)} fits in the file, {time.perf_counter() - start:.0f} s", flush=True)
     return 0

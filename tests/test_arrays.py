@@ -26,8 +26,8 @@ def test_a_frozen_array_is_a_read_only_copy_of_the_same_numbers(x, order):
 @pytest.mark.parametrize(
     ("x", "shape", "words"),
     [
-        (np.zeros((3, 9)), (None, 3), r"gyro: wanted shape \(N, 3\), got \(3, 9\); time is axis 0"),
-        (np.zeros((4, 1)), (None,), r"gyro: wanted shape \(N,\), got \(4, 1\)"),
+        (np.zeros((3, 9)), (None, 3), r"gyro: expected shape \(N, 3\), got \(3, 9\)"),
+        (np.zeros((4, 1)), (None,), r"gyro: expected shape \(N,\), got \(4, 1\)"),
         ([1.0, np.inf], (2,), "gyro: expected finite numbers or NaN for a gap, got infinity"),
         (["a"], (None,), "gyro: expected numbers, got list"),
         ([[1.0], [1.0, 2.0]], (None, 1), "gyro: expected numbers, got list"),

@@ -67,8 +67,8 @@ def test_rate_and_duration_leave_drop_outs_out_of_the_rate():
     ("keys", "words"),
     [
         ({"time": T}, "gyro or accel readings"),
-        ({"time": T, "gyro": XYZ[:2]}, r"gyro: wanted shape \(3, 3\), got \(2, 3\)"),
-        ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"temp_c: wanted shape \(3,\), got \(1,\)"),
+        ({"time": T, "gyro": XYZ[:2]}, r"gyro: expected shape \(3, 3\), got \(2, 3\)"),
+        ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"temp_c: expected shape \(3,\), got \(1,\)"),
         ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate: wanted one of"),
         ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: wanted one of"),
         (
@@ -106,9 +106,9 @@ def test_a_reference_knows_its_gaps_and_keeps_unit_quaternions(reference):
 def test_a_reference_refuses_what_is_no_quaternion():
     with pytest.raises(InputError, match="q_nb: expected unit quaternions"):
         Reference(time=T, q_nb=np.ones((3, 4)))
-    with pytest.raises(InputError, match=r"q_nb: wanted shape \(3, 4\), got \(3, 3\)"):
+    with pytest.raises(InputError, match=r"q_nb: expected shape \(3, 4\), got \(3, 3\)"):
         Reference(time=T, q_nb=XYZ)
-    with pytest.raises(InputError, match=r"position: wanted shape \(3, 3\)"):
+    with pytest.raises(InputError, match=r"position: expected shape \(3, 3\)"):
         Reference(time=T, q_nb=np.tile([1.0, 0, 0, 0], (3, 1)), position=[[0.0, 0, 0]])
     nearly = Reference(time=T, q_nb=np.tile([1.0005, 0, 0, 0], (3, 1)))
     np.testing.assert_array_equal(nearly.q_nb[:, 0], 1.0)
@@ -156,7 +156,7 @@ def test_arrays_with_their_units_and_a_rate_are_a_record():
         ({"sample_rate_hz": 10.0}, "gyro or accel readings"),
         (
             {"gyro": np.zeros((5, 2)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
-            r"gyro: wanted shape \(5, 3\), got \(5, 2\)",
+            r"gyro: expected shape \(5, 3\), got \(5, 2\)",
         ),
     ],
 )

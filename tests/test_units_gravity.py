@@ -34,7 +34,7 @@ def test_the_earth_turns_once_in_a_sidereal_day():
         (91.0, 0.0, "latitude_deg: expected -90 to 90 deg, got 91. South is negative"),
         (float("nan"), 0.0, "latitude_deg: expected -90 to 90 deg, got nan"),
         (45.0, 2e5, "height_m: expected -5000 to 100000 m above the ellipsoid, got 200000"),
-        (45.0, float("nan"), "height_m: wanted .* got nan"),
+        (45.0, float("nan"), "height_m: expected .* got nan"),
     ],
 )
 def test_a_place_that_is_not_on_earth_is_refused(latitude_deg, height_m, words):

@@ -77,17 +77,22 @@ class Tally:
             self._sigma.setdefault(group, []).append(np.ravel(sigma))
 
     def add_model(
-        self, verdict: Verdict, model: TriadModel, matrix: FloatArray, offset: FloatArray, seen: FloatArray = ACROSS
+        self,
+        verdict: Verdict,
+        model: TriadModel,
+        matrix: FloatArray,
+        offset: FloatArray,
+        observable: FloatArray = ACROSS,
     ) -> None:
         """Add a fitted model and the true matrix (3, 3) and offset (3,), in its units. Only cross-axis terms in
         ``seen`` count.
         """
         away, sigma, size = model.matrix - matrix, model.standard_uncertainty, float(np.diag(matrix).mean())
-        stated, own = sigma[:9].reshape(3, 3), np.eye(3, dtype=bool)
+        reported, diagonal = sigma[:9].reshape(3, 3), np.eye(3, dtype=bool)
         self.add(
             verdict,
-            scale=(away[own] / size, stated[own] / size),
-            cross_axis=(away[seen] / size, stated[seen] / size),
+            scale=(away[diagonal] / size, reported[diagonal] / size),
+            cross_axis=(away[observable] / size, reported[observable] / size),
             offset=((model.offset - offset) * size, sigma[9:12] * size),
         )
 

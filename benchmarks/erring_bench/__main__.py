@@ -20,16 +20,16 @@ def main() -> int:
     parser.add_argument(
         "--case", nargs="+", metavar="WORDS", help="only cases with one of these words, of fits that have named cases"
     )
-    given = parser.parse_args()
+    options = parser.parse_args()
     print(HEAD)
     failed = 0
-    for name in given.only:
+    for name in options.only:
         module = importlib.import_module(f"benchmarks.erring_bench.{name}")
-        if given.case:
-            chosen = [case for case in module.CASES if any(words in case for words in given.case)]
-            rows = itertools.chain.from_iterable(module.rows_of(case, given.devices, given.seed) for case in chosen)
+        if options.case:
+            chosen = [case for case in module.CASES if any(words in case for words in options.case)]
+            rows = itertools.chain.from_iterable(module.rows_of(case, options.devices, options.seed) for case in chosen)
         else:
-            rows = module.rows(given.devices, given.seed)
+            rows = module.rows(options.devices, options.seed)
         for row in rows:
             failed += not row.holds
             print(

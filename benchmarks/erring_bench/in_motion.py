@@ -45,21 +45,21 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
             session = Session(
                 kind="calibration", serial="", records=records, gravity_m_s2=STANDARD_GRAVITY, gravity_source="standard"
             )
-            made, fit = from_motion(session, identify_adc=True)
+            calibration, fit = from_motion(session, identify_adc=True)
             true = true_calibration(device)
             groups = {
-                f"{triad[0]}. {name}": _against(seen, *models)
+                f"{triad[0]}. {name}": _against(observable, *models)
                 for triad, models in (
-                    ("gyro", (made.gyro, true.gyro, device.gyro.gain)),
-                    ("accel", (made.accel, true.accel, device.accel.gain)),
+                    ("gyro", (calibration.gyro, true.gyro, device.gyro.gain)),
+                    ("accel", (calibration.accel, true.accel, device.accel.gain)),
                 )
-                for name, seen in (("scale", SCALE), ("cross", CROSS))
+                for name, observable in (("scale", SCALE), ("cross", CROSS))
             }
-            assert made.accel is not None
+            assert calibration.accel is not None
             assert true.accel is not None
-            away = made.accel.offset - (true.accel.offset - device.accel.null) / device.accel.gain
+            away = calibration.accel.offset - (true.accel.offset - device.accel.null) / device.accel.gain
             tally.add(
-                made.verdict, **groups, **{"a. offset": (away, made.accel.standard_uncertainty[9:12])},
+                calibration.verdict, **groups, **{"a. offset": (away, calibration.accel.standard_uncertainty[9:12])},
                 recordings=((fit.offsets - offsets) / RADIAN_PER_DEGREE, fit.offset_uncertainty / RADIAN_PER_DEGREE),
             )  # fmt: skip
         yield from tally.rows()
@@ -81,26 +81,26 @@ def handled(device: DeviceModel, rng: np.random.Generator) -> tuple[tuple[Record
         task = draw_task("free", rng=rng)
         today = replace(device, gyro=device.gyro.shifted(TURN_ON * rng.standard_normal(3)))
         motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, gravity)
-        made = simulate_device(today, motion, rng=rng)
+        simulated = simulate_device(today, motion, rng=rng)
         cut_s = task.moving_s if rng.uniform() < WITHOUT_REST else (0.0, np.inf)
-        seen = (made.record.time >= cut_s[0]) & (made.record.time < cut_s[1])
-        offsets.append(sum(made.gyro.of(effect)[seen].mean(axis=0) for effect in SLOW))
+        recorded = (simulated.record.time >= cut_s[0]) & (simulated.record.time < cut_s[1])
+        offsets.append(sum(simulated.gyro.of(effect)[recorded].mean(axis=0) for effect in SLOW))
         gyro, accel = (
-            (np.asarray(getattr(made.record, name)) - chain.null) / chain.gain
+            (np.asarray(getattr(simulated.record, name)) - chain.null) / chain.gain
             for name, chain in (("gyro", device.gyro), ("accel", device.accel))
         )
-        si = replace(made.record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2")
+        si = replace(simulated.record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2")
         records.append(si.between(*cut_s))
     return tuple(records), np.array(offsets)
 
 
 def _against(
-    seen: FloatArray, made: TriadModel | None, true: TriadModel | None, gain: float
+    observable: FloatArray, model: TriadModel | None, true: TriadModel | None, gain: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return errors of the observable elements of a matrix and their standard uncertainties. The true matrix is for raw
     readings.
     """
-    assert made is not None
+    assert model is not None
     assert true is not None
-    error = seen @ (made.matrix - gain * true.matrix).ravel()
-    return error, np.sqrt(np.diag(seen @ made.covariance[:9, :9] @ seen.T))
+    error = observable @ (model.matrix - gain * true.matrix).ravel()
+    return error, np.sqrt(np.diag(observable @ model.covariance[:9, :9] @ observable.T))

@@ -102,16 +102,16 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         settings = replace(settings, still=StillSettings(window_s=10.0))  # longer than any rest
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)
-        seen = observe(session, settings)
-        accel = calibrate_faces(seen, None)
+        observed = observe(session, settings)
+        accel = calibrate_faces(observed, None)
         try:
-            made = calibrate_turns(seen, None, accel.fit)
+            turns_fit = calibrate_turns(observed, None, accel.fit)
         except Implausible:  # coarse codes that repeat at the top of a turn look saturated: n is smaller
             continue
-        assert made.fit is not None
-        drifted = offset_drift(seen, float(np.linalg.norm(made.fit.model.matrix, 2)))
-        verdict = Verdict.of(*seen.findings, *made.findings, *drifted).also(made.fit.verdict)
-        tally.add_model(verdict, made.fit.model, matrix, offset)
+        assert turns_fit.fit is not None
+        drifted = offset_drift(observed, float(np.linalg.norm(turns_fit.fit.model.matrix, 2)))
+        verdict = Verdict.of(*observed.findings, *turns_fit.findings, *drifted).also(turns_fit.fit.verdict)
+        tally.add_model(verdict, turns_fit.fit.model, matrix, offset)
     yield from tally.rows()
 
 
@@ -123,8 +123,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     walk = device.gyro.random_walk if case.whole_walk else None
     warm_up = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3) if case.warm_up_dps else np.zeros(3)
     transient = PowerOnTransient(amplitude=warm_up, time_constant_s=WARM_UP_S) if warm_up.any() else None
-    more = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass, "warm_up": transient}
-    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **more)
+    effects = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass, "warm_up": transient}
+    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **effects)
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
     angle_deg, axis_deg = (SURE_ANGLE_DEG, SURE_AXIS_DEG) if case.sure else (ANGLE_DEG, AXIS_DEG)
@@ -133,8 +133,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     temp_c = even_rise(case.creep_c, len(motion))
     if case.creep_s is not None:
         temp_c = 25.0 + case.creep_c * (0.5 - np.exp(-motion.time / case.creep_s))
-    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
-    record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
+    simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    record = simulated.record if case.thermometer else replace(simulated.record, temp_c=None)
     record = replace(record, time=record.time + case.jitter_s * rng.standard_normal(len(record)))
     off = angle_deg * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand
     session = Session(
@@ -152,5 +152,5 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     during = slice(min(piece.start for piece in pieces), max(piece.stop for piece in pieces))
     drift = np.zeros(3)
     for name, on in (("instability", case.flicker), ("random_walk", case.whole_walk), ("warm_up", warm_up.any())):
-        drift = drift + (device.gyro.gain * shown.gyro.of(name)[during].mean(axis=0) if on else 0.0)
+        drift = drift + (device.gyro.gain * simulated.gyro.of(name)[during].mean(axis=0) if on else 0.0)
     return session, truth.matrix, truth.offset + drift

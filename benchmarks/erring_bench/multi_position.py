@@ -81,13 +81,13 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     for _ in range(devices):
         session, truth = drawn(case, rng)
         try:
-            made = calibrate(session, accel="multi-position", gyro="multi-position", settings=SETTINGS)
+            calibration = calibrate(session, accel="multi-position", gyro="multi-position", settings=SETTINGS)
         except NotObservable:  # a refused fit has no result, so the row counts one device fewer
             continue
-        for tally, model, (matrix, offset) in zip(tallies, (made.accel, made.gyro), truth, strict=True):
+        for tally, model, (matrix, offset) in zip(tallies, (calibration.accel, calibration.gyro), truth, strict=True):
             assert model is not None
-            seen = ACROSS if model is made.gyro else np.triu(ACROSS)
-            tally.add_model(made.verdict, model, matrix, offset, seen)
+            observable = ACROSS if model is calibration.gyro else np.triu(ACROSS)
+            tally.add_model(calibration.verdict, model, matrix, offset, observable)
     for tally in tallies:
         yield from tally.rows()
 
@@ -117,9 +117,9 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
         temp_c = 25.0 - case.creep_c * np.exp(-motion.time / case.warm_s)
     if case.step_c is not None:
         device = replace(device, thermometer=replace(device.thermometer, step_c=case.step_c))
-    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
-    assert shown.record.gyro is not None
-    record = replace(shown.record, gyro=shown.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")
+    simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    assert simulated.record.gyro is not None
+    record = replace(simulated.record, gyro=simulated.record.gyro / COUNTS_PER_DPS, gyro_unit="dps")
     record = record if case.thermometer else replace(record, temp_c=None)
     session = Session(
         kind="calibration",
@@ -131,11 +131,14 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
     truth = true_calibration(device, temp_c=float(np.mean([temp_c[s.start : s.stop].mean() for s in motion.stills])))
     assert truth.gyro is not None
     assert truth.accel is not None
-    turned, upper = np.linalg.qr(truth.accel.matrix)
+    orthogonal, upper = np.linalg.qr(truth.accel.matrix)
     sign = np.sign(np.diag(upper))
     offsets = [
-        model.offset + chain.gain * (made.of("instability").mean(axis=0) if case.flicker else 0.0)
-        for model, chain, made in ((truth.accel, device.accel, shown.accel), (truth.gyro, device.gyro, shown.gyro))
+        model.offset + chain.gain * (triad.of("instability").mean(axis=0) if case.flicker else 0.0)
+        for model, chain, triad in (
+            (truth.accel, device.accel, simulated.accel),
+            (truth.gyro, device.gyro, simulated.gyro),
+        )
     ]
-    upper, in_accel = sign[:, None] * upper, (turned * sign).T @ truth.gyro.matrix * COUNTS_PER_DPS
-    return session, [(upper, offsets[0]), (in_accel, offsets[1] / COUNTS_PER_DPS)]
+    upper, gyro_matrix = sign[:, None] * upper, (orthogonal * sign).T @ truth.gyro.matrix * COUNTS_PER_DPS
+    return session, [(upper, offsets[0]), (gyro_matrix, offsets[1] / COUNTS_PER_DPS)]

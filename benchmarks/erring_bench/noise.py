@@ -26,15 +26,15 @@ CASES = (
 def readings(rng: np.random.Generator, seconds: float, flicker: float, walk: float, bits: int) -> FloatArray:
     """Return three axes at rest, (N, 3), rad/s."""
     count = round(seconds * RATE_HZ)
-    made = WHITE_DPS * RATE_HZ**0.5 * rng.standard_normal((count, 3))
-    made += np.cumsum(walk / RATE_HZ**0.5 * rng.standard_normal((count, 3)), axis=0)
+    rate_dps = WHITE_DPS * RATE_HZ**0.5 * rng.standard_normal((count, 3))
+    rate_dps += np.cumsum(walk / RATE_HZ**0.5 * rng.standard_normal((count, 3)), axis=0)
     frequency = np.fft.rfftfreq(2 * count, 1.0 / RATE_HZ)[1:, None]
     spectrum = np.zeros((count + 1, 3), complex)  # one-sided density B^2 / (pi f)
     size = np.sqrt(flicker**2 / np.pi / frequency * RATE_HZ * 2 * count / 4.0)
     spectrum[1:] = size * (rng.standard_normal((count, 3)) + 1j * rng.standard_normal((count, 3)))
-    made += np.fft.irfft(spectrum, 2 * count, axis=0)[:count]
+    rate_dps += np.fft.irfft(spectrum, 2 * count, axis=0)[:count]
     step = 2.0 * RANGE_DPS / 2.0**bits
-    return np.asarray(np.radians(np.rint(made / step) * step if bits else made))
+    return np.asarray(np.radians(np.rint(rate_dps / step) * step if bits else rate_dps))
 
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
@@ -48,13 +48,13 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
             fits.append(fit_noise(Record(time=np.arange(len(gyro)) / RATE_HZ, gyro=gyro)).gyro)
         case = f"{seconds:g} s, B {flicker:g}, K {walk:g} deg/s, {bits or 'no'} bit"
         for (group, name), true in zip(NAMES.items(), truth, strict=True):
-            found = [getattr(axis, name) for fit in fits for axis in fit]
-            seen = np.array([one.value for one in found if not one.reason])
-            limits = np.array([one.interval for one in found])
+            coefficients = [getattr(axis, name) for fit in fits for axis in fit]
+            values = np.array([coefficient.value for coefficient in coefficients if not coefficient.reason])
+            limits = np.array([coefficient.interval for coefficient in coefficients])
             yield Row(
-                fit="noise", case=case, group=group, devices=devices, good_percent=100.0 * len(seen) / len(found),
+                fit="noise", case=case, group=group, devices=devices, good_percent=100.0 * len(values) / len(coefficients),
                 inside_percent=100.0 * float(np.mean((limits[:, 0] <= true) & (true <= limits[:, 1]))),
-                rmse=float(np.sqrt(np.mean((seen - true) ** 2))) if len(seen) else float("nan"),
+                rmse=float(np.sqrt(np.mean((values - true) ** 2))) if len(values) else float("nan"),
                 stated=float(np.sqrt(np.mean((np.diff(limits, axis=1) / (2.0 * NORMAL_95)) ** 2))),
-                reasons="" if len(seen) == len(found) else "session.not_observable",
+                reasons="" if len(values) == len(coefficients) else "session.not_observable",
             )  # fmt: skip

@@ -87,10 +87,10 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         alone = _without_accel(session)
         if case.alone_deg is not None:
             alone = replace(alone, rate_table=replace(case.stated, mount_tilt_deg=case.alone_deg))
-        for tally, given in zip(tallies, (session, alone), strict=True):
-            made = calibrate(given, settings=SETTINGS)
-            assert made.gyro is not None
-            tally.add_model(made.verdict, made.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
+        for tally, source in zip(tallies, (session, alone), strict=True):
+            calibration = calibrate(source, settings=SETTINGS)
+            assert calibration.gyro is not None
+            tally.add_model(calibration.verdict, calibration.gyro, np.linalg.inv(device.gyro.forward_matrix), offset)
     for tally in tallies:
         yield from tally.rows()
 
@@ -112,15 +112,15 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
     device = replace(device, gyro=gyro, accel=accel)
     bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=case.table, lever_arm_b=ARM_M)
     motion = bench_motion("bench", rng=rng, settings=bench)
-    shown = simulate_device(device, motion, rng=rng)
+    simulated = simulate_device(device, motion, rng=rng)
     session = Session(
-        kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(shown.record,),
+        kind="calibration", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(simulated.record,),
         stills=motion.stills, turns=motion.turns, rate_table=case.stated,
     )  # fmt: skip
     pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
     during = slice(min(p.start for p in pieces), max(p.stop for p in pieces))
-    moved = sum(shown.gyro.of(name)[during].mean(axis=0) for name in ("instability", "random_walk"))
-    moved = moved + (shown.gyro.of("warm_up")[during].mean(axis=0) if case.warm_up_dps else 0.0)
+    moved = sum(simulated.gyro.of(name)[during].mean(axis=0) for name in ("instability", "random_walk"))
+    moved = moved + (simulated.gyro.of("warm_up")[during].mean(axis=0) if case.warm_up_dps else 0.0)
     return device, session, device.gyro.raw_offset + device.gyro.gain * moved
 
 

@@ -99,9 +99,9 @@ def moving_rows(devices: int, seed: int) -> Iterator[Row]:
             records = [_moved(record, true, change, (lsb, lost)) for record, _ in pairs]
             adc = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
             fit = fit_reference(records, [p[1] for p in pairs], adc=adc).triad
-            left, _, right = np.linalg.svd(fit.model.matrix @ true.forward_matrix)  # the mean mounting turns d
+            left_vectors, _, right = np.linalg.svd(fit.model.matrix @ true.forward_matrix)  # the mean mounting turns d
             sigma = fit.model.standard_uncertainty
-            moving, codes = fit.model.moving_offset - left @ right @ change, fit.model.code_offset - lost
+            moving, codes = fit.model.moving_offset - left_vectors @ right @ change, fit.model.code_offset - lost
             tally.add(fit.verdict, moving=(moving, sigma[12:15]), codes=(codes, sigma[15:]))
         yield from tally.rows()
 
@@ -137,10 +137,10 @@ def _seen(
     reference = see(task, rng=rng, settings=case.optics)
     if not case.errs:
         return record, reference, flicker
-    kept = np.exp(-1.0 / (SLOW_S * case.optics.sample_rate_hz))
-    drawn = SLOW_SD * rng.standard_normal((len(reference), 3))
-    drawn[1:] *= np.sqrt(1.0 - kept**2)
-    off = lfilter([1.0], [1.0, -kept], drawn, axis=0)
+    correlation = np.exp(-1.0 / (SLOW_S * case.optics.sample_rate_hz))
+    slow_error = SLOW_SD * rng.standard_normal((len(reference), 3))
+    slow_error[1:] *= np.sqrt(1.0 - correlation**2)
+    off = lfilter([1.0], [1.0, -correlation], slow_error, axis=0)
     record = replace(record, time=record.time + JITTER_S * rng.standard_normal(len(record)))
     tilt = quaternion_of(np.append(REFERENCE_LEVEL * rng.standard_normal(2), 0.0))
     q_nb = quaternion_product(tilt, quaternion_product(reference.q_nb, quaternion_of(off)))
@@ -155,10 +155,10 @@ def _fits(device: DeviceModel, rng: np.random.Generator, case: Case) -> tuple[Tr
     """
     gyro = fit_reference(*zip(*(_seen(device, rng, case)[:2] for _ in range(3)), strict=True)).triad
     *pair, flicker = _seen(device, rng, case, six_rests=True)
-    fit = fit_reference(*([part] for part in pair))
+    fit = fit_reference(*([item] for item in pair))
     alone = {"mountings": fit.mountings, "gravity_m_s2": STANDARD_GRAVITY, "lags_s": fit.lags_s}
     try:
-        return gyro, fit_reference_accel(*([part] for part in pair), **alone), flicker
+        return gyro, fit_reference_accel(*([item] for item in pair), **alone), flicker
     except NotObservable:
         return gyro, None, flicker
 

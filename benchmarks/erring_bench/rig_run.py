@@ -34,17 +34,17 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield one row a group."""
     tally = Tally("rig run, simulated", "mounted 0.1 deg off per axis")
     for number in range(max(1, devices // RUNS)):
-        device, made = run_of(seed + number, 0.1)
+        device, calibration = run_of(seed + number, 0.1)
         true = true_calibration(device)
-        assert made.gyro is not None
+        assert calibration.gyro is not None
         assert true.gyro is not None
-        away = made.gyro.matrix @ np.linalg.inv(true.gyro.matrix) - np.eye(3)
-        sigma, own = made.gyro.standard_uncertainty, np.eye(3, dtype=bool)
-        stated = sigma[:9].reshape(3, 3) / np.diag(true.gyro.matrix)
+        away = calibration.gyro.matrix @ np.linalg.inv(true.gyro.matrix) - np.eye(3)
+        sigma, diagonal = calibration.gyro.standard_uncertainty, np.eye(3, dtype=bool)
+        reported = sigma[:9].reshape(3, 3) / np.diag(true.gyro.matrix)
         tally.add(
-            made.verdict,
-            scale=(away[own], stated[own]),
-            cross_axis=(away[~own], stated[~own]),
+            calibration.verdict,
+            scale=(away[diagonal], reported[diagonal]),
+            cross_axis=(away[~diagonal], reported[~diagonal]),
         )
     yield from tally.rows()
 
@@ -52,8 +52,8 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 def run_of(seed: int, mount_tilt_deg: float) -> tuple[DeviceModel, Calibration]:
     """Return the simulated device and its calibration from a run."""
     address = f"simulated:?seed={seed}&tilt_deg={mount_tilt_deg:g}"
-    with tempfile.TemporaryDirectory() as held:
-        folder = Path(held)
+    with tempfile.TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
         write_protocol(PROTOCOL, folder / "protocol.toml")
         addresses = ["--rig", "simulated:?clock_speed=1e6", "--device", address]
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

@@ -66,11 +66,11 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     case, rng, tally = CASES[name], np.random.default_rng(seed), Tally("six faces", name)
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)
-        seen = observe(session, SETTINGS)
-        made = calibrate_faces(seen, None)
-        assert made.fit is not None
-        verdict = Verdict.of(*seen.findings, *made.findings).also(made.fit.verdict)
-        tally.add_model(verdict, made.fit.model, matrix, offset)
+        observed = observe(session, SETTINGS)
+        faces_fit = calibrate_faces(observed, None)
+        assert faces_fit.fit is not None
+        verdict = Verdict.of(*observed.findings, *faces_fit.findings).also(faces_fit.fit.verdict)
+        tally.add_model(verdict, faces_fit.fit.model, matrix, offset)
     yield from tally.rows()
 
 
@@ -86,8 +86,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
     )
     temp_c = even_rise(case.creep_c, len(motion))
-    shown = simulate_device(device, motion, rng=rng, temp_c=temp_c)
-    record = shown.record if case.thermometer else replace(shown.record, temp_c=None)
+    simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
+    record = simulated.record if case.thermometer else replace(simulated.record, temp_c=None)
     assert record.gyro is not None
     record = replace(record, gyro=record.gyro / COUNTS_PER_DPS, gyro_unit="dps")
     session = Session(
@@ -103,6 +103,6 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     offset = (
         truth.offset
         if not case.flicker
-        else truth.offset + device.accel.gain * shown.accel.of("instability").mean(axis=0)
+        else truth.offset + device.accel.gain * simulated.accel.of("instability").mean(axis=0)
     )
     return session, truth.matrix, offset

@@ -55,9 +55,9 @@ def _add_device(
     rng: np.random.Generator, course: FloatArray, effects: bool, tallies: dict[tuple[int, float], Tally]
 ) -> None:
     device = random_device_of("icm20948" if course is FEW else "enc03j_3031", rng)
-    own = {} if effects else {"hysteresis": None, "adc": None, "low_pass": None}
+    disabled = {} if effects else {"hysteresis": None, "adc": None, "low_pass": None}
     device = replace(
-        device, gyro=replace(device.gyro, warm_up=None, **own), accel=replace(device.accel, lever_arm=None)
+        device, gyro=replace(device.gyro, warm_up=None, **disabled), accel=replace(device.accel, lever_arm=None)
     )
     calibration = true_calibration(device)
     if calibration.gyro is None:
@@ -71,23 +71,23 @@ def _add_device(
         shift = scatter_dps * DPS * rng.normal(size=(len(course), 3)) @ calibration.gyro.forward_matrix.T
         blocks = replace(blocks, gyro=blocks.gyro + shift[visit])
         out = int(rng.choice(inner))
-        left = blocks.taken(visit == out)
-        nodes = np.unique(np.append(POINTS, left.temp_c.mean()))
+        left_out = blocks.taken(visit == out)
+        nodes = np.unique(np.append(POINTS, left_out.temp_c.mean()))
         fit = fit_static(blocks.taken(visit != out), nodes=nodes, calibration=calibration)
-        _add_left_out(fit, left, branch[out], calibration, tally)
+        _add_left_out(fit, left_out, branch[out], calibration, tally)
 
 
-def _add_left_out(fit: StaticFit, left: RestBlocks, branch: float, calibration: Calibration, tally: Tally) -> None:
-    found = fit.gyro
-    if found is None or found.offset is None or calibration.gyro is None:
+def _add_left_out(fit: StaticFit, left_out: RestBlocks, branch: float, calibration: Calibration, tally: Tally) -> None:
+    gyro_fit = fit.gyro
+    if gyro_fit is None or gyro_fit.offset is None or calibration.gyro is None:
         raise NotObservable("soaks: wanted a table of gyroscopes, got none; draw another device")
-    node = int(np.abs(fit.table.temp_c - left.temp_c.mean()).argmin())
-    noise = variance_of_mean(left.gyro, np.nan_to_num(left.gyro_variance), left.gyro_step_error)
-    error, variance = left.gyro.mean(axis=0) - found.offset[node], found.uncertainty[node] ** 2 + noise
-    if found.hysteresis is not None and found.hysteresis_uncertainty is not None:
+    node = int(np.abs(fit.table.temp_c - left_out.temp_c.mean()).argmin())
+    noise = variance_of_mean(left_out.gyro, np.nan_to_num(left_out.gyro_variance), left_out.gyro_step_error)
+    error, variance = left_out.gyro.mean(axis=0) - gyro_fit.offset[node], gyro_fit.uncertainty[node] ** 2 + noise
+    if gyro_fit.hysteresis is not None and gyro_fit.hysteresis_uncertainty is not None:
         # the branch is known, so the half-width is not an uncertainty
-        error = error - branch * found.hysteresis
-        variance = variance - found.hysteresis**2 + found.hysteresis_uncertainty**2
+        error = error - branch * gyro_fit.hysteresis
+        variance = variance - gyro_fit.hysteresis**2 + gyro_fit.hysteresis_uncertainty**2
     per_raw = 1.0 / (DPS * calibration.gyro.scale_factor)
     judged = [
         item for item in fit.verdict.findings if item.code != "drift.hysteresis_unknown"
@@ -109,7 +109,7 @@ def _soaks(
     record = simulate_device(device, _lying(n), rng=rng, temp_c=true_c, power_on_s=7200.0).record
     record = replace(record, accel=None)
     read_c = np.zeros(n) if record.temp_c is None else record.temp_c
-    found = {}
+    soaks = {}
     for length in SOAK_ROWS:
         stills = tuple(Still(start=end - max(length, 2), stop=end) for end in ends)
         session = Session(kind="thermal", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=stills)
@@ -123,8 +123,8 @@ def _soaks(
                 gyro_variance=np.full((len(last), 3), np.nan),
             )  # fmt: skip
             visit = np.arange(len(last))
-        found[length] = blocks, visit
-    return found
+        soaks[length] = blocks, visit
+    return soaks
 
 
 def _lying(count: int) -> Motion:

@@ -17,17 +17,17 @@ ORDER = ("end", "inclination", "poses", "certificate", "six-faces", "rate-table"
 
 def main() -> None:
     """Make the tables that are named, or all."""
-    kept = {table["name"]: table for table in json.loads(OUT.read_text())["tables"]} if OUT.exists() else {}
+    stored = {table["name"]: table for table in json.loads(OUT.read_text())["tables"]} if OUT.exists() else {}
     for name in sys.argv[1:] or ("bench", "orientation"):
         for table in {"bench": bench, "orientation": orientation}[name].tables():
-            kept[table.name] = table.as_dict()
+            stored[table.name] = table.as_dict()
             print(f"\n{table.title}, {table.unit}")
-            for row in kept[table.name]["rows"]:
+            for row in stored[table.name]["rows"]:
                 span = "" if row["low"] is None else f" [{row['low']:.3g}, {row['high']:.3g}]"
                 label = ", ".join(filter(None, (row["method"], row["program"])))
                 print(f"  {label:90} {row['mean']:8.3g}{span}  " + " ".join(f"{v:.3g}" for v in row["values"]))
-    made = {"made": datetime.date.today().isoformat(), "tables": [kept[name] for name in ORDER if name in kept]}
-    OUT.write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n")
+    content = {"made": datetime.date.today().isoformat(), "tables": [stored[name] for name in ORDER if name in stored]}
+    OUT.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":

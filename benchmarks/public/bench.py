@@ -51,7 +51,7 @@ def by_published_rule(record: Record, left_out: Sequence[Still]) -> TriadModel:
     """Return accelerometers by Tedaldi's rule: the threshold of the smallest summed cost, a second of each still."""
     assert record.accel is not None
     level = variance_with_rest(record, 50.0 if record.accel_unit == "count" else 3.0)
-    second, found = round(record.sample_rate_hz), []
+    second, fits = round(record.sample_rate_hz), []
     for multiple in range(2, 11):
         stills = [
             int(a)
@@ -61,8 +61,8 @@ def by_published_rule(record: Record, left_out: Sequence[Still]) -> TriadModel:
         if len(stills) >= 9:
             reading = np.concatenate([level.values[a : a + second] for a in stills])
             fit = fit_lengths(reading, STANDARD_GRAVITY, record.accel_unit)
-            found.append((float(fit.residuals @ fit.residuals), fit))
-    return min(found, key=lambda one: one[0])[1].model
+            fits.append((float(fit.residuals @ fit.residuals), fit))
+    return min(fits, key=lambda one: one[0])[1].model
 
 
 def by_undrift(record: Record, left_out: Sequence[Still]) -> TriadModel:
@@ -74,8 +74,8 @@ def by_undrift(record: Record, left_out: Sequence[Still]) -> TriadModel:
 def by_lengths_alone(record: Record, left_out: Sequence[Still]) -> TriadModel:
     """Return accelerometers by means of the same rests and their noise."""
     rests = [still for still in found_poses(record) if still not in left_out]
-    each = [np.asarray(record.accel)[still.start : still.stop] for still in rests]
-    means, variances = np.array([x.mean(axis=0) for x in each]), np.array([x.var(axis=0) / len(x) for x in each])
+    samples = [np.asarray(record.accel)[still.start : still.stop] for still in rests]
+    means, variances = np.array([x.mean(axis=0) for x in samples]), np.array([x.var(axis=0) / len(x) for x in samples])
     fit = fit_norm(means, gravity=STANDARD_GRAVITY, variances=variances)
     return judged(fit, means, record.accel_unit).model
 
@@ -101,20 +101,20 @@ def poses() -> Table:
         "lengths of the means, nine parameters": by_lengths_alone,
         "undrift, free poses": by_undrift,
     }
-    left: dict[str, list[float]] = {name: [] for name in fits}
+    residuals: dict[str, list[float]] = {name: [] for name in fits}
     for name in names:
         record = poses_of(name)
         rests = found_poses(record)
         for method, fit in fits.items():
             misses = [length_error(record, rests[k::FOLDS], fit(record, rests[k::FOLDS])) for k in range(FOLDS)]
-            left[method].append(float(np.sqrt(np.mean(np.concatenate(misses) ** 2)) / MG))
+            residuals[method].append(float(np.sqrt(np.mean(np.concatenate(misses) ** 2)) / MG))
     raw = [float(np.sqrt(np.mean(length_error(r, found_poses(r), None) ** 2)) / MG) for r in map(poses_of, names[:3])]
     return Table(
         name="poses", title="Free poses by hand: length of gravity in poses left out", unit="mg",
         what="Fitted without a fifth of the poses, judged on that fifth, each in turn; rms. The three MPU-9150 also as read (mean "
         f"{np.mean(raw):.1f} mg).",
         source="imu-calib (Mikov et al., ICINS 2020, MIT) and imu_tk (Tedaldi et al., ICRA 2014, BSD)", recordings=names,
-        rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in left.items()],
+        rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in residuals.items()],
     )  # fmt: skip
 
 
@@ -183,8 +183,8 @@ def six_faces() -> Table:
     lean = float(np.degrees(np.arccos((np.abs(faces).max(axis=1) / np.linalg.norm(faces, axis=1)).min())))
     affine = np.linalg.lstsq(np.column_stack((up, np.ones(6))), faces, rcond=None)[0].T
     models = {"least squares of six faces (the note)": (np.linalg.inv(affine[:, :3]), affine[:, 3])}
-    for name, made in by_others("six_faces", faces=faces, gravity=STANDARD_GRAVITY).items():
-        models[name] = made[:, :3], made[:, 3]
+    for name, result in by_others("six_faces", faces=faces, gravity=STANDARD_GRAVITY).items():
+        models[name] = result[:, :3], result[:, 3]
     models["undrift, six faces"] = by_labels(records, means)
     further = np.array([np.mean(bicycle(name).accel, axis=0) for name in FURTHER])
     raw = np.linalg.norm(further, axis=1) / 16384.0 - 1.0
@@ -231,18 +231,18 @@ def rate_table() -> Table:
         "straight line through the means (the note)": by_line,
         "undrift, one axis of a rate table": by_fit,
     }
-    left: dict[str, list[float]] = {name: [] for name in methods}
+    residuals: dict[str, list[float]] = {name: [] for name in methods}
     for sensor, judged_run, other in cases:
         commanded, measured = dwells_of(judged_run, sensor)
         for method, fit in methods.items():
             scale, offset = fit(other, sensor)
-            left[method].append(float(np.sqrt(np.mean(((measured - offset) / scale - commanded) ** 2))))
+            residuals[method].append(float(np.sqrt(np.mean(((measured - offset) / scale - commanded) ** 2))))
     return Table(
         name="rate-table", title="Rate table: error of the rates of a run, fitted to the other run", unit="deg/s",
         what="Seven rates of 60 to 720 deg/s about y; rms. The logger of the LSM6 converts with a wrong sensitivity.",
         source="Rimu_Test_Jig (Schneider 2018, Apache-2.0)",
         recordings=[f"{'BNO055' if sensor == 'bno' else 'LSM6'} {run[10:]}" for sensor, run, _ in cases],
-        rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in left.items()],
+        rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in residuals.items()],
     )  # fmt: skip
 
 
@@ -266,21 +266,21 @@ def warm_up() -> Table:
     )  # fmt: skip
     edges = np.searchsorted(record.time - record.time[0], np.arange(0.0, record.duration_s, 60.0))
     minutes = [Still(start=int(a), stop=int(b)) for a, b in pairwise(edges)]
-    left: dict[str, list[float]] = {}
+    residuals: dict[str, list[float]] = {}
     for parity in (0, 1):
-        seen, judged_on = (blocks_of(record, minutes[k::2]) for k in (parity, 1 - parity))
-        table = fit_static(seen, nodes=NODES, settings=StaticSettings(accel_unit="g")).table
-        middle = seen.temp_c.mean()
-        made = {"constant": np.tile(seen.gyro.mean(axis=0), (len(judged_on.temp_c), 1))}
+        learning, judged_on = (blocks_of(record, minutes[k::2]) for k in (parity, 1 - parity))
+        table = fit_static(learning, nodes=NODES, settings=StaticSettings(accel_unit="g")).table
+        middle = learning.temp_c.mean()
+        curves = {"constant": np.tile(learning.gyro.mean(axis=0), (len(judged_on.temp_c), 1))}
         for degree, name in ((1, "straight line"), (3, "cubic, as PX4 and ArduPilot store")):
-            fitted = np.polyfit(seen.temp_c - middle, seen.gyro, degree)
-            made[name] = np.column_stack([np.polyval(c, judged_on.temp_c - middle) for c in fitted.T])
-        made["undrift, drift table"] = np.column_stack(
+            fitted = np.polyfit(learning.temp_c - middle, learning.gyro, degree)
+            curves[name] = np.column_stack([np.polyval(c, judged_on.temp_c - middle) for c in fitted.T])
+        curves["undrift, drift table"] = np.column_stack(
             [np.interp(judged_on.temp_c, NODES, column) for column in np.asarray(table.gyro_offset).T]
         )
-        for name, offset in made.items():
+        for name, offset in curves.items():
             rms = np.sqrt(((judged_on.gyro - offset) ** 2).mean(axis=0))
-            left.setdefault(name, []).extend(1e3 * rms)
+            residuals.setdefault(name, []).extend(1e3 * rms)
     return Table(
         name="warm-up", title="Warm-up by 18 K: gyroscope offset in minutes left out (MPU-6050)", unit="mdeg/s",
         what="Fitted to every other minute, judged on the ten-second means of the others; rms of each axis, both ways round. What "
@@ -288,7 +288,7 @@ def warm_up() -> Table:
         source="FreeIMU-Updates (2014, MIT)", recordings=[f"{axis}, {half} minutes" for half in ("odd", "even") for axis in "xyz"],
         rows=[
             Row(method=name, values=values, tuned=SIMULATED if name.startswith("undrift") else NOTHING)
-            for name, values in left.items()
+            for name, values in residuals.items()
         ],
     )  # fmt: skip
 
@@ -300,13 +300,16 @@ def allan() -> Table:
     """Return the Allan deviation of gyroscopes at rest at 1, 10 and 60 s."""
     rates = loaded("static_mpu6050", "example_data_tinit_calc.csv.gz", skip=5, delimiter=",")[:, 3:] / 131.0
     taus = np.array([1.0, 10.0, 60.0])
-    found = by_others("allan", values=rates, hz=100.0, taus=taus)
-    found["undrift"] = np.array([allan_deviation(column, 100.0, taus=list(taus)).deviation for column in rates.T])
+    deviations = by_others("allan", values=rates, hz=100.0, taus=taus)
+    deviations["undrift"] = np.array([allan_deviation(column, 100.0, taus=list(taus)).deviation for column in rates.T])
     return Table(
         name="allan", title="Overlapping Allan deviation at rest, 449 s (MPU-6050)", unit="mdeg/s",
         what="Not an error: programs must agree.", source="ImuCalibration (2026, MIT)",
         recordings=[f"{axis}, {tau:.0f} s" for axis in "xyz" for tau in taus],
-        rows=[Row(method=name, values=[1e3 * float(v) for v in made.ravel()], tuned=NOTHING) for name, made in found.items()],
+        rows=[
+            Row(method=name, values=[1e3 * float(v) for v in values.ravel()], tuned=NOTHING)
+            for name, values in deviations.items()
+        ],
     )  # fmt: skip
 
 

@@ -43,10 +43,10 @@ def calibrations(numbers: Sequence[str]) -> dict[str, list[Calibration | None]]:
     adc = device_adc(records)
     optics: list[Calibration | None] = [
         Calibration(
-            device="", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=one.model, adc=adc,
-            verdict=one.fit.triad.verdict,
+            device="", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=single.model, adc=adc,
+            verdict=single.fit.triad.verdict,
         )
-        for one in leave_one_out(records, references, adc=adc)
+        for single in leave_one_out(records, references, adc=adc)
     ]  # fmt: skip
     motion: list[Calibration | None] = [
         calibrate_from_motion([other for other in records if other is not record]) for record in records
@@ -69,15 +69,15 @@ def without_offset(record: Record, calibration: Calibration | None, offset: Offs
 def errors() -> Iterator[tuple[str, str, str, tuple[float, float]]]:
     """Yield method, program, trial and end error, total and inclination, deg."""
     for numbers in DEVICES.values():
-        made = calibrations(numbers)
+        models = calibrations(numbers)
         for name, offset in STEPS:
             for k, (number, pair) in enumerate(zip(numbers, pairs(numbers), strict=True)):
-                calibration = made[name][k] if name in made else None
+                calibration = models[name][k] if name in models else None
                 plain = TrialSettings(adc="none") if calibration is None else TrialSettings()
                 judged = validate_trial(*pair, calibration=calibration, settings=replace(plain, offset=offset))
                 method = name + OFFSETS[offset]
-                found = judged.figures
-                yield method, "strapdown", number, (found.end_total_deg, found.end_inclination_deg)
+                figures = judged.figures
+                yield method, "strapdown", number, (figures.end_total_deg, figures.end_inclination_deg)
                 if calibration is not None:
                     yield method, "undrift orient, VQF", number, by_vqf(judged, *pair, calibration, offset)
                 fed = without_offset(pair[0], calibration, offset)
@@ -88,9 +88,9 @@ def errors() -> Iterator[tuple[str, str, str, tuple[float, float]]]:
 
 def tables() -> Iterator[Table]:
     """Yield total error and inclination."""
-    found: dict[tuple[str, str], dict[str, tuple[float, float]]] = {}
+    results: dict[tuple[str, str], dict[str, tuple[float, float]]] = {}
     for method, program, number, ends in errors():
-        found.setdefault((method, program), {})[number] = ends
+        results.setdefault((method, program), {})[number] = ends
         print(f"{number} {method}, {program}: {ends[0]:.2f} deg, inclination {ends[1]:.2f}", flush=True)
     recordings = [number for numbers in DEVICES.values() for number in numbers]
     for k, (name, title) in enumerate((("end", "Orientation at the end"), ("inclination", "Inclination at the end"))):
@@ -108,7 +108,7 @@ def tables() -> Iterator[Table]:
                     values=[ends[number][k] for number in recordings],
                     tuned=_tuned(method, program),
                 )
-                for (method, program), ends in found.items()
+                for (method, program), ends in results.items()
             ],
         )
 

@@ -44,19 +44,19 @@ def six_faces(faces, gravity):
     still = {f"gyr_{axis}_{side}": np.zeros((2, 3)) for axis in "xyz" for side in "pa"}
     turns = {f"acc_{axis}_rot": hold[f"acc_{axis}_p"][:1] for axis in "xyz"}
     rates = {f"gyr_{axis}_rot": -360.0 * np.eye(3)[[k]] for k, axis in enumerate("xyz")}
-    found = FerrarisCalibration(grav=float(gravity)).compute(
+    calibration = FerrarisCalibration(grav=float(gravity)).compute(
         FerrarisSignalRegions(**hold, **still, **turns, **rates), 1.0, "a.u.", "deg/s"
     )
-    matrix = np.linalg.inv(found.R_a) @ np.linalg.inv(found.K_a)
-    return {f"imucal {version('imucal')}": np.column_stack((matrix, found.b_a))}
+    matrix = np.linalg.inv(calibration.R_a) @ np.linalg.inv(calibration.K_a)
+    return {f"imucal {version('imucal')}": np.column_stack((matrix, calibration.b_a))}
 
 
 def allan(values, hz, taus):
     """Return the overlapping Allan deviation of each column at the times, (3, T)."""
     from allantools import oadev
 
-    each = [oadev(column, rate=float(hz), data_type="freq", taus=taus)[1] for column in values.T]
-    return {f"allantools {version('allantools')}": np.array(each)}
+    deviations = [oadev(column, rate=float(hz), data_type="freq", taus=taus)[1] for column in values.T]
+    return {f"allantools {version('allantools')}": np.array(deviations)}
 
 
 if __name__ == "__main__":

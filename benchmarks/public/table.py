@@ -49,8 +49,8 @@ class Table:
 
     def as_dict(self) -> dict[str, object]:
         """Return it as the result file has it."""
-        words = {key: getattr(self, key) for key in ("name", "title", "unit", "what", "source", "recordings")}
-        return {**words, "rows": [row.as_dict() for row in self.rows]}
+        texts = {key: getattr(self, key) for key in ("name", "title", "unit", "what", "source", "recordings")}
+        return {**texts, "rows": [row.as_dict() for row in self.rows]}
 
 
 def by_others(kind: str, **arrays: FloatArray | float) -> dict[str, FloatArray]:
@@ -64,5 +64,5 @@ def by_others(kind: str, **arrays: FloatArray | float) -> dict[str, FloatArray]:
         job, out = Path(folder, "job.npz"), Path(folder, "out.npz")
         np.savez(job, kind=kind, **arrays)  # type: ignore[arg-type]
         subprocess.run([python, str(Path(__file__).with_name("rivals.py")), str(job), str(out)], check=True)
-        with np.load(out) as made:
-            return {name: made[name] for name in made.files}
+        with np.load(out) as content:
+            return {name: content[name] for name in content.files}

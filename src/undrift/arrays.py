@@ -25,7 +25,7 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = n
         want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
     ):
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        advice = "time is axis 0" if kind is np.float64 else "one mark for each node"
+        advice = "Time is axis 0" if kind is np.float64 else "One mark is required for each node"
         raise InputError(
             f"{name}: expected shape {wanted}, got {array.shape}. {advice}.", wanted=shape, got=array.shape
         )

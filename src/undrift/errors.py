@@ -99,7 +99,7 @@ def check_positive(settings: object, what: str, advice: str, *names: str) -> Non
     for name in names:
         value = getattr(settings, name)
         if value is not None and not 0.0 < value < float("inf"):
-            raise InputError(f"{what}: wanted {name} above 0, got {value}; {advice}")
+            raise InputError(f"{what}: `{name}` must be above 0, got {value}. {advice}.")
 
 
 def check_choices(settings: Any, what: str) -> None:

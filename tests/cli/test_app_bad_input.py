@@ -243,11 +243,11 @@ CALIBRATIONS = {
     "nothing": (None, "No such file"),
     "text": ("not json", "expected JSON"),
     "half": ("half", "expected JSON"),
-    "another kind": ('{"kind": "undrift.device", "format": 1}', "wanted kind 'undrift.calibration'"),
-    "another version": ("version", "wanted format 1, got 99"),
+    "another kind": ('{"kind": "undrift.device", "format": 1}', "expected kind 'undrift.calibration'"),
+    "another version": ("version", "expected format 1, got 99"),
     "another shape": ("shape", "wanted"),
     "another unit": ("unit", "wanted"),
-    "a list": ("[1, 2]", "wanted kind 'undrift.calibration'"),
+    "a list": ("[1, 2]", "expected kind 'undrift.calibration'"),
     "a folder": ("folder", "no calibration of"),
 }
 

@@ -101,14 +101,14 @@ def test_a_full_disk_names_the_file_and_the_bytes_missing(tmp_path, monkeypatch)
 
 def test_a_disk_that_fills_while_rows_are_written_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr("pyarrow.csv.write_csv", full)
-    with pytest.raises(InputError, match=r"r\.csv: wanted room for 160 bytes more on the disk"):
+    with pytest.raises(InputError, match=r"r\.csv: expected free disk space for 160 bytes more"):
         write_rows(tmp_path / "r.csv", ("a", "b"), (np.zeros(10), np.zeros(10)))
 
     def full_of_arrow(*_):
         raise OSError("Error writing bytes to file. Detail: [errno 28] No space left on device")
 
     monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", full_of_arrow)
-    with pytest.raises(InputError, match=r"r\.parquet: wanted room for .* bytes more on the disk"):  # noqa: SIM117
+    with pytest.raises(InputError, match=r"r\.parquet: expected free disk space for .* bytes more"):  # noqa: SIM117
         with ParquetWriter(tmp_path / "r.parquet") as writer:
             writer.write(record(100))
     assert list(tmp_path.iterdir()) == []

@@ -40,7 +40,7 @@ def without_triads(content):
         (
             lambda content: content.update(kind="undrift.device"),
             "c.html",
-            "wanted kind 'undrift.calibration', got 'undrift.device'",
+            "expected kind 'undrift.calibration', got 'undrift.device'",
         ),
         (
             without_covariance,
@@ -91,7 +91,7 @@ def test_statements_of_several_lines_are_refused(undrift, bench, tmp_path, words
 def test_limits_that_are_none_are_refused(undrift, bench, tmp_path, text):
     (tmp_path / "limits.toml").write_text(text)
     out = ("-o", tmp_path / "c.html", "--limits", tmp_path / "limits.toml")
-    assert "limits.toml: wanted" in undrift.refused("certificate", bench / "calibration.json", *out)
+    assert "limits.toml: expected" in undrift.refused("certificate", bench / "calibration.json", *out)
 
 
 def test_limits_are_decided_by_the_departure(unit):

@@ -44,9 +44,9 @@ def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changed", "refused"),
     [
-        (("person,", "who,"), "wanted columns recording, person, task, device, and of"),
+        (("person,", "who,"), "expected columns recording, person, task, device, and of"),
         (("pp002,chairrise", ",chairrise"), r"person is missing in line 4"),
-        (("imu_step.parquet", "imu_walk.parquet"), r"pp001/imu_walk.parquet: .*wanted"),
+        (("imu_step.parquet", "imu_walk.parquet"), r"pp001/imu_walk.parquet: .*expected"),
         (("a.json\n", "\n"), r"expected a calibration in every row of device A or in none, got 5 of 6"),
         (
             ("pp001/imu_step.parquet", "pp001/imu_chairrise.parquet"),

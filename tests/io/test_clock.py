@@ -175,12 +175,12 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
 
 
 def test_too_short_and_mostly_missing_recordings_and_other_words_are_refused() -> None:
-    with pytest.raises(InputError, match="wanted 100 samples or more for a regular clock, got 50"):
+    with pytest.raises(InputError, match="expected 100 samples or more for a regular clock, got 50"):
         fit_clock(np.arange(50) / RATE)
     counter = np.concatenate((np.arange(300), 5000 + np.arange(300)))
     with pytest.raises(InputError, match="got 4700 of 5300 missing"):
         fit_clock(counter / RATE, counter.astype(float))
-    with pytest.raises(InputError, match="clock: wanted 'file' or 'regular', got 'host'"):
+    with pytest.raises(InputError, match="clock: expected 'file' or 'regular', got 'host'"):
         ColumnMap(time=0, time_unit="s", accel=(1, 2, 3), accel_unit="g", clock="host")  # type: ignore[arg-type]
 
 

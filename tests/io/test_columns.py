@@ -43,7 +43,7 @@ def test_names_that_only_look_native_are_not_guessed():
     ("names", "words"),
     [
         (("time_s", "gyro_x_dps", "gyro_y_dps"), "got only gyro_x_dps, gyro_y_dps. Add the missing axes"),
-        (("time_s", *(f"gyro_{a}_{u}" for u in ("dps", "rad_s") for a in "xyz")), "wanted gyro in one unit, got rad/s and dps"),
+        (("time_s", *(f"gyro_{a}_{u}" for u in ("dps", "rad_s") for a in "xyz")), "expected gyro in one unit, got rad/s and dps"),
         (tuple(f"gyro_{a}_dps" for a in "xyz"), "expected a time column or sample_rate_hz, got neither"),
         (tuple(f"c{k}" for k in range(20)), r"... \(20 columns\)"),
         ((), "got no columns"),
@@ -57,17 +57,17 @@ def test_native_names_that_do_not_add_up_are_refused(names, words):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({}, "wanted gyro or accel, got neither"),
+        ({}, "expected gyro or accel, got neither"),
         ({"gyro": ("a", "b"), "gyro_unit": "dps"}, "columns.gyro: expected three columns x, y, z, got 2"),
         ({"gyro": ("a", "a", "b"), "gyro_unit": "dps"}, "expected three different columns"),
-        ({"gyro": ("a", "b", "c")}, "units.gyro: wanted the unit of gyro, got none"),
+        ({"gyro": ("a", "b", "c")}, "units.gyro: expected the unit of gyro, got none"),
         ({"gyro": ("a", "b", "c"), "gyro_unit": "furlong"}, "unit of rate: wanted one of"),
-        ({**GYRO, "time": "t"}, "units.time: wanted the unit"),
-        ({**GYRO, "temp": "T", "temp_unit": "count"}, "wanted degC, got count"),
-        ({**GYRO, "mag": ("x", "y", "z"), "mag_unit": "count"}, "wanted uT, got count"),
+        ({**GYRO, "time": "t"}, "units.time: expected the unit"),
+        ({**GYRO, "temp": "T", "temp_unit": "count"}, "expected degC, got count"),
+        ({**GYRO, "mag": ("x", "y", "z"), "mag_unit": "count"}, "expected uT, got count"),
         ({**GYRO}, "got neither"),
         ({**GYRO, "sample_rate_hz": -5.0}, "expected Hz above 0, got -5"),
-        ({**GYRO, "sample_rate_hz": 50.0, "gaps": "fill"}, "wanted 'raise' or 'keep', got 'fill'"),
+        ({**GYRO, "sample_rate_hz": 50.0, "gaps": "fill"}, "expected 'raise' or 'keep', got 'fill'"),
     ],
 )
 def test_a_map_that_is_not_complete_is_refused(keys, words):

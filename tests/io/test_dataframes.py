@@ -97,15 +97,15 @@ def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
 @pytest.mark.parametrize(
     ("frame", "how", "error", "said"),
     [
-        (PLAIN, {"sample_rate_hz": 10.0}, InputError, "units.gyro: wanted the unit of gyro, got none"),
+        (PLAIN, {"sample_rate_hz": 10.0}, InputError, "units.gyro: expected the unit of gyro, got none"),
         (PLAIN, {"units": UNITS}, InputError, "expected a time column or sample_rate_hz, got neither"),
-        (PLAIN, {"units": {"gyroscope": "dps"}}, InputError, "wanted units of time, gyro, accel, temp, mag, got gyroscope"),
+        (PLAIN, {"units": {"gyroscope": "dps"}}, InputError, "expected units of time, gyro, accel, temp, mag, got gyroscope"),
         (PLAIN, {"columns": {"gy": "x"}}, InputError, "expected columns of time, gyro, accel, temp, mag, got gy"),
         (
             {**PLAIN, "gyro_x": ["a"] * N}, {"units": UNITS, "sample_rate_hz": 10.0}, FileFormatError,
             "DataFrame: column 'gyro_x': expected numbers, got 'a' in data row 1",
         ),
-        ({"x": [1.0, 2.0]}, {}, InputError, "wanted gyro or accel, got neither"),
+        ({"x": [1.0, 2.0]}, {}, InputError, "expected gyro or accel, got neither"),
     ],
 )  # fmt: skip
 def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):

@@ -74,7 +74,7 @@ HEAD = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\n"
         ("time\ta\n0\t1,0,0,0\n", "expected two frames or more, got 1. The file is truncated"),
         ("time\ta\n", "expected two frames or more, got 0. The file is truncated"),
         ("time\ta\n0\t1,1,1,1\n1\t1,1,1,1\n", "expected unit quaternions, got length 2. Check the export"),
-        ("time\ta\n1\t1,0,0,0\n0\t1,0,0,0\n", "wanted strictly increasing seconds"),
+        ("time\ta\n1\t1,0,0,0\n0\t1,0,0,0\n", "expected strictly increasing seconds"),
     ],
 )
 def test_damaged_opensense_tables_are_named(tmp_path, rows, words):

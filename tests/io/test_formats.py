@@ -102,7 +102,7 @@ def test_folders_and_missing_files_are_one_line(tmp_path):
     with pytest.raises(InputError, match=r"expected a name ending in .parquet, .csv or .csv.gz"):
         write_record(ramp(), tmp_path / "r.xlsx")
     write_record(ramp(), tmp_path / "r.csv")
-    with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
+    with pytest.raises(InputError, match="expected two samples or more in a chunk, got 1"):
         list(iter_record(tmp_path / "r.csv", rows=1))
 
 

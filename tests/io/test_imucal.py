@@ -81,15 +81,15 @@ def test_what_imucal_refuses():
 
     refused("expected cal_type 'Ferraris', got 'Turntable'", cal_type="Turntable")
     refused("expected format 2.0.0, got '1.0.0'. Convert it with imucal's legacy helpers", _format_version="1.0.0")
-    refused(r"wanted K_a as finite numbers of shape \(3, 3\)", K_a=[1.0])
-    refused("wanted b_g as finite numbers", b_g=[1.0, 2.0, None])
-    refused("wanted b_g as finite numbers", b_g=[1.0, 2.0, "x"])
+    refused(r"expected K_a as finite numbers of shape \(3, 3\)", K_a=[1.0])
+    refused("expected b_g as finite numbers", b_g=[1.0, 2.0, None])
+    refused("expected b_g as finite numbers", b_g=[1.0, 2.0, "x"])
     refused("expected a unit for from_gyr_unit, got None. Write it into the file", from_gyr_unit=None)
     refused("expected a unit for gyr_unit, got 'a.u.'", gyr_unit="a.u.")
     refused("expected a unit for acc_unit, got 'furlong'", acc_unit="furlong")
     refused("matrix K_g R_g has no inverse", K_g=np.zeros((3, 3)).tolist())
     for text in ("{", "[1]", '"a"'):
-        with pytest.raises(FileFormatError, match=r"wanted JSON, got|wanted cal_type"):
+        with pytest.raises(FileFormatError, match=r"expected JSON, got|expected cal_type"):
             import_imucal(text)
     assert import_imucal(json.dumps({**SNAPSHOT, "comment": "undrift {"})).device == ""
     assert import_imucal(json.dumps({**SNAPSHOT, "comment": "a note"}), device="B").device == "B"

@@ -347,7 +347,7 @@ def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
     rows = b"".join(b"%d,0,0,1\n" % k for k in range(9)) + b"9,\x9a\xff,0,1,7,7\n"
     path = put(tmp_path, b"time (s),ax (g),ay (g),az (g)\n" + rows + b"10,0,0,1\n" * 300)
     columns = ColumnMap(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
-    with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 6 in data row 10"):
+    with pytest.raises(FileFormatError, match="expected 4 columns in every row, got 6 in data row 10"):
         read_record(path, columns)
     assert capfd.readouterr().err == ""
 

@@ -111,5 +111,5 @@ def test_a_file_without_points_or_unit_is_refused(tmp_path):
     ):
         read_c3d(tmp_path / "m.c3d")
     write(tmp_path / "m.c3d", np.ones((3, 2, 3)), ("A", "B"), unit="")
-    with pytest.raises(FileFormatError, match="wanted the unit of length in POINT:UNITS"):
+    with pytest.raises(FileFormatError, match="expected the unit of length in POINT:UNITS"):
         read_c3d(tmp_path / "m.c3d")

@@ -123,9 +123,9 @@ def test_foreign_parquet_reads_through_a_map(tmp_path):
 def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
     columns = {"time_s": [0.0, 1.0, 0.5, 2.0], **{f"gyro_{a}_dps": [0.0] * 4 for a in "xyz"}}
     pq.write_table(pa.table(columns), tmp_path / "f.parquet")
-    with pytest.raises(InputError, match=r"wanted strictly increasing time, got 1 s then 0.5 s"):
+    with pytest.raises(InputError, match=r"expected strictly increasing time, got 1 s then 0.5 s"):
         list(iter_parquet(tmp_path / "f.parquet", rows=2))
-    with pytest.raises(InputError, match="wanted two samples or more in a chunk, got 1"):
+    with pytest.raises(InputError, match="expected two samples or more in a chunk, got 1"):
         list(iter_parquet(tmp_path / "f.parquet", rows=1))
 
 
@@ -136,7 +136,7 @@ def test_an_unknown_version_a_cut_file_and_other_content_are_refused(tmp_path):
     pq.write_table(
         held.replace_schema_metadata({b"undrift": b'{"kind": "undrift.record", "format": 9}'}), tmp_path / "v.parquet"
     )
-    with pytest.raises(FileFormatError, match=r"wanted undrift.record format 1, got undrift.record format 9"):
+    with pytest.raises(FileFormatError, match=r"expected undrift.record format 1, got undrift.record format 9"):
         read_parquet(tmp_path / "v.parquet")
     (tmp_path / "cut.parquet").write_bytes(path.read_bytes()[:-30])
     with pytest.raises(FileFormatError, match="expected a Parquet file"):

@@ -51,7 +51,7 @@ def test_a_sensor_logger_file_that_contradicts_its_metadata_is_refused(tmp_path)
     (tmp_path / "Metadata.csv").write_text(METADATA + OFF + "\n")
     path = tmp_path / "AccelerometerUncalibrated.csv"
     path.write_text(sensor_logger([(k / 100, 9.8, 0.1) for k in range(4)]))
-    with pytest.raises(FileFormatError, match=r"wanted g by platform and standardisation in Metadata.csv, got a"):
+    with pytest.raises(FileFormatError, match=r"expected g by platform and standardisation in Metadata.csv, got a"):
         read_record(path)
     (tmp_path / "Metadata.csv").write_bytes(b"")
     assert read_record(path).accel[0].tolist() == [0.1, 0.0, 9.8]
@@ -112,7 +112,7 @@ def test_the_zip_of_a_phone_reads_as_its_folder(tmp_path, inside):
 
 def test_what_is_wrong_in_the_zip_of_a_phone_is_said_of_the_zip(tmp_path):
     path = zipped(phone(tmp_path, shift=60.0), tmp_path / "walk.zip")
-    with pytest.raises(FileFormatError, match=r"walk.zip: wanted Gyroscope.csv and TotalAcceleration.csv of the same"):
+    with pytest.raises(FileFormatError, match=r"walk.zip: Gyroscope.csv and TotalAcceleration.csv do not"):
         read_record(path)
     content = bytearray(path.read_bytes())
     content[60:90] = bytes(30)
@@ -124,7 +124,7 @@ def test_what_is_wrong_in_the_zip_of_a_phone_is_said_of_the_zip(tmp_path):
 def test_acceleration_without_gravity_in_the_folder_of_a_phone_is_left_out_aloud(tmp_path):
     read = read_counted(phone(tmp_path, accel="Accelerometer.csv"))
     assert (len(read.record), read.record.accel) == (9, None)
-    assert read.notes[-1].startswith("Accelerometer.csv: wanted accelerometer readings with gravity")
+    assert read.notes[-1].startswith("Accelerometer.csv: expected accelerometer readings with gravity")
 
 
 def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):

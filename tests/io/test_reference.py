@@ -70,9 +70,9 @@ def test_marker_files_need_labels_and_the_axis_that_is_up(tmp_path):
 
 def test_other_files_are_no_reference(tmp_path):
     (tmp_path / "a.md").write_text("# words\n\nmore words\n")
-    with pytest.raises(FileFormatError, match=r"wanted poses .* got text"):
+    with pytest.raises(FileFormatError, match=r"expected poses .* got text"):
         read_reference(tmp_path / "a.md")
-    with pytest.raises(FileFormatError, match=r"wanted markers .C3D or TRC., got text"):
+    with pytest.raises(FileFormatError, match=r"expected markers .C3D or TRC., got text"):
         read_markers(tmp_path / "a.md")
 
 

@@ -57,10 +57,10 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
             "line 1: sample_rate_hz: wanted a valid number, got '50'",
         ),
         ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: this key is unknown"),
-        ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: wanted"),
+        ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: expected"),
         ("gain = 0.5", "gain = [1.0, 1.0, 1.0]", InputError, "scale.temp: expected one number"),
         ('columns = { gyro = [3, 4, "gz"], accel = "acc", temp = 0 }\n', "", InputError, "expected one table of columns, got 0"),
-        ('gyro = "dps", ', "", InputError, "units.gyro: wanted the unit of gyro"),
+        ('gyro = "dps", ', "", InputError, "units.gyro: expected the unit of gyro"),
     ],
 )  # fmt: skip
 def test_a_slip_is_named(tmp_path, old, new, kind, words):

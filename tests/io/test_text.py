@@ -42,7 +42,7 @@ def test_a_first_row_of_readings_is_no_header_and_is_not_lost(tmp_path):
         put(tmp_path, table(rows(34), header="0,1,2,3")), by_position
     )  # as arrays are saved with a header
     assert len(numbered.record) == 34
-    with pytest.raises(InputError, match="wanted column 't', got '0', '1', '2', '3'"):
+    with pytest.raises(InputError, match="expected column 't', got '0', '1', '2', '3'"):
         read_csv(put(tmp_path, "\n".join(rows())), XYZ)
 
 
@@ -143,7 +143,7 @@ def test_a_table_that_cannot_be_written_leaves_nothing_beside_it(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"format": 2}, "wanted undrift.record format 1, got format 2"),
+        ({"format": 2}, "expected undrift.record format 1, got format 2"),
         ({"state": "cooked"}, "expected frame, state and device of a recording, got other keys"),
         ({"columns": {"time_s": "s"}}, "belongs to another table"),
     ],
@@ -222,7 +222,7 @@ def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(t
     assert len(built.record) == 11
     # rows 3 and 5 of the file are good, row 4 is not: their distance is two samples
     assert built.record.time[:2].tolist() == pytest.approx([0.0, 0.2])
-    with pytest.raises(FileFormatError, match="wanted 4 columns in every row, got 1 in data row 1"):
+    with pytest.raises(FileFormatError, match="expected 4 columns in every row, got 1 in data row 1"):
         read_csv(path, ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, layout=TextLayout(header=False)))
 
 
@@ -276,15 +276,15 @@ def test_gaps_are_kept_only_on_request(tmp_path):
 
 BAD = [
     ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': expected numbers, got 'abc' in data row 9"),
-    ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "wanted 4 columns in every row, got 2 in data row 9"),
-    ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "wanted 4 columns in every row, got 6 in data row 2"),
+    ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "expected 4 columns in every row, got 2 in data row 9"),
+    ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "expected 4 columns in every row, got 6 in data row 2"),
     (
         "wild value", table([*rows(), "0.080,1e9,0,1"]), FileFormatError,
         "expected readings up to 2000 g, got 1e\\+09 in data row 9",
     ),
     ("infinity", table([*rows(), "0.080,inf,0,1"]), FileFormatError, "got inf in data row 9"),
-    ("wrong column", table(rows(), "t,x,y,q"), InputError, "wanted column 'z', got 't', 'x', 'y', 'q'"),
-    ("two of a name", table(rows(), "t,x,z,z"), InputError, "wanted column 'y'"),
+    ("wrong column", table(rows(), "t,x,y,q"), InputError, "expected column 'z', got 't', 'x', 'y', 'q'"),
+    ("two of a name", table(rows(), "t,x,z,z"), InputError, "expected column 'y'"),
     ("doubled name", table([f"{r},1" for r in rows()], "t,x,y,z,z"), InputError, "expected one column 'z', got 2"),
     ("empty file", "", FileFormatError, "got an empty file"),
     ("header only", "t,x,y,z\n", FileFormatError, "expected two rows or more, got 0"),
@@ -297,7 +297,7 @@ BAD = [
         "expected UTF-8 text, got byte 0xb0 in the header",
     ),
     ("utf-16", table(rows()).encode("utf-16"), FileFormatError, "got binary data or UTF-16"),
-    ("bytes in a cell", b"t,x,y,z\n0,1,\xb0,3\n1,1,2,3\n", FileFormatError, "column 'y': wanted numbers"),
+    ("bytes in a cell", b"t,x,y,z\n0,1,\xb0,3\n1,1,2,3\n", FileFormatError, "column 'y': expected numbers"),
 ]  # fmt: skip
 
 
@@ -354,7 +354,7 @@ def test_too_much_repair_is_refused(tmp_path):
 def test_skipping_past_the_end_and_positions_outside_are_refused(tmp_path):
     path = put(tmp_path, table(rows()))
     columns = ColumnMap(gyro=(0, 1, 9), gyro_unit="dps", sample_rate_hz=1.0)
-    with pytest.raises(InputError, match=r"wanted column 9 \(from 0\), got 4 columns"):
+    with pytest.raises(InputError, match=r"expected column 9 \(from 0\), got 4 columns"):
         read_csv(path, columns)
     columns = ColumnMap(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=1.0, layout=TextLayout(skip_rows=99))
     with pytest.raises(FileFormatError, match="expected rows after 99 skipped lines, got none"):

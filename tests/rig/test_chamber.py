@@ -206,7 +206,7 @@ def test_steady_is_a_full_window_of_little_slope_near_the_set_point():
 
 
 def test_settings_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match=r"soak: wanted window_s above 0, got 0"):
+    with pytest.raises(InputError, match=r"soak: `window_s` must be above 0, got 0"):
         SoakSettings(window_s=0)
     with pytest.raises(InputError, match=r"got 80 and 80 degC"):
         ChamberSetup(lowest_c=80, highest_c=80)

@@ -181,7 +181,7 @@ def test_what_is_no_address_is_refused(url):
 
 @pytest.mark.parametrize("name", ["reply_timeout_s", "connect_timeout_s", "baud"])
 def test_a_wait_without_an_end_is_refused(name):
-    with pytest.raises(InputError, match=f"wanted {name} above 0"):
+    with pytest.raises(InputError, match=f"`{name}` must be above 0"):
         LinkSettings(**{name: 0})
 
 

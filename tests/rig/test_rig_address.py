@@ -63,7 +63,7 @@ def test_nobody_there_is_a_link_error():
 
 @pytest.mark.parametrize("name", ["turn_rate", "acceleration", "travel"])
 def test_limits_that_are_none_are_refused(name):
-    with pytest.raises(InputError, match=f"limits: wanted {name} above 0, got 0"):
+    with pytest.raises(InputError, match=f"limits: `{name}` must be above 0, got 0"):
         Limits(**{name: 0.0})
 
 

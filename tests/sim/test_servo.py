@@ -79,5 +79,5 @@ def test_a_torque_beyond_the_supply_is_not_there():
 
 @pytest.mark.parametrize("name", ["inertia", "resistance", "period_s", "encoder_lines"])
 def test_what_is_not_positive_is_refused(name):
-    with pytest.raises(InputError, match=f"servo: wanted {name} above 0"):
+    with pytest.raises(InputError, match=f"servo: `{name}` must be above 0"):
         ServoSettings(**{name: 0})

@@ -83,7 +83,7 @@ def test_the_default_warm_up_is_that_of_the_recorded_board() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ChamberSettings(board_lag_s=0.0), "board_lag_s above 0, got 0"),
+        (lambda: ChamberSettings(board_lag_s=0.0), "board_lag_s` must be above 0, got 0"),
         (lambda: RampSettings(low_c=30.0, high_c=20.0), "got 30 to 20 degC at 1 and 1 degC/min"),
         (lambda: WarmUpSettings(fast_share=2.0), "got 2,"),
         (lambda: soak_profile((), measured_s=1.0), "at least one set-point"),

@@ -50,7 +50,7 @@ def test_a_town_a_latitude_or_gravity_state_the_place_and_nothing_states_none():
     [
         (("Atlantis",), "town: expected a town of the list, or its latitude in deg, got 'Atlantis'"),
         (("91",), "latitude: expected -90 to 90 deg, got 91"),
-        (("48", "high"), "height: wanted metres above the sea, got 'high'"),
+        (("48", "high"), "height: expected metres above the sea, got 'high'"),
         (("48", "10000"), "height: expected -500 to 9000 m"),
         (("", "", "981"), "gravity: expected 9.7 to 9.9 m/s2, got 981"),
     ],

@@ -130,9 +130,9 @@ class ColumnMap:
         if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < 1e7:
             raise InputError(f"sample_rate_hz: expected Hz above 0, got {self.sample_rate_hz:g}")
         if self.gaps not in ("raise", "keep"):
-            raise InputError(f"gaps: wanted 'raise' or 'keep', got {self.gaps!r}")
+            raise InputError(f"gaps: expected 'raise' or 'keep', got {self.gaps!r}")
         if self.clock not in ("file", "regular"):
-            raise InputError(f"clock: wanted 'file' or 'regular', got {self.clock!r}")
+            raise InputError(f"clock: expected 'file' or 'regular', got {self.clock!r}")
 
     def columns_of(self, channel: Channel) -> tuple[Column, ...]:
         """Return the columns of a channel, none where it is not mapped."""

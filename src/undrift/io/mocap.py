@@ -62,7 +62,7 @@ class Markers:
         for label in labels:
             if label not in self.labels:
                 near = [other for other in self.labels if label.lower() in other.lower()]
-                hint = f"name {' or '.join(near[:3])}" if near else "check the label"
+                hint = f"Name {' or '.join(near[:3])}" if near else "Check the label"
                 raise InputError(
                     f"{self.name or 'markers'}: expected marker {label!r}, got {', '.join(self.labels)}. {hint}."
                 )

@@ -79,8 +79,8 @@ class StreamDescription:
 
     def __post_init__(self) -> None:
         self._check_channels()
-        check_positive(self, "stream", "set a positive value", "rate", "clock_speed")
-        check_positive(self, "stream", "set the unit per step", "gyro_gain", "accel_gain")
+        check_positive(self, "stream", "Set a positive value", "rate", "clock_speed")
+        check_positive(self, "stream", "Set the unit per step", "gyro_gain", "accel_gain")
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         if self.format not in get_args(Framing):

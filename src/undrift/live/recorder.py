@@ -39,7 +39,7 @@ class RecorderSettings:
     gather_s: float = 0.0
 
     def __post_init__(self) -> None:
-        check_positive(self, "recorder", "set a positive value", "silence_s", "keep_s")
+        check_positive(self, "recorder", "Set a positive value", "silence_s", "keep_s")
         if not 0.0 <= self.gather_s <= READ_S:
             raise InputError(f"recorder: gather_s must be 0 to {READ_S:g} s, got {self.gather_s}. Set a shorter pause.")
 

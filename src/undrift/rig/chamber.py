@@ -49,7 +49,7 @@ class SoakSettings:
     tolerance_c: float = 0.5  # largest distance from the set-point, K
 
     def __post_init__(self) -> None:
-        check_positive(self, "soak", "set a positive value", "slope_c_per_min", "window_s", "tolerance_c")
+        check_positive(self, "soak", "Set a positive value", "slope_c_per_min", "window_s", "tolerance_c")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ class ChamberSetup:
             raise InputError(
                 f"chamber: the lowest set-point must be below the highest, got {self.lowest_c} and {self.highest_c} degC. Set both."
             )
-        check_positive(self, "chamber", "set a positive value", "reply_timeout_s")
+        check_positive(self, "chamber", "Set a positive value", "reply_timeout_s")
 
 
 class Steadiness:

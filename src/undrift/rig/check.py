@@ -38,7 +38,7 @@ class CheckSettings:
 
     def __post_init__(self) -> None:
         names = ("turn_rate", "duration_s", "acceleration", "limit", "half_period_s")
-        check_positive(self, "rig check", "set a positive value", *names)
+        check_positive(self, "rig check", "Set a positive value", *names)
         if not self.turn_rate / self.acceleration < 0.2 * self.half_period_s:
             raise InputError(
                 f"rig check: run-ups must be shorter than {0.2 * self.half_period_s:g} s, got "

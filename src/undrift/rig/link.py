@@ -55,7 +55,7 @@ class LinkSettings:
     clock: Clock = HOST  # clock of the timeouts
 
     def __post_init__(self) -> None:
-        check_positive(self, "link", "set a positive value", "reply_timeout_s", "connect_timeout_s", "baud")
+        check_positive(self, "link", "Set a positive value", "reply_timeout_s", "connect_timeout_s", "baud")
 
 
 def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:

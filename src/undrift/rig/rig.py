@@ -102,7 +102,7 @@ class Limits:
     travel: float | None = None  # largest angle from the start in either direction, rad (None: unlimited)
 
     def __post_init__(self) -> None:
-        check_positive(self, "limits", "every rig needs limits", "turn_rate", "acceleration", "travel")
+        check_positive(self, "limits", "Every rig needs limits", "turn_rate", "acceleration", "travel")
 
     def check_turn_rate(self, turn_rate: float) -> None:
         """Raise LimitError if a rate is beyond the limits."""

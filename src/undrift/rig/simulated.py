@@ -60,7 +60,7 @@ class AirSettings:
 
     def __post_init__(self) -> None:
         names = ("ramp_c_per_min", "period_s", "damping", "board_lag_s")
-        check_positive(self, "simulated chamber", "set a positive value", *names)
+        check_positive(self, "simulated chamber", "Set a positive value", *names)
 
 
 class Air:

@@ -39,7 +39,7 @@ class ServoSettings:
 
     def __post_init__(self) -> None:
         names = ("torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage", "encoder_lines")
-        check_positive(self, "servo", "give the loop's own figure", *names, "period_s")
+        check_positive(self, "servo", "Enter the value of the loop", *names, "period_s")
 
     @property
     def counts_per_rad(self) -> float:

@@ -60,7 +60,7 @@ class ChamberSettings:
     step_s: float = 1.0  # Step of the profile, s
 
     def __post_init__(self) -> None:
-        check_positive(self, "chamber", "correct the settings", *self.__dataclass_fields__)
+        check_positive(self, "chamber", "Correct the settings", *self.__dataclass_fields__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -70,7 +70,7 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
 
 
 def _too_large(name: str, largest_mb: float) -> str:
-    asking = "send a part of it, or ask whoever starts the bench to raise the largest file that it takes"
+    asking = "Send a part of it, or restart the bench with a larger --upload-mb"
     return f"upload: {name} is larger than {largest_mb:g} MB. {asking}."
 
 

@@ -47,8 +47,8 @@ def changed(change: Callable[[Any], object]) -> Any:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(kind="undrift.calibration"), "wanted kind 'undrift.device', got 'undrift.calibration'"),
-        (lambda c: c.update(format=2), "wanted format 1, got 2; read it with the undrift that wrote it"),
+        (lambda c: c.update(kind="undrift.calibration"), "expected kind 'undrift.device', got 'undrift.calibration'"),
+        (lambda c: c.update(format=2), "expected format 1, got 2"),
         (lambda c: c.pop("gyro"), "device.gyro: expected the keys of format 1, got it missing"),
         (
             lambda c: c["gyro"].update(colour="red"),
@@ -56,7 +56,7 @@ def changed(change: Callable[[Any], object]) -> Any:
         ),
         (lambda c: c["gyro"].update(scale=3), "device.gyro.scale: expected an object, got int"),
         (lambda c: c["gyro"]["scale"].update(error=3), "device.gyro.scale.error: expected an array, got 3"),
-        (lambda c: c["gyro"]["scale"].update(error=[1.0]), r"Scale.error: wanted shape \(3,\), got \(1,\)"),
+        (lambda c: c["gyro"]["scale"].update(error=[1.0]), r"Scale.error: expected shape \(3,\), got \(1,\)"),
         (
             lambda c: c["gyro"]["amplifier"].update(gain="big"),
             "device.gyro.amplifier.gain: expected a number, got 'big'",

@@ -123,5 +123,5 @@ def test_readings_beyond_the_codes_are_held_and_reported() -> None:
 
 
 def test_a_temperature_of_another_length_is_refused() -> None:
-    with pytest.raises(InputError, match=r"temp_c: wanted shape \(10,\), got \(3,\)"):
+    with pytest.raises(InputError, match=r"temp_c: expected shape \(10,\), got \(3,\)"):
         run(device_of(), still_motion(10), temp_c=np.zeros(3))
