@@ -201,12 +201,12 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
         weight /= weight.sum()
         middle = weight @ pieces
     length = max(float(np.linalg.norm(middle)), 1e-12)
-    forward, off = middle / length, (pieces - middle) / length * (count * weight)[:, None]
-    along, across = (
-        float(np.sqrt((((off @ way) ** 2).sum() + USUAL_PIECES * spread**2) / (count - 1 + USUAL_PIECES) / count))
+    forward, deviation = middle / length, (pieces - middle) / length * (count * weight)[:, None]
+    along_sigma, cross_sigma = (
+        float(np.sqrt((((deviation @ way) ** 2).sum() + USUAL_PIECES * spread**2) / (count - 1 + USUAL_PIECES) / count))
         for way in (forward, np.cross(up, forward))
     )
-    return (forward, across) if 1.0 / max(along, across) > CLEAR else None
+    return (forward, cross_sigma) if 1.0 / max(along_sigma, cross_sigma) > CLEAR else None
 
 
 def _bouts(track: _Track) -> list[FloatArray]:

@@ -126,14 +126,14 @@ def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, Float
     # 1: errors in one component, 2: equal errors in both
     freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)
     turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
-    lacking = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
+    reason = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
     return Tilt(
         q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
         specific_force=mean,
         inclination_uncertainty=math.sqrt(variance),
         expanded_uncertainty=math.sqrt(variance * float(chdtri(freedom, 0.05)) / freedom),
         parts=tuple((name, math.sqrt(np.trace(share))) for name, share in parts.items()),
-        basis=lacking if record.accel_uncertainty is None else "calibration",
+        basis=reason if record.accel_uncertainty is None else "calibration",
     )
 
 
@@ -193,8 +193,10 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
             "Name the axes that point forward and up."
         )
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
-    along, upward = (vertical[..., AXES.index(face[1])] * (1.0 if face[0] == "+" else -1.0) for face in (forward, up))
-    return np.where(np.hypot(along, upward) > IN_PLANE, np.arctan2(-along, upward), np.nan)
+    forward_part, upward = (
+        vertical[..., AXES.index(face[1])] * (1.0 if face[0] == "+" else -1.0) for face in (forward, up)
+    )
+    return np.where(np.hypot(forward_part, upward) > IN_PLANE, np.arctan2(-forward_part, upward), np.nan)
 
 
 FAR_UP_DEG = 60.0  # angle between the axis for up and the vertical at rest, beyond which the device is worn differently
@@ -374,16 +376,20 @@ def orient_unchecked(
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel
 
-        moved = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
+        motion_fit = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
-        tilt = _compute_tilt(record, moved.vertical, {"motion": moved.vertical_covariance}, settings.heading)
+        tilt = _compute_tilt(record, motion_fit.vertical, {"motion": motion_fit.vertical_covariance}, settings.heading)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":
-        offsets, uncertainty, findings = moved.at(record.time), moved.uncertainty, (*findings, *moved.findings)
+        offsets, uncertainty, findings = (
+            motion_fit.at(record.time),
+            motion_fit.uncertainty,
+            (*findings, *motion_fit.findings),
+        )
     elif still is None:
         offsets = np.zeros((len(record), 3))
-        uncertainty = math.hypot(moved.uncertainty, float(np.linalg.norm(moved.rate.mean(axis=0))))
+        uncertainty = math.hypot(motion_fit.uncertainty, float(np.linalg.norm(motion_fit.rate.mean(axis=0))))
     else:
         offsets = np.zeros((len(record), 3))
         if settings.offset == "rest":
@@ -477,8 +483,8 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
 
 def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
     """Return a finding with the expected error of strapdown at the end farther from the rest, or from the first sample."""
-    time, tried = record.time, "rest" if offset == "none" and not rested else offset
-    tried = "motion" if offset == "none" and record.offset_uncertainty is not None else tried
+    time, method_tried = record.time, "rest" if offset == "none" and not rested else offset
+    method_tried = "motion" if offset == "none" and record.offset_uncertainty is not None else method_tried
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
     return finding(
         "orient.drift",
@@ -487,7 +493,7 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str
         offset_dps=uncertainty / RADIAN_PER_DEGREE,
         duration_s=duration,
         start="the rest" if rested else "the first sample",
-        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(tried, "`method` vqf"),
+        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(method_tried, "`method` vqf"),
     )
 
 
@@ -548,11 +554,11 @@ def check_whole(record: Record) -> None:
     steps = np.diff(time)
     holes = np.flatnonzero(steps > max(LONGEST_HOLE_S, 5.0 * float(np.median(steps))))
     if len(holes):
-        at = int(holes[0])
+        k = int(holes[0])
         raise InputError(
-            f"orient: expected readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[at]:.3g} s "
-            f"at {time[at]:.6g} s. After a hole the orientation is unknown. Orient each stretch from its own rest.",
-            hole_s=float(steps[at]),
+            f"orient: expected readings without holes over {LONGEST_HOLE_S:g} s, got {len(holes)}, the first of {steps[k]:.3g} s "
+            f"at {time[k]:.6g} s. After a hole the orientation is unknown. Orient each stretch from its own rest.",
+            hole_s=float(steps[k]),
         )
     fastest = float(np.abs(gyro).max())
     if fastest > _MOST_RATE:

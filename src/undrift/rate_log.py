@@ -103,12 +103,12 @@ def align_clocks(log: RateLog, record: Record) -> LagLine:
     rate = np.where(valid, np.diff(log.angle) / step, 0.0)[:, None]
     shift = float(record.time[0] - log.time[0])  # first samples together, then every shift
     rates = PoseRates(start=log.time[:-1] + shift, stop=log.time[1:] + shift, rate=rate, valid=valid)
-    near = coarse_lag(record.time, record.gyro, rates, float(max(np.ptp(record.time), np.ptp(log.time))))
-    rates = rates.part((rates.start + near > record.time[0]) & (rates.stop + near < record.time[-1]))
+    initial_lag = coarse_lag(record.time, record.gyro, rates, float(max(np.ptp(record.time), np.ptp(log.time))))
+    rates = rates.part((rates.start + initial_lag > record.time[0]) & (rates.stop + initial_lag < record.time[-1]))
     count = int(np.clip(np.ptp(rates.start) / PART_S, 1, PARTS))
     parts = [rates.part(rows) for rows in np.array_split(np.arange(len(rates.start)), count) if rates.rate[rows].any()]
-    settings = LagSettings(longest_lag_s=abs(near) + REACH_S, average_s=0.1)
-    line = lag_line(record, parts, settings, near=near, floor_s=FLOOR_S)
+    settings = LagSettings(longest_lag_s=abs(initial_lag) + REACH_S, average_s=0.1)
+    line = lag_line(record, parts, settings, near=initial_lag, floor_s=FLOOR_S)
     if (off_s := np.abs(line.off_s).max()) > JUMP_S:
         raise AlignmentError(
             f"{log.name}: a lag is {off_s:.2f} s off a line: a clock jumped, or readings are missing. Cut both files there."
@@ -126,7 +126,7 @@ def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple
     for start, stop in steady_stretches(log):
         turn_rate, uncertainty = _achieved(log, start, stop)
         accurate = uncertainty <= LARGEST_UNCERTAINTY * abs(turn_rate)
-        before = len(turns)
+        count = len(turns)
         for number, (record, line) in enumerate(records if accurate else ()):
             rows = _recorded(record, line, start, stop)
             if rows is None:
@@ -137,7 +137,7 @@ def cut_dwells(log: RateLog, records: Sequence[tuple[Record, LagLine]]) -> tuple
             up = np.zeros(3) if record.accel is None else np.nanmean(record.accel[rows], axis=0)
             if abs(up[axis]) > 0.9 * np.linalg.norm(up):
                 senses.setdefault(sign * float(np.sign(up[axis])), AXES[axis])
-        missed += len(turns) == before
+        missed += len(turns) == count
     if len(senses) > 1:
         raise InputError(
             f"{log.name}: the gyroscopes {' and '.join(senses.values())} have opposite signs for the positive sense of the table. "
@@ -159,8 +159,9 @@ def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
     stretches = list[tuple[float, float]]()
     for start, stop in runs(regular[width:] & regular[:-width] & steady):
         level = rate[start : stop + width]
-        near = np.abs(level - np.median(level)) <= STEADY * np.abs(np.median(level)) + noise
-        longest = max(runs(near), key=lambda run: run[1] - run[0], default=(0, 0))  # slow ends of a ramp are cut off
+        steady_level = np.abs(level - np.median(level)) <= STEADY * np.abs(np.median(level)) + noise
+        # slow ends of a ramp are cut off
+        longest = max(runs(steady_level), key=lambda run: run[1] - run[0], default=(0, 0))
         first, last = log.time[start + longest[0]], log.time[start + longest[1] - 1 + width]
         if last - first >= 2.0 * SETTLE_S + LEAST_S:
             stretches.append((float(first), float(last)))
@@ -171,10 +172,10 @@ def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
     """Return the rate of a dwell and its standard uncertainty: a line through the angles, and the steps of their resolution."""
     rows = slice(*np.searchsorted(log.time, (start + SETTLE_S, stop - SETTLE_S)))
     t, phi = log.time[rows], log.angle[rows]
-    away = t - t.mean()
-    square = float(away @ away)
-    slope = float(away @ phi) / square
-    residual = phi - phi.mean() - slope * away
+    centred = t - t.mean()
+    square = float(centred @ centred)
+    slope = float(centred @ phi) / square
+    residual = phi - phi.mean() - slope * centred
     scatter = float(np.sqrt(residual @ residual / (len(t) - 2) / square))
     coarse = log.resolution / float(np.ptp(t)) if log.has_angle else log.resolution
     return slope, float(np.hypot(scatter, coarse / np.sqrt(6.0 if log.has_angle else 12.0)))

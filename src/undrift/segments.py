@@ -320,10 +320,10 @@ def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) ->
         return np.zeros(len(mean), bool)
     # A steady turn differs from the offset throughout. The slow drift of a warm-up crosses the offset within its stretch.
     x, y, z = np.abs(mean - np.median(mean[quiet], axis=0)).T
-    far = np.maximum(np.maximum(x, y), z) > max(_TURNING * threshold.noise_floor, threshold.value)
+    turning_now = np.maximum(np.maximum(x, y), z) > max(_TURNING * threshold.noise_floor, threshold.value)
     turning = np.zeros(len(mean), bool)
     for first, last in runs(spread <= threshold.value):
-        turning[first:last] = far[first:last].all()
+        turning[first:last] = turning_now[first:last].all()
     return turning
 
 
@@ -343,17 +343,17 @@ def unpadded(record: Record) -> Record:
     if not any(all((np.diff(readings[end], axis=0) == 0.0).all() for readings in triads) for end in ends):
         return record
     steps = np.diff(np.hstack(triads), axis=0)
-    same, first, last = runs((steps == 0.0).all(axis=1)), 0, len(record)
-    inner = max((stop - start for start, stop in same if start > 0 and stop < len(steps)), default=0)
-    for start, stop in same:
+    repeats, first, last = runs((steps == 0.0).all(axis=1)), 0, len(record)
+    inner = max((stop - start for start, stop in repeats if start > 0 and stop < len(steps)), default=0)
+    for start, stop in repeats:
         edge = start == 0 or stop == len(steps)
         if not edge or stop - start < max(least, 2 * inner) or stop - start == len(steps):
             continue
-        beside = steps[stop : stop + least] if start == 0 else steps[start - least : start][::-1]
-        if len(beside) < least:
+        adjacent = steps[stop : stop + least] if start == 0 else steps[start - least : start][::-1]
+        if len(adjacent) < least:
             continue
-        rough = np.minimum(np.abs(beside[0]), np.diff(beside[1:], 2, axis=0).std(axis=0))
-        if np.median(rough / np.maximum(np.sqrt((beside**2).mean(axis=0)), 1e-300)) > _BREAKS:
+        rough = np.minimum(np.abs(adjacent[0]), np.diff(adjacent[1:], 2, axis=0).std(axis=0))
+        if np.median(rough / np.maximum(np.sqrt((adjacent**2).mean(axis=0)), 1e-300)) > _BREAKS:
             first, last = (stop, last) if start == 0 else (first, start + 1)
     return record if last - first == len(record) else record.part(first, last)
 
@@ -374,10 +374,10 @@ def find_turning(
     """
     from undrift.kernels.correct import follow_turning
 
-    out, after = np.empty(len(time)), np.array(state)
+    out, next_state = np.empty(len(time)), np.array(state)
     settings = (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
-    follow_turning(np.ascontiguousarray(rate).reshape(-1), np.ascontiguousarray(time), *settings, after, out)
-    return out, tuple(after.tolist())
+    follow_turning(np.ascontiguousarray(rate).reshape(-1), np.ascontiguousarray(time), *settings, next_state, out)
+    return out, tuple(next_state.tolist())
 
 
 def _why_none(
@@ -471,12 +471,12 @@ def find_poses(records: Sequence[Record], settings: StillSettings = StillSetting
         or _points_everywhere(_directions(records, first))
     ):
         return first
-    tries = [(tried, _directions(records, tried)) for tried in _tries(records, settings)]
-    searches = [(tried, _count_poses(up)) for tried, up in tries if _points_everywhere(up)]
+    tries = [(candidate, _directions(records, candidate)) for candidate in _tries(records, settings)]
+    searches = [(candidate, _count_poses(up)) for candidate, up in tries if _points_everywhere(up)]
     counts = [poses for _, poses in searches]
     agreed = max(counts, key=lambda poses: (counts.count(poses), poses), default=0)
-    agreeing = [tried for tried, poses in searches if poses == agreed]
-    return min(agreeing, key=lambda tried: sum(len(search.stills) for search in tried), default=first)
+    agreeing = [candidate for candidate, poses in searches if poses == agreed]
+    return min(agreeing, key=lambda candidate: sum(len(search.stills) for search in candidate), default=first)
 
 
 def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[StillSearch, ...]]:
@@ -552,8 +552,8 @@ def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
     axis = np.abs(up).argmax(axis=1)
     most = up[np.arange(len(up)), axis]
-    near = np.abs(most) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)
-    return tuple(FACES[2 * a + (m < 0.0)] if n else None for a, m, n in zip(axis, most, near, strict=True))
+    vertical = np.abs(most) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)
+    return tuple(FACES[2 * a + (m < 0.0)] if n else None for a, m, n in zip(axis, most, vertical, strict=True))
 
 
 def sphere_of(points: FloatArray) -> tuple[FloatArray, float]:
@@ -634,12 +634,12 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     ]
     rates = [np.nanmean(record.gyro[turn.start : turn.stop], axis=0) - offset for turn in plateaus]
     rotations, angles = list[Turn](), list[FloatArray]()
-    for before, after in itertools.pairwise(stills):
-        reading = record.gyro[before.stop : after.start] - offset
+    for previous, following in itertools.pairwise(stills):
+        reading = record.gyro[previous.stop : following.start] - offset
         if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > _LEAST_FLOORS * floor:
-            time = record.time[before.stop : after.start]
+            time = record.time[previous.stop : following.start]
             angles.append(np.asarray(np.trapezoid(np.nan_to_num(reading), time, axis=0)))
-            rotations.append(Turn(start=before.stop, stop=after.start, recording=recording))
+            rotations.append(Turn(start=previous.stop, stop=following.start, recording=recording))
     return TurnSearch(
         plateaus=tuple(replace(turn, axis=_axis(rate)) for turn, rate in zip(plateaus, rates, strict=True)),
         plateau_rate=np.array(rates).reshape(-1, 3),

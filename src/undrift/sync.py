@@ -66,8 +66,8 @@ class RunningIntegral:
         self.time = time
         self._values = np.where(gap[:, None], 0.0, values)
         step = np.diff(time)
-        late = step > LONGEST_STEP * np.median(step)
-        self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | late))
+        gap_before = step > LONGEST_STEP * np.median(step)
+        self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | gap_before))
         area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
         area_before = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
         bend = 0.5 * (np.diff(self._values, axis=0) / step[:, None])
@@ -185,8 +185,8 @@ def native_poses(reference: Reference) -> Reference:
     first, last = np.ceil(frequency * reference.time[0] - phase), np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
     # line through the last two samples before a frame, extended to it, or NaN if they are not both in the interval before it
-    after = np.searchsorted(reference.time, frames)
-    k = np.clip(after - 2, 0, len(rates.rate) - 1)
+    following = np.searchsorted(reference.time, frames)
+    k = np.clip(following - 2, 0, len(rates.rate) - 1)
     inside = rates.valid[k] & (rates.start[k] >= frames - 1.0 / frequency - NEAR_FRAME_S)
     inside &= rates.stop[k] <= frames + NEAR_FRAME_S
     ahead = (frames - rates.start[k])[:, None]
@@ -195,19 +195,19 @@ def native_poses(reference: Reference) -> Reference:
     if position is not None:
         velocity = (position[k + 1] - position[k]) / (rates.stop[k] - rates.start[k])[:, None]
         position = np.where(inside[:, None], position[k] + velocity * ahead, np.nan)
-    moving = None if reference.moving is None else reference.moving[np.clip(after, 0, len(reference) - 1)]
+    moving = None if reference.moving is None else reference.moving[np.clip(following, 0, len(reference) - 1)]
     q_nb = np.where(inside[:, None], q_nb, np.nan)
     return Reference(time=frames, q_nb=q_nb, position=position, moving=moving, name=reference.name)
 
 
 def _repeats(rates: PoseRates) -> tuple[BoolArray, float]:
-    both = rates.valid[1:] & rates.valid[:-1]
+    neighbours_valid = rates.valid[1:] & rates.valid[:-1]
     change = np.abs(np.diff(rates.rate, axis=0)).max(axis=1)
-    moved = both & (np.abs(rates.rate[1:]).max(axis=1) > 0.0)
-    if not moved.any():
-        return moved, 0.0
-    same = moved & (change <= SAME_RATE * np.median(change[moved]))
-    return same, float(same.sum() / moved.sum())
+    turning = neighbours_valid & (np.abs(rates.rate[1:]).max(axis=1) > 0.0)
+    if not turning.any():
+        return turning, 0.0
+    equal = turning & (change <= SAME_RATE * np.median(change[turning]))
+    return equal, float(equal.sum() / turning.sum())
 
 
 def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
@@ -313,7 +313,9 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
     if inside.sum() < LEAST_AVERAGES:
         return None, 0.0
     width = 0.25 * float(np.median(stop - start))
-    (late, late_inside), (early, early_inside) = (integral.mean(start + by, stop + by) for by in (width, -width))
+    (late, late_inside), (early, early_inside) = (
+        integral.mean(start + shift, stop + shift) for shift in (width, -width)
+    )
     inside &= late_inside & early_inside
     u, w, slope = mean[inside], wanted.rate[inside], (late - early)[inside] / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
@@ -387,16 +389,16 @@ def lag_line(
         raise AlignmentError(
             "lag: no part of record and reference has a common motion. Check that they belong together."
         )
-    late, weight = np.array([lag.seconds for lag in lags]), np.array([lag.standard_uncertainty for lag in lags])
+    lags_s, weight = np.array([lag.seconds for lag in lags]), np.array([lag.standard_uncertainty for lag in lags])
     weight = np.hypot(weight, floor_s) ** -2.0
-    middle, lag_s = float(weight @ when / weight.sum()), float(weight @ late / weight.sum())
-    away = np.array(when) - middle
-    square = float(weight @ away**2)
-    skew = float(weight @ (away * (late - lag_s)) / square) if len(lags) > 1 else 0.0
-    off = late - lag_s - skew * away
-    spread = max(1.0, float(weight @ off**2) / (len(lags) - 2)) if len(lags) > 2 else 1.0
+    middle, lag_s = float(weight @ when / weight.sum()), float(weight @ lags_s / weight.sum())
+    distance = np.array(when) - middle
+    square = float(weight @ distance**2)
+    skew = float(weight @ (distance * (lags_s - lag_s)) / square) if len(lags) > 1 else 0.0
+    residual = lags_s - lag_s - skew * distance
+    spread = max(1.0, float(weight @ residual**2) / (len(lags) - 2)) if len(lags) > 2 else 1.0
     return LagLine(
-        middle_s=middle, lag_s=lag_s, skew=skew, off_s=off,
+        middle_s=middle, lag_s=lag_s, skew=skew, off_s=residual,
         lag_uncertainty_s=float(np.sqrt(spread / weight.sum())),
         skew_uncertainty=float(np.sqrt(spread / square)) if len(lags) > 1 else float("inf"),
         correlation=min(lag.correlation for lag in lags),

@@ -186,8 +186,8 @@ def calibrated(
     adc, observed = _observe_restored(session, settings)
     accel_outcome = _calibrate_accel(observed.with_triad("accel"), accel, mode)
     rotated = observed.with_triad("gyro")
-    together = any(record.accel is not None for record in rotated.session.records)
-    gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if together else None)
+    shared_recordings = any(record.accel is not None for record in rotated.session.records)
+    gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if shared_recordings else None)
     findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
     findings += accel_outcome.findings + gyro_outcome.findings
     verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
@@ -302,11 +302,13 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
             raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
         return Outcome()
     sound, saturated = observed.without_saturated_turns()
-    chosen, steady = (method, 0) if method is not None else _choose_gyro_fit(sound, accel, saturated)
+    fit_name, steady = (method, 0) if method is not None else _choose_gyro_fit(sound, accel, saturated)
     try:
-        outcome = GYRO_FITS[chosen](sound, mode, accel)
-        lacking = outcome.fit is None and (method is not None or chosen != "rest")
-        if lacking or (steady and (chosen == "rest" or outcome.fit is None or outcome.fit.verdict.status == "bad")):
+        outcome = GYRO_FITS[fit_name](sound, mode, accel)
+        not_fitted = outcome.fit is None and (method is not None or fit_name != "rest")
+        if not_fitted or (
+            steady and (fit_name == "rest" or outcome.fit is None or outcome.fit.verdict.status == "bad")
+        ):
             raise NotObservable("; ".join(item.text for item in outcome.findings))
     except CalibrationError as error:
         if method is not None and isinstance(error, NotObservable):

@@ -58,14 +58,15 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     counts_beyond = np.delete(counts, SIDE_CODES, axis=1)
     if (counts_beyond.sum(axis=1) >= MIN_SWEPT).sum() < 2:
         return CodeGrid(lsb=steps, rounding=None, reason="fewer than two axes sweep through code 0")
-    beside = counts_beyond.sum(axis=0)
-    expected = float(beside.mean())
-    uneven = max(1.0, float(beside.var(ddof=1)) / expected)  # a motion in step with the sampling beats Poisson's law
+    neighbours = counts_beyond.sum(axis=0)
+    expected = float(neighbours.mean())
+    # a motion in step with the sampling beats Poisson's law
+    uneven = max(1.0, float(neighbours.var(ddof=1)) / expected)
     ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
-    off = ratio - np.array([1.0, 2.0])
+    deviation = ratio - np.array([1.0, 2.0])
     # uncertainty of the ratios 1 and 2
     chance = SIGMAS * sigma * np.sqrt([1.0 + 0.5 / SIDE_CODES, 2.0 + 2.0 / SIDE_CODES])
-    possible, excluded = np.abs(off) < np.maximum(0.3, chance), np.abs(off) > chance
+    possible, excluded = np.abs(deviation) < np.maximum(0.3, chance), np.abs(deviation) > chance
     if possible[1] and excluded[0]:
         return CodeGrid(lsb=steps, rounding="toward_zero")
     if possible[0] and excluded[1]:
@@ -99,10 +100,10 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     origin = float(nodes[np.argmin(np.abs(nodes - np.median(nodes)))])
     for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span gives a finer step
-        near = nodes[np.abs(nodes - origin) <= reach * step]
-        codes = np.round((near - origin) / step)
-        if len(near) > 3 and np.ptp(codes) > 0.0:
-            step, shift = np.polyfit(codes, near - origin, 1)
+        nearby = nodes[np.abs(nodes - origin) <= reach * step]
+        codes = np.round((nearby - origin) / step)
+        if len(nearby) > 3 and np.ptp(codes) > 0.0:
+            step, shift = np.polyfit(codes, nearby - origin, 1)
             origin += float(shift)
     places = (nodes - origin) / step
     miss = float(np.quantile(np.abs(places - np.round(places)), 0.99))
@@ -121,8 +122,8 @@ def _swept_codes(column: FloatArray, step: float) -> FloatArray:
     # NaN next to a gap, which does not count as motion
     travelled = np.abs(codes[2 * SWEEP_SAMPLES :] - codes[: -2 * SWEEP_SAMPLES])
     middle = codes[SWEEP_SAMPLES:-SWEEP_SAMPLES]
-    near = middle[(travelled >= SWEEP_CODES) & (np.abs(middle) <= SIDE_CODES)]
-    return np.bincount(near.astype(np.int64) + SIDE_CODES, minlength=2 * SIDE_CODES + 1).astype(float)
+    swept = middle[(travelled >= SWEEP_CODES) & (np.abs(middle) <= SIDE_CODES)]
+    return np.bincount(swept.astype(np.int64) + SIDE_CODES, minlength=2 * SIDE_CODES + 1).astype(float)
 
 
 # ---- readings without truncation

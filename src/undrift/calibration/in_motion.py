@@ -77,9 +77,9 @@ def _kinds() -> FloatArray:
         scale[k, 4 * k] = 1.0
         cross[k, [3 * i + j, 3 * j + i]] = 0.5
         turn[k, [3 * i + j, 3 * j + i]] = 0.5, -0.5
-    none, deviations = np.zeros((3, 9)), np.eye(21)
+    zero, deviations = np.zeros((3, 9)), np.eye(21)
     deviations[:18, :18] = np.block(
-        [[scale, none], [cross, none], [none, scale], [none, cross], [turn, -turn], [0.5 * turn, 0.5 * turn]]
+        [[scale, zero], [cross, zero], [zero, scale], [zero, cross], [turn, -turn], [0.5 * turn, 0.5 * turn]]
     )
     return deviations
 
@@ -141,21 +141,23 @@ class _Part:
         for span, gravity, north in self.stretches:
             rate, force = self.rate[span] - offset, self.force[span] - device[18:]
             ones = np.ones((len(rate), 1))
-            by = np.hstack((rate, ones)), np.hstack((force, ones))
-            mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, *by)
+            regressors = np.hstack((rate, ones)), np.hstack((force, ones))
+            mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, *regressors)
             matrices = [slopes[..., :3].reshape(-1, 3, 9) for slopes in (rate_slopes, force_slopes)]
             design = np.concatenate((*matrices, -force_slopes[..., 3] @ accel, -rate_slopes[..., 3] @ gyro), axis=2)
-            information, towards = gravity.equations(mean, design, usual, length)
-            total, right = total + information, right + towards
+            information, right_part = gravity.equations(mean, design, usual, length)
+            total, right = total + information, right + right_part
             if self.mag is not None:
-                mean, rate_slopes, _ = north.means(rate @ gyro.T, self.mag[span], by[0], np.empty((len(rate), 0)))
+                mean, rate_slopes, _ = north.means(
+                    rate @ gyro.T, self.mag[span], regressors[0], np.empty((len(rate), 0))
+                )
                 design = np.concatenate((rate_slopes[..., :3].reshape(-1, 3, 9), -rate_slopes[..., 3] @ gyro), axis=2)
                 gyro_columns = np.r_[:9, 21:24]
-                information, towards = north.equations(
+                information, right_part = north.equations(
                     mean, design, usual[gyro_columns], (length[0], FIELD_SIZE * length[0])
                 )
                 total[np.ix_(gyro_columns, gyro_columns)] += information
-                right[gyro_columns] += towards
+                right[gyro_columns] += right_part
         return total, right
 
 
@@ -187,9 +189,9 @@ def fit_in_motion(
         usual = np.append(np.linalg.norm(np.linalg.inv(TO_KINDS) * spread[:21], axis=1), np.full(3, RAW_RATE))
         for stretch, place in zip(parts, places, strict=True):
             stretch.cut(stage_s)
-            information, towards = stretch.equations(x[:21], x[place[21:]], usual, length)
+            information, right_part = stretch.equations(x[:21], x[place[21:]], usual, length)
             motion[np.ix_(place, place)] += information
-            right[place] += towards
+            right[place] += right_part
         covariance: FloatArray = np.linalg.inv(weighted.T @ rows + motion)
         x = x + covariance @ right
         # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of this
@@ -406,5 +408,5 @@ def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Itera
             rotation_sigmas = [0.5 * np.sqrt(covariance[np.ix_(pair, pair)].sum()) for pair in ((1, 3), (2, 6), (5, 7))]
             if (percent := 100.0 * float(max(*rotation_sigmas, *scale))) > WANTED_PERCENT:
                 yield finding("reference.uncertainty", "warn", triad=triad, uncertainty_percent=percent)
-        if (far := float(np.abs(1.0 / x[first + np.array([0, 4, 8])] - 1.0).max())) > SCALE_LIMIT:
-            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * far)
+        if (deviation := float(np.abs(1.0 / x[first + np.array([0, 4, 8])] - 1.0).max())) > SCALE_LIMIT:
+            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * deviation)

@@ -176,9 +176,9 @@ def _sources(
     rows: RotationRows, matrix: FloatArray, angle_uncertainty: float, axis_uncertainty: float
 ) -> dict[str, FloatArray]:
     """Return the covariances (3 E, 3 E) of the rows by source, (rad/s)^2, for standard uncertainties of angle and axis in rad."""
-    rests, own, along = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
+    rests, own, axes = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
     noise = np.maximum(rows.noise, MIN_NOISE * np.abs(rows.reading).max())
-    angle = angle_uncertainty**2 * along[:, :, None] * along[:, None]
+    angle = angle_uncertainty**2 * axes[:, :, None] * axes[:, None]
     if rows.slip is not None:
         angle = angle + matrix @ rows.slip @ matrix.T
     per_turn = rows.of_turns(angle / rows.duration[:, None, None] ** 2)
@@ -284,19 +284,19 @@ def _combine_with_moves(
         return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moves}")]
     if moves is None:
         return turns, []
-    away, common = moves.matrix.ravel() - turns.theta[:9], warmth @ moves.warmth.T
+    difference, common = moves.matrix.ravel() - turns.theta[:9], warmth @ moves.warmth.T
     spread = moves.covariance + turns.covariance[:9, :9] - common[:9] - common[:9].T
     gain = np.linalg.solve(spread, (turns.covariance[:, :9] - common).T).T
     change = np.eye(len(turns.theta))
     change[:, :9] -= gain
     joined = TriadParameters(
-        theta=turns.theta + gain @ away,
+        theta=turns.theta + gain @ difference,
         covariance=turns.covariance - carried(gain, spread),
         parts={name: carried(change, share) for name, share in turns.parts.items()},
     )
-    if away @ np.linalg.solve(spread, away) <= CONTRADICTION:
+    if difference @ np.linalg.solve(spread, difference) <= CONTRADICTION:
         return joined, []
-    percent = 100.0 * float(np.abs(away).max() / np.linalg.norm(moves.matrix, 2))
+    percent = 100.0 * float(np.abs(difference).max() / np.linalg.norm(moves.matrix, 2))
     what = (
         f"the matrices of the turns and of {moves.moves} moves differ by {percent:.2g} %, more than their uncertainty"
     )
@@ -377,20 +377,20 @@ def _moving_start(reading: FloatArray, chunk: int) -> int:
         return 0
     means = reading[: count * chunk].reshape(count, chunk, 3).mean(axis=1)
     middle = means[MOST_CHUNKS:-MOST_CHUNKS]
-    away = np.abs(means[:MOST_CHUNKS] - np.nanmean(middle, axis=0)) > MOVES * np.nanstd(middle, axis=0)
-    return chunk * int(np.flatnonzero(away.any(axis=1)).max(initial=-1) + 1)
+    differs = np.abs(means[:MOST_CHUNKS] - np.nanmean(middle, axis=0)) > MOVES * np.nanstd(middle, axis=0)
+    return chunk * int(np.flatnonzero(differs.any(axis=1)).max(initial=-1) + 1)
 
 
 def _axes_without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
     """Return the axes of turns without a rest close before and a rest close after them, for any face."""
-    lacking = set[Axis | None]()
+    missing_axes = set[Axis | None]()
     for turn in turns:
         time, rests_in_recording = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
-        before = (time[turn.start] - time[s.stop - 1] for s in rests_in_recording if s.start < turn.start)
-        after = (time[s.start] - time[turn.stop - 1] for s in rests_in_recording if s.stop > turn.stop)
-        if max(min(before, default=np.inf), min(after, default=np.inf)) > NEAR_S:
-            lacking.add(turn.axis)
-    return tuple(axis for axis in AXES if axis in lacking)
+        pauses_before = (time[turn.start] - time[s.stop - 1] for s in rests_in_recording if s.start < turn.start)
+        pauses_after = (time[s.start] - time[turn.stop - 1] for s in rests_in_recording if s.stop > turn.stop)
+        if max(min(pauses_before, default=np.inf), min(pauses_after, default=np.inf)) > NEAR_S:
+            missing_axes.add(turn.axis)
+    return tuple(axis for axis in AXES if axis in missing_axes)
 
 
 def _fit_matrix_to_moves(
@@ -447,13 +447,13 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
             raise NotObservable(
                 "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
             )
-        taken = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
-        findings.append(finding("known_rotation.turns_found", "warn", turns=taken))
+        turn_names = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
+        findings.append(finding("known_rotation.turns_found", "warn", turns=turn_names))
     rests = observed.stills
     if _axes_without_rest(records, rests, turns):
         rests = (*rests, *observed.unused_stills((*rests, *turns)))
-    if lacking := _axes_without_rest(records, rests, turns):
-        findings.append(finding("known_rotation.no_rests", "warn", axes=lacking, within_s=NEAR_S))
+    if missing_axes := _axes_without_rest(records, rests, turns):
+        findings.append(finding("known_rotation.no_rests", "warn", axes=missing_axes, within_s=NEAR_S))
     model = None if accel is None else accel.model
     matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
     if mode != "paper":

@@ -114,10 +114,12 @@ class _FieldStretch:
         """Mark stretches in which size or inclination of the field are off, over a second."""
         h, dip_slope, _ = self.field()
         self.calm, size = np.ones(len(h), dtype=bool), float(np.exp(self.local[0]))
-        for along in (h, dip_slope):
-            off = (residual * along).sum(axis=1) / size
-            off = np.abs(uniform_filter1d(off - np.median(off), 4))
-            self.calm &= ~maximum_filter1d(off > max(FAR * 1.4826 * float(np.median(off)), LEAST_FAR * size), 5)
+        for direction in (h, dip_slope):
+            deviation = (residual * direction).sum(axis=1) / size
+            deviation = np.abs(uniform_filter1d(deviation - np.median(deviation), 4))
+            self.calm &= ~maximum_filter1d(
+                deviation > max(FAR * 1.4826 * float(np.median(deviation)), LEAST_FAR * size), 5
+            )
 
     def normal(self, rows: FloatArray, prior: FloatArray, *, sized: bool) -> tuple[FloatArray, FloatArray]:
         """Return information and right side of K, b, l and the stretch. ``prior`` (13, 13) is used to estimate the sizes."""
@@ -173,22 +175,25 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
                     f"magnetometer, recording {stretch.recording + 1}: {LEAST_S:g} s or more are needed of a field that turns "
                     "as the gyroscopes do. Check its columns, and move away from iron, cables and magnets."
                 )
-            total, towards = stretch.normal(rows, prior, sized=number in SIZED)
+            total, right_part = stretch.normal(rows, prior, sized=number in SIZED)
             # the parameters of a stretch are eliminated, then the difference of K and b between recordings
-            inverse, by = np.linalg.inv(total[SHARED:, SHARED:]), total[SHARED:, :SHARED]
-            followers.append((inverse, by, towards[SHARED:]))
-            shared = total[:SHARED, :SHARED] - by.T @ inverse @ by
+            inverse, coupling = np.linalg.inv(total[SHARED:, SHARED:]), total[SHARED:, :SHARED]
+            followers.append((inverse, coupling, right_part[SHARED:]))
+            shared = total[:SHARED, :SHARED] - coupling.T @ inverse @ coupling
             between = np.repeat((BETWEEN, BETWEEN * np.exp(stretch.local[0])), (9, 3))
             share = shared[:, :12] @ np.linalg.inv(shared[:12, :12] + np.diag(between**-2))
-            towards = towards[:SHARED] - by.T @ inverse @ towards[SHARED:]
-            information, right = information + shared - share @ shared[:12], right + towards - share @ towards[:12]
+            right_part = right_part[:SHARED] - coupling.T @ inverse @ right_part[SHARED:]
+            information, right = (
+                information + shared - share @ shared[:12],
+                right + right_part - share @ right_part[:12],
+            )
         covariance = np.linalg.inv(information)
         step = covariance @ right
         k, b, lag = k + step[:9].reshape(3, 3), b + step[9:12], lag + float(step[12])
         gain = np.cbrt(abs(np.linalg.det(k)))
         k = k / gain
-        for stretch, (inverse, by, towards) in zip(stretches, followers, strict=True):
-            stretch.local = stretch.local + inverse @ (towards - by @ step)
+        for stretch, (inverse, coupling, right_part) in zip(stretches, followers, strict=True):
+            stretch.local = stretch.local + inverse @ (right_part - coupling @ step)
             stretch.local[0] += np.log(gain)
     return _result(stretches, k, np.append(b, lag), covariance, usual, spread)
 
@@ -209,7 +214,7 @@ def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> It
     edges = np.linspace(time[0], time[-1], max(1, round(length_s / STRETCH_S)) + 1)
     edges[-1] += 1.0
     for begin, end in pairwise(np.searchsorted(time, edges)):
-        t, back = time[begin:end], level[begin:end].transpose(0, 2, 1)
+        t, inverse = time[begin:end], level[begin:end].transpose(0, 2, 1)
         first = np.flatnonzero(np.diff(((t - t[0]) / BLOCK_S).astype(int), prepend=-1))
         last, count = np.append(first[1:], len(t)) - 1, np.diff(np.append(first, len(t)))
         middle, spans = (first + last) // 2, np.maximum(t[last] - t[first], 1e-9)
@@ -219,8 +224,8 @@ def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> It
             recording=number,
             time=t[middle],
             reading=np.add.reduceat(mag[begin:end], first) / count[:, None],
-            turned=np.add.reduceat(back, first) / count[:, None, None],
-            turning=(back[last] - back[first]) / spans[:, None, None],
+            turned=np.add.reduceat(inverse, first) / count[:, None, None],
+            turning=(inverse[last] - inverse[first]) / spans[:, None, None],
             level=level[begin:end][middle],
             knots=knots,
             calm=np.ones(len(first), dtype=bool),
@@ -235,11 +240,11 @@ def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, Floa
     """
     square, blocks = np.zeros((9, 9)), list[FloatArray]()
     for stretch in stretches:
-        beside = np.concatenate((stretch.level, np.tile(np.eye(3), (len(stretch.level), 1, 1))), axis=2).reshape(-1, 6)
+        columns = np.concatenate((stretch.level, np.tile(np.eye(3), (len(stretch.level), 1, 1))), axis=2).reshape(-1, 6)
         linear = np.einsum("nij,nk->nijk", stretch.level, stretch.reading).reshape(-1, 9)
-        linear -= beside @ np.linalg.lstsq(beside, linear, rcond=None)[0]
+        linear -= columns @ np.linalg.lstsq(columns, linear, rcond=None)[0]
         square += linear.T @ linear
-        blocks.append(beside)
+        blocks.append(columns)
     signs, orders = product((1.0, -1.0), repeat=3), list(permutations(np.eye(3)))
     signed = [np.array(order) * sign for sign in signs for order in orders]
     axes = min((m for m in signed if np.linalg.det(m) > 0.0), key=lambda m: m.ravel() @ square @ m.ravel())

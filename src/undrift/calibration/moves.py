@@ -83,8 +83,8 @@ def _pose_means(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Flo
     for number, record in enumerate(records):
         rows = [k for k, still in enumerate(stills) if still.recording == number]
         start, stop = np.array([(stills[k].start, stills[k].stop) for k in rows], np.int64).reshape(-1, 2).T
-        mean, within, count = still_moments(np.asarray(record.accel), start, stop)
-        means[rows], variances[rows] = mean, within / count[:, None] + code_variance(step, within)
+        mean, scatter, count = still_moments(np.asarray(record.accel), start, stop)
+        means[rows], variances[rows] = mean, scatter / count[:, None] + code_variance(step, scatter)
     return means, variances
 
 
@@ -180,10 +180,10 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
     a = d @ accel.matrix.T
     length = np.linalg.norm(a, axis=1)
     n = a / length[:, None]
-    across = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
+    projector = (np.eye(3) - n[:, :, None] * n[:, None, :]) / length[:, None, None]
     # column 3 i + j: across e_i d_j
-    matrix_slopes = (across[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)
-    reading_slopes = across @ accel.matrix
+    matrix_slopes = (projector[:, :, :, None] * d[:, None, None, :]).reshape(len(n), 3, 9)
+    reading_slopes = projector @ accel.matrix
     covariance = (reading_slopes * variance / count[:, None, None]) @ reading_slopes.transpose(0, 2, 1)
     return n, np.concatenate((matrix_slopes, -reading_slopes), axis=2), covariance
 
@@ -369,8 +369,8 @@ def _build_problem(
 ) -> tuple[_Problem, FloatArray]:
     """Return the rests and moves with their sources of error, and a first matrix."""
     reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
-    away = np.abs(reading - np.median(reading, axis=0))
-    rests = np.flatnonzero(np.all(away <= TURNING * np.maximum(np.median(away, axis=0), 1e-12), axis=1))
+    distance = np.abs(reading - np.median(reading, axis=0))
+    rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
     matrix = rough_matrix(moves, accel, np.median(reading, axis=0)) if turns is None else turns.matrix
     size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))
     if not size > 0.0:
@@ -454,10 +454,13 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
     moves = replace(moves, gyro=moves.gyro - problem.force @ slope.T)
     turn, integral = turned_in(moves, matrix, offset, drift[rests:] / size)
-    arrived, tangent = (turn @ n[moves.before][:, :, None])[:, :, 0], _tangent(n[moves.before + 1]).transpose(0, 2, 1)
+    end_direction, tangent = (
+        (turn @ n[moves.before][:, :, None])[:, :, 0],
+        _tangent(n[moves.before + 1]).transpose(0, 2, 1),
+    )
     matrix_slopes = integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
     # derivative of the angles by a small turn: d(C n) = C n x small turn
-    turn_slopes = tangent @ cross_matrix(arrived) @ turn
+    turn_slopes = tangent @ cross_matrix(end_direction) @ turn
     numbers = np.arange(len(moves.first))
     still_slopes = np.zeros((len(numbers), 2, len(n), 3))
     still_slopes[numbers, :, moves.before] += tangent @ turn
@@ -467,9 +470,9 @@ def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
     move_slopes = offset_slopes[3 * rests :].reshape(len(numbers), 2, len(drift), 3)
     move_slopes[numbers, :, rests + numbers] = -turn_slopes @ integral[:, 0] @ matrix / size
     rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
-    angle = (tangent @ (arrived - n[moves.before + 1])[:, :, None]).ravel()
+    angle = (tangent @ (end_direction - n[moves.before + 1])[:, :, None]).ravel()
     # of the angles by the integral of the readings, in the end frame
-    reading_slopes = tangent @ cross_matrix(arrived) @ matrix
+    reading_slopes = tangent @ cross_matrix(end_direction) @ matrix
     matrix_columns = np.zeros((3 * rests, 9)), (turn_slopes @ matrix_slopes).reshape(-1, 9)
     g_slopes = np.einsum("epa,pb->eab", offset_slopes, problem.felt).reshape(len(offset_slopes), -1)
     return _MoveRows(

@@ -291,12 +291,12 @@ def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: 
     # spread of the means that noise without motion causes
     white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
     usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
-    moved = np.flatnonzero(motion > 10.0 * max(usual, white))
-    if len(moved) or (physical and usual > max(limit, 3.0 * white)):
-        first_s = float(time[int(moved[0] if len(moved) else 0) * width])
+    moving = np.flatnonzero(motion > 10.0 * max(usual, white))
+    if len(moving) or (physical and usual > max(limit, 3.0 * white)):
+        first_s = float(time[int(moving[0] if len(moving) else 0) * width])
         raise InputError(
-            f"noise: the device must be at rest, but {name} readings move in {len(moved) or len(motion)} of {len(motion)} windows, "
-            f"first at {first_s:.6g} s, by up to {motion.max():.3g}. Lay the device down, or cut out a stretch at rest.",
+            f"noise: the device must be at rest, but {name} readings move in {len(moving) or len(motion)} of {len(motion)} "
+            f"windows, first at {first_s:.6g} s, by up to {motion.max():.3g}. Lay the device down, or cut out a stretch at rest.",
             first_s=first_s,
             motion=float(motion.max()),
         )

@@ -167,8 +167,8 @@ def _sources(
     reading_slopes = -design[:, 6:]  # d length / d reading = M'^T n
     sources = {"noise": (reading_slopes**2 * noise).sum(axis=1) + (ROUNDING * gravity) ** 2}
     if creep is not None and not creep.none:
-        moved = np.hstack([reading_slopes[:, [j]] * creep.columns(d) for j, d in enumerate((v - p[6:]).T)])
-        sources["temperature"] = moved @ moved.T
+        drift_columns = np.hstack([reading_slopes[:, [j]] * creep.columns(d) for j, d in enumerate((v - p[6:]).T)])
+        sources["temperature"] = drift_columns @ drift_columns.T
     return sources
 
 

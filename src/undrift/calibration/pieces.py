@@ -104,8 +104,8 @@ def _list_detected_turns(observed: Observed, method: str) -> Iterator[Piece]:
         large_moves = sizes >= (MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0))
         for k in np.flatnonzero(large_moves):
             turn, angle = search.rotations[k], search.rotation_angle[k] * factor
-            along = angle[np.argmax(np.abs(angle))]
-            full_turn = turn.axis is not None and abs(abs(along) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
+            main_angle = angle[np.argmax(np.abs(angle))]
+            full_turn = turn.axis is not None and abs(abs(main_angle) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
             used = method == "multi-position" or _is_used(replace(turn, angle=FULL_TURN if full_turn else None), method)
-            label = f"{turn.axis} {along:.0f} deg" if turn.axis and physical else turn.axis or ""
+            label = f"{turn.axis} {main_angle:.0f} deg" if turn.axis and physical else turn.axis or ""
             yield _piece(turn, number, label, SATURATED if stuck[k] and method else "" if used else NOT_USED)

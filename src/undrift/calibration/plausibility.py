@@ -74,11 +74,11 @@ def order_text(order: FloatArray) -> str:
 def columns_text(order: FloatArray) -> str:
     """Describe the exchange or reversal of columns that explains an order of the axes."""
     negative = [AXES[i] for i in range(3) if order[i].min() < 0.0]
-    moved = [AXES[i] for i in range(3) if order[i, i] == 0.0]
-    if not moved:
+    exchanged = [AXES[i] for i in range(3) if order[i, i] == 0.0]
+    if not exchanged:
         return f"column{'s' if len(negative) > 1 else ''} {_join_names(negative)} {'are' if len(negative) > 1 else 'is'} reversed"
-    ring = " in a ring" if len(moved) == 3 else ""
-    return f"columns {_join_names(moved)} are exchanged{ring}{f', and {_join_names(negative)} reversed' if negative else ''}"
+    ring = " in a ring" if len(exchanged) == 3 else ""
+    return f"columns {_join_names(exchanged)} are exchanged{ring}{f', and {_join_names(negative)} reversed' if negative else ''}"
 
 
 def _join_names(names: Sequence[str]) -> str:
@@ -128,8 +128,8 @@ def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
         limits = [limit for limit, _ in saturated_runs(column)]
         values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
         if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
-            far = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
-            limits += [float(values[k]) for k in (0, -1) if far[k] and 2 * counts[k] > len(column)]
+            nonzero = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
+            limits += [float(values[k]) for k in (0, -1) if nonzero[k] and 2 * counts[k] > len(column)]
         if limits:
             return Stuck(axis, limits[0], int((column == limits[0]).sum()))
     return None
@@ -213,9 +213,9 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
 
     A reading points to the face of its largest component, relative to the middle between the extremes of each axis.
     """
-    away = means - 0.5 * (means.max(axis=0) + means.min(axis=0))
-    axes = np.abs(away).argmax(axis=1)
-    read = [FACES[2 * axis + int(row[axis] < 0.0)] for axis, row in zip(axes, away, strict=True)]
+    deviation = means - 0.5 * (means.max(axis=0) + means.min(axis=0))
+    axes = np.abs(deviation).argmax(axis=1)
+    read = [FACES[2 * axis + int(row[axis] < 0.0)] for axis, row in zip(axes, deviation, strict=True)]
     if read == list(faces):
         return
     pairs = dict.fromkeys(zip(faces, read, strict=True))  # label and face, each combination once

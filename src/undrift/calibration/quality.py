@@ -143,8 +143,8 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
         return
     means = np.array([mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
     if np.isfinite(means).any():
-        away = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1) * si_factor(unit, "rate")
-        for number, rate in enumerate(away):
+        rates = np.linalg.norm(means - np.nanmedian(means, axis=0), axis=1) * si_factor(unit, "rate")
+        for number, rate in enumerate(rates):
             what = f"a mean rate {rate / RADIAN_PER_DEGREE:.3g} deg/s off the mean rate of the other stills"
             yield rate / segments.BENCH_RATE_LIMIT, number, what
 
@@ -279,20 +279,20 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     white = np.array([window.std(axis=0) / np.sqrt(len(window)) for window in windows])
     blocks = noise_of_means(windows, [block_size(session.records[still.recording].sample_rate_hz) for still in stills])
     noise = np.hypot(white if blocks is None else np.maximum(white, blocks), mean_rounding(windows, windows))
-    away = np.array([window.mean(axis=0) for window in windows]) - model.offset
-    force = away @ model.matrix.T
+    deviation = np.array([window.mean(axis=0) for window in windows]) - model.offset
+    force = deviation @ model.matrix.T
     direction = force / np.linalg.norm(force, axis=1)[:, None]
     reading_slopes = direction @ model.matrix
-    jacobian = np.column_stack(((direction[:, :, None] * away[:, None, :]).reshape(-1, 9), -reading_slopes))
+    jacobian = np.column_stack(((direction[:, :, None] * deviation[:, None, :]).reshape(-1, 9), -reading_slopes))
     covariance = np.nan_to_num(model.covariance[:12, :12])
     variance = (reading_slopes**2 * noise**2).sum(axis=1) + np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
     miss = np.linalg.norm(force, axis=1) - session.gravity_m_s2
-    beyond = int((np.abs(miss) > BEYOND_SIGMAS * np.sqrt(variance)).sum())
+    misses = int((np.abs(miss) > BEYOND_SIGMAS * np.sqrt(variance)).sum())
     rms, worst = float(np.sqrt(np.mean(miss**2))), int(np.argmax(np.abs(miss)))
-    if rms > WARN_MISS and beyond:
+    if rms > WARN_MISS and misses:
         what = (
-            f"{len(stills)} other rests miss gravity by {rms:.2g} m/s2 rms, {beyond} of them by more than the "
+            f"{len(stills)} other rests miss gravity by {rms:.2g} m/s2 rms, {misses} of them by more than the "
             f"uncertainty, the worst by {miss[worst]:+.2g} m/s2: {piece_name(session, stills[worst], worst, stated=False)}"
         )
-        level: Level = "fail" if rms > FAIL_MISS and beyond >= MIN_MISSES else "warn"
-        yield finding("accel.implausible", level, what=what, stills=len(stills), beyond=beyond, rms_m_s2=rms)
+        level: Level = "fail" if rms > FAIL_MISS and misses >= MIN_MISSES else "warn"
+        yield finding("accel.implausible", level, what=what, stills=len(stills), beyond=misses, rms_m_s2=rms)

@@ -87,9 +87,9 @@ def fit_rate_table(
     """
     turn_axes, rates = _check_turn_axes(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
     if mode == "paper" and len(turn_axes) < 3:
-        lacking = ", ".join(axis for k, axis in enumerate(AXES) if k not in turn_axes)
+        missing_axes = ", ".join(axis for k, axis in enumerate(AXES) if k not in turn_axes)
         raise NotObservable(
-            f"rate table, mode paper: expected turns about x, y and z, got none about {lacking}. Record them."
+            f"rate table, mode paper: expected turns about x, y and z, got none about {missing_axes}. Record them."
         )
     rows = _rows(dwells, rates, rests)
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, dwells.unit)
@@ -230,23 +230,23 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
     count = len(rows.rate)
     if rows.noise is None:
         return {"noise": np.ones(3 * count)}
-    across, along = _turning(dwells, count)
-    shapes = {"mounting wobble": across.ravel() ** 2, "ripple": along.ravel() ** 2}
+    cross_rate, axis_rate = _turning(dwells, count)
+    shapes = {"mounting wobble": cross_rate.ravel() ** 2, "ripple": axis_rate.ravel() ** 2}
     if dwells.axes is not None and dwells.axes.ripple.any():
         relative = np.zeros((count, dwells.axes.ripple.shape[1]))
         relative[: len(dwells.turn_rate)] = dwells.axes.ripple
-        columns = (along[:, :, None] * relative[:, None]).reshape(3 * count, -1)
+        columns = (axis_rate[:, :, None] * relative[:, None]).reshape(3 * count, -1)
         shapes["ripple azimuth"] = columns @ columns.T
     return shapes | walks_of(rows.span)
 
 
 def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
     """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each, with 0 at rest."""
-    along, across = np.zeros((count, 3)), np.zeros((count, 3))
+    axis_rate, cross_rate = np.zeros((count, 3)), np.zeros((count, 3))
     rotating = np.abs(axis_vectors(dwells.axis)) > 0.5
-    along[: len(rotating)] = np.where(rotating, dwells.turn_rate[:, None], 0.0)
-    across[: len(rotating)] = np.where(rotating, 0.0, dwells.turn_rate[:, None])
-    return across, along
+    axis_rate[: len(rotating)] = np.where(rotating, dwells.turn_rate[:, None], 0.0)
+    cross_rate[: len(rotating)] = np.where(rotating, 0.0, dwells.turn_rate[:, None])
+    return cross_rate, axis_rate
 
 
 # ---- findings
@@ -319,8 +319,8 @@ def check_dwells(
     theta = np.array([fit_huber(design, column)[0] for column in rows.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
         return  # two columns have the same readings, which the fit itself reports
-    away = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
-    error, size = np.linalg.norm(away, axis=1), np.linalg.norm(rates, axis=1)
+    residual_rate = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    error, size = np.linalg.norm(residual_rate, axis=1), np.linalg.norm(rates, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
     # the error from a wobble of the table is proportional to its rate
     with_rate = np.median(error[:count] / np.maximum(size, 1e-300)) * size
@@ -328,7 +328,7 @@ def check_dwells(
     wrong = np.flatnonzero(error[:count] > limits)
     if len(wrong):
         numbers = tuple(range(1, count + 1)) if numbers is None else numbers
-        read = (rates + away[:count]) / RADIAN_PER_DEGREE
+        read = (rates + residual_rate[:count]) / RADIAN_PER_DEGREE
         contradictions = "; ".join(
             f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "
             f"({', '.join(f'{value:+.4g}' for value in read[k])})"
@@ -402,8 +402,8 @@ def _rest_means(
     pieces: list[Turn | Still] = [*turning, *rests]
     parts = [records[piece.recording].part(piece.start, piece.stop) for piece in pieces]
     windows = [np.asarray(stretch.gyro, float) for stretch in parts[len(turning) :]]
-    lacking = accel is not None and any(stretch.accel is None for stretch in parts)
-    if not windows or not turning or lacking or any(np.isnan(window).any() for window in windows):
+    no_accel = accel is not None and any(stretch.accel is None for stretch in parts)
+    if not windows or not turning or no_accel or any(np.isnan(window).any() for window in windows):
         return None
     noise = noise_of_means(windows, [block_size(records[rest.recording].sample_rate_hz) for rest in rests])
     if noise is None:

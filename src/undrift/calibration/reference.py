@@ -306,8 +306,8 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
         if 3 * count <= unknown:
             break  # the recordings are too short for longer windows
         free = parameters.free
-        away, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
-        solution, window_s = solve(windows, design, away, spread, reach=reach, scale=scale), length_s
+        prior_step, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
+        solution, window_s = solve(windows, design, prior_step, spread, reach=reach, scale=scale), length_s
         parameters, scale = parameters.moved(solution.step), solution.scale
     if solution is None or np.linalg.det(parameters.value[:9].reshape(3, 3)) <= 0.0:
         raise Implausible(
@@ -325,8 +325,8 @@ def _start(
 
     matrices = np.array([r.lag.matrix for r in recordings])
     power = np.array([np.cov(r.gyro[r.moving].T) for r in recordings])  # (R, 3, 3), covariance of the readings
-    common, along = matrices @ power, np.linalg.eigvalsh(power.sum(axis=0))  # covariance of rates and readings
-    if not along[1] > SECOND_AXIS**2 * along[2]:
+    common, eigenvalues = matrices @ power, np.linalg.eigvalsh(power.sum(axis=0))  # covariance of rates and readings
+    if not eigenvalues[1] > SECOND_AXIS**2 * eigenvalues[2]:
         raise NotObservable("reference: the device was turned about one axis only. Turn it about a second axis too.")
     axes = np.linalg.svd(common, compute_uv=False)
     if ((np.linalg.det(common) < 0.0) & (axes[:, 2] > THIRD_AXIS**2 * axes[:, 0])).any():
@@ -336,13 +336,13 @@ def _start(
     mountings = bodies * bodies.mean().inv()
     physical = is_physical(unit)
     factor = si_factor(unit, "rate") if physical else float(axes.sum() / np.trace(power, axis1=1, axis2=2).sum())
-    nominal, back = factor * bodies.mean().as_matrix(), mountings.inv().as_matrix()
-    matrix = _first_matrix(back @ matrices, power, nominal)
+    nominal, inverse_mountings = factor * bodies.mean().as_matrix(), mountings.inv().as_matrix()
+    matrix = _first_matrix(inverse_mountings @ matrices, power, nominal)
 
     rest = np.array([r.rest for r in recordings])
     rested = np.isfinite(rest[:, 0])
     offsets = np.where(rested[:, None], rest, rest[rested].mean(axis=0) if rested.any() else 0.0)
-    moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(back, recordings, offsets, strict=True)]
+    moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(inverse_mountings, recordings, offsets, strict=True)]
     step: FloatArray = np.zeros(3)
     half = 0.0
     if adc is not None and adc.gyro_lsb is not None:
@@ -388,8 +388,10 @@ def _first_matrix(matrices: FloatArray, power: FloatArray, nominal: FloatArray) 
     total_power = power.sum(axis=0)
     ridge = START_RIDGE * float(np.linalg.eigvalsh(total_power)[2])
     shared = ((matrices @ power).sum(axis=0) + ridge * nominal) @ np.linalg.inv(total_power + ridge * np.eye(3))
-    away, rate = (np.einsum("rij,rjk,rik->r", m, power, m) for m in (matrices - shared, 0.0 * matrices + shared))
-    difference = float(np.sqrt((away / rate).max()))
+    difference_power, rate = (
+        np.einsum("rij,rjk,rik->r", m, power, m) for m in (matrices - shared, 0.0 * matrices + shared)
+    )
+    difference = float(np.sqrt((difference_power / rate).max()))
     if difference > MATRIX_DIFFERENCE:
         raise AlignmentError(
             f"reference: the matrices of the recordings differ by {difference:.0%}. Fit each sensor separately. With "
@@ -415,16 +417,16 @@ def _result(
         base = np.mean([r.rest for r in rested], axis=0) + sign * codes
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
     # The fit has M, d and c. The offset o is the mean at rest. An error of this mean moves o, and moves d by the opposite amount.
-    free, eye, none, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
+    free, eye, zero, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
     motion_offset = inverse @ moving
-    rest_rows = [np.zeros((3, 9)), none, np.diag(sign), eye]
-    moving_rows = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), none]
+    rest_rows = [np.zeros((3, 9)), zero, np.diag(sign), eye]
+    moving_rows = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), zero]
     jacobian = np.vstack(
         [
             np.eye(9, 18),
             np.hstack(rest_rows if moving_apart else moving_rows),
             np.hstack(
-                [np.zeros((3 * moving_apart, 9)), *(block[: 3 * moving_apart] for block in (eye, none, -matrix))]
+                [np.zeros((3 * moving_apart, 9)), *(block[: 3 * moving_apart] for block in (eye, zero, -matrix))]
             ),
             np.eye(3 * coded, 18, 12),
         ]

@@ -81,8 +81,8 @@ def window_equations(
     reading_turn, pose_turn = (
         quaternion_product(quaternion_conjugate(samples[first]), samples[last]) for samples in (q, body)
     )
-    back = quaternion_conjugate(q[last])[:, None, None, :]
-    gain = np.moveaxis(rotate(back, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
+    inverse = quaternion_conjugate(q[last])[:, None, None, :]
+    gain = np.moveaxis(rotate(inverse, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
     matrix_slopes = gain[..., :3].reshape(len(first), 3, 9)
     code_slopes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
     mounting_slopes = (
@@ -118,20 +118,26 @@ class Solution:
 
 
 def solve(
-    windows: Sequence[Windows], design: FloatArray, away: FloatArray, spread: FloatArray, *, reach: int, scale: float
+    windows: Sequence[Windows],
+    design: FloatArray,
+    prior_step: FloatArray,
+    spread: FloatArray,
+    *,
+    reach: int,
+    scale: float,
 ) -> Solution:
     """Solve the window equations for the columns of ``design`` (n, 3, P).
 
-    The prior expects a step of ``away`` (P,) with the standard deviation ``spread`` (P,), infinite without a prior. Windows overlap
-    ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
+    The prior has the mean step ``prior_step`` (P,) and the standard deviation ``spread`` (P,), infinite without a prior. Windows
+    overlap ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
     """
     a, y = (
-        design.reshape(-1, len(away)),
+        design.reshape(-1, len(prior_step)),
         np.concatenate([recording_windows.turn for recording_windows in windows]).reshape(-1),
     )
     pull = scale * np.sqrt(reach) / spread
     condition = full_rank(np.vstack((a, np.diag(pull))))
-    step, weight, scale = fit_huber(np.vstack((a, np.diag(pull))), np.append(y, pull * away), prior=len(pull))
+    step, weight, scale = fit_huber(np.vstack((a, np.diag(pull))), np.append(y, pull * prior_step), prior=len(pull))
     residuals, weight = y - a @ step, weight[: len(y)]
     inside = weight == 1.0
     normal = (a.T * inside) @ a + np.diag(pull**2)
@@ -139,9 +145,9 @@ def solve(
     covariance, blocks = prior_gain @ prior_gain.T, np.repeat(_blocks(windows, reach), 3)
     for block in range(blocks.max() + 1):
         rows = blocks == block
-        without = normal - (a[rows].T * inside[rows]) @ a[rows]
-        moved = np.linalg.solve(without, a[rows].T @ (weight * residuals)[rows])
-        covariance += student_factor(blocks.max()) * np.outer(moved, moved)
+        reduced_normal = normal - (a[rows].T * inside[rows]) @ a[rows]
+        change = np.linalg.solve(reduced_normal, a[rows].T @ (weight * residuals)[rows])
+        covariance += student_factor(blocks.max()) * np.outer(change, change)
     return Solution(
         step=step, covariance=covariance, residuals=residuals.reshape(-1, 3), scale=scale, condition=condition
     )

@@ -99,13 +99,13 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     group[order] = np.concatenate(([0], np.cumsum(separated)))
     counts = np.bincount(group)
     means = np.bincount(group, temps) / counts
-    chosen = min(np.flatnonzero(2 * counts >= counts.max()), key=lambda k: abs(means[k] - ROOM_C))
+    nearest = min(np.flatnonzero(2 * counts >= counts.max()), key=lambda k: abs(means[k] - ROOM_C))
     face = [piece.face if isinstance(piece, Still) else None for piece in pieces]
     faces = [len({face[n] for n in np.flatnonzero(group == k)} - {None}) for k in range(len(counts))]
-    most = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[chosen])))
-    used = group == chosen
-    if faces[chosen] < faces[most]:
-        used |= (group == most) & np.array([piece_face is not None for piece_face in face])
+    fullest = min(range(len(counts)), key=lambda k: (-faces[k], abs(means[k] - means[nearest])))
+    used = group == nearest
+    if faces[nearest] < faces[fullest]:
+        used |= (group == fullest) & np.array([piece_face is not None for piece_face in face])
     selected = [piece for piece, use in zip(pieces, used, strict=True) if use]
     what = (
         f"stills and turns in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC; the {len(selected)} at "
@@ -195,15 +195,17 @@ class Observed:
 
     def unused_stills(self, used: Sequence[Still | Turn]) -> tuple[Still, ...]:
         """Return the stills at the fit's temperature that share no samples with a piece used by the fit, or with a turn."""
-        candidates, taken = list(self.stills), [*used, *self.session.turns]
+        candidates, occupied = list(self.stills), [*used, *self.session.turns]
         for number, record in enumerate(() if self.found else self.session.records):
             with suppress(InputError):  # shorter than a window
                 candidates += segments.find_still(record, self.settings.still, recording=number).stills
         unused: list[Still] = []
         for still in candidates:
-            if not any(p.recording == still.recording and p.start < still.stop and still.start < p.stop for p in taken):
+            if not any(
+                p.recording == still.recording and p.start < still.stop and still.start < p.stop for p in occupied
+            ):
                 unused.append(still)
-                taken.append(still)
+                occupied.append(still)
         temps, fit_temps = piece_temperatures(self.session, unused), piece_temperatures(self.session, used)
         if self.session.kind == "thermal" and not np.isfinite(temps).all():
             return ()
@@ -244,15 +246,15 @@ class Observed:
         for _, record, search in self.turn_searches:
             factor = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else None
             for turn, reading in zip(search.rotations, search.rotation_angle, strict=True):
-                along, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
+                main_angle, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
                 if factor is None:
-                    near = full_turns and returns is True
+                    matches = full_turns and returns is True
                 else:  # a move between faces that reads twice as large does not count as a full turn
-                    near = abs(abs(along) * factor - angle) < tolerance * angle and not (
+                    matches = abs(abs(main_angle) * factor - angle) < tolerance * angle and not (
                         full_turns and returns is False
                     )
-                if turn.axis is not None and near:
-                    candidates.append((replace(turn, angle=float(np.copysign(angle, along))), abs(along)))
+                if turn.axis is not None and matches:
+                    candidates.append((replace(turn, angle=float(np.copysign(angle, main_angle))), abs(main_angle)))
         most = max((size for _, size in candidates), default=0.0)
         return tuple(turn for turn, size in candidates if size * (1.0 + tolerance) > most * (1.0 - tolerance))
 
@@ -263,8 +265,8 @@ class Observed:
         if accel is None or len(stills) < 5:
             return None
         before, after = (s for s in stills if turn.start == s.stop or turn.stop == s.start)
-        moved = np.diff(segments.still_means(accel, (before, after)), axis=0)
-        return bool(np.linalg.norm(moved) < SAME_POSE * segments.sphere_of(segments.still_means(accel, stills))[1])
+        change = np.diff(segments.still_means(accel, (before, after)), axis=0)
+        return bool(np.linalg.norm(change) < SAME_POSE * segments.sphere_of(segments.still_means(accel, stills))[1])
 
     def with_turns(self) -> "Observed":
         """Return the session with its turns by the known angle. Raise, with the likely cause, if an axis has no turn."""
@@ -284,9 +286,9 @@ class Observed:
         """Return the cause if turns by a known angle were not found, "" if unknown. Raise if their unit is mistaken."""
         for number, record, search in self.turn_searches:
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
-            back = [self._returns_to_pose(turn) is True for turn in search.rotations]
-            if is_physical(record.gyro_unit) and any(back):
-                read = np.abs(search.rotation_angle[back]).max(axis=1) * si_factor(record.gyro_unit, "rate")
+            returning = [self._returns_to_pose(turn) is True for turn in search.rotations]
+            if is_physical(record.gyro_unit) and any(returning):
+                read = np.abs(search.rotation_angle[returning]).max(axis=1) * si_factor(record.gyro_unit, "rate")
                 ratio = float(np.median(read)) / (angle_deg * RADIAN_PER_DEGREE)
                 read_as = f"turns back to the same pose read {ratio:.3g} times that angle"
                 if cause := rate_unit_words(ratio):

@@ -57,8 +57,8 @@ def flicker_of_means(span: FloatArray) -> FloatArray:
 def flicker_about_mean(span: FloatArray) -> FloatArray:
     """Return F of means over stretches (E, 2), s, minus the mean from the first to the last."""
     every = flicker_of_means(np.vstack((span, (span[:, 0].min(), span[:, 1].max()))))
-    away = np.column_stack((np.eye(len(span)), -np.ones(len(span))))
-    return np.asarray(away @ every @ away.T)
+    centring = np.column_stack((np.eye(len(span)), -np.ones(len(span))))
+    return np.asarray(centring @ every @ centring.T)
 
 
 def walk_about_mean(time: FloatArray) -> FloatArray:
@@ -112,8 +112,8 @@ def offset_drift(observed: Observed, gain: float) -> tuple[Finding, ...]:
         return ()
     time = middles(records, stills)
     force = np.array([mean_reading(records[s.recording].accel, s.start, s.stop) for s in stills])
-    moved = np.ptp(force, axis=0) > POSES_CHANGE * np.linalg.norm(force, axis=1).mean()
-    poses = (force - force.mean(axis=0))[:, moved & (len(stills) >= LEAST_WITH_POSES)]
+    changing_axes = np.ptp(force, axis=0) > POSES_CHANGE * np.linalg.norm(force, axis=1).mean()
+    poses = (force - force.mean(axis=0))[:, changing_axes & (len(stills) >= LEAST_WITH_POSES)]
     poses /= np.linalg.norm(poses, axis=0)
     design = np.column_stack(((time - time.mean()) / (float(np.ptp(time)) or np.inf), np.ones(len(time)), poses))
     theta, square, rank, _ = np.linalg.lstsq(design, rates[np.isfinite(rates).all(axis=1)], rcond=None)
@@ -121,10 +121,10 @@ def offset_drift(observed: Observed, gain: float) -> tuple[Finding, ...]:
     if rank < design.shape[1] or freedom < 1:
         return ()
     sigma = gain * np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
-    sure = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < CHANCE
-    if not sure.any():
+    significant = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < CHANCE
+    if not significant.any():
         return ()
-    axis = int(np.argmax(np.where(sure, np.abs(change), 0.0)))
+    axis = int(np.argmax(np.where(significant, np.abs(change), 0.0)))
     drift = finding(
         "session.offset_drift",
         "warn" if abs(change[axis]) > REST_DRIFT else "info",
@@ -198,10 +198,10 @@ def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> 
     session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns) or tuple(pieces)
     if not session_pieces:
         return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0, kind=kind)
-    both, count = (*session_pieces, *pieces), len(session_pieces)
-    time, temps = middles(observed.session.records, both), piece_temperatures(observed.session, both)
+    all_pieces, count = (*session_pieces, *pieces), len(session_pieces)
+    time, temps = middles(observed.session.records, all_pieces), piece_temperatures(observed.session, all_pieces)
     warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
-    has_set_point = np.array([piece.temp_c is not None for piece in both])
+    has_set_point = np.array([piece.temp_c is not None for piece in all_pieces])
     least_k = prior.unrecorded_span_k
     if np.isfinite(temps[:count]).any():
         least_k = 0.0 if has_set_point.any() else _thermometer_step(observed)

@@ -235,32 +235,32 @@ def table_axes(
     for number in sorted(set(mounting.tolist())):
         rows: list[int] = np.flatnonzero(mounting == number).tolist()
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
-        across = [(k + 1) % 3, (k + 2) % 3]
+        level_axes = [(k + 1) % 3, (k + 2) % 3]
         root: FloatArray = np.tile(table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2), (len(rows), 1, 1))
         if accel is not None and abs(gravity) == gravity_m_s2:
             forces = [
                 _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows
             ]
             parts: list[FloatArray] = [
-                dwell_rows[:, [0, 1, 2 + across[0], 2 + across[1]]] / np.array([1.0, 1.0, gravity, gravity])
+                dwell_rows[:, [0, 1, 2 + level_axes[0], 2 + level_axes[1]]] / np.array([1.0, 1.0, gravity, gravity])
                 for dwell_rows in forces
             ]
             if all(len(dwell_rows) for dwell_rows in parts):
                 tilt, root = _tilt_by_gravity(
                     parts, dwells.turn_rate[rows], [turns[n].recording for n in rows], table, gravity
                 )
-                direction[np.ix_(rows, across)], wobble[rows] = tilt, 0.0
+                direction[np.ix_(rows, level_axes)], wobble[rows] = tilt, 0.0
                 readings = [np.asarray(record.accel) for record in records]
                 windows = [readings[turns[n].recording][turns[n].start : turns[n].stop] for n in rows]
                 # all dwells measure the same gravity, with the same rounding error
-                codes = accel.matrix[across] / gravity * np.nan_to_num(mean_rounding(readings, windows))
+                codes = accel.matrix[level_axes] / gravity * np.nan_to_num(mean_rounding(readings, windows))
                 root = np.concatenate((root, np.broadcast_to(codes, (len(rows), 2, 3))), axis=2)
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
-                accel_slopes[np.ix_(rows, across)] = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))[
-                    across
-                ]
+                accel_slopes[np.ix_(rows, level_axes)] = np.hstack(
+                    (np.kron(np.eye(3), reading), -accel.matrix / gravity)
+                )[level_axes]
         columns.append(np.zeros((count, 3, root.shape[2])))
-        columns[-1][np.ix_(rows, across)] = root
+        columns[-1][np.ix_(rows, level_axes)] = root
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
         columns.append(accel_slopes @ (vectors * np.sqrt(variance.clip(0.0))))
@@ -372,6 +372,8 @@ def _tilt_by_gravity(
     axis_rows = np.zeros((count, 2, len(sizes)))  # d + e_i
     for n in range(count):
         axis_rows[n, :, :2] = axis_rows[n, :, common + 4 * n : common + 4 * n + 2] = np.eye(2)
-    both = axis_rows.reshape(2 * count, -1)
+    flat_rows = axis_rows.reshape(2 * count, -1)
     flicker = (ACCEL_FLICKER / gravity) ** 2 * np.eye(2 * count)
-    return axis_rows @ fit.theta, np.linalg.cholesky(both @ fit.covariance @ both.T + flicker).reshape(count, 2, -1)
+    return axis_rows @ fit.theta, np.linalg.cholesky(flat_rows @ fit.covariance @ flat_rows.T + flicker).reshape(
+        count, 2, -1
+    )

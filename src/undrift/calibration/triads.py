@@ -95,14 +95,18 @@ def _windows(record: Record, unit_s: float) -> _Windows | None:
         w, f = w[sound], f[sound]
         gravity = float(np.median(np.linalg.norm(f, axis=2)))
         halves = f.reshape(len(f), 2, -1, 3).mean(axis=2) / gravity
-        moved = np.linalg.norm(halves[:, 1] - halves[:, 0], axis=1)
-        chosen = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_WINDOWS] if moved[k] > MIN_MOVE]
-        if len(chosen) >= FEWEST_WINDOWS[window_s]:
+        gravity_change = np.linalg.norm(halves[:, 1] - halves[:, 0], axis=1)
+        selection = [
+            int(k) for k in np.argsort(-gravity_change, kind="stable")[:MOST_WINDOWS] if gravity_change[k] > MIN_MOVE
+        ]
+        if len(selection) >= FEWEST_WINDOWS[window_s]:
             spread = w.std(axis=(1, 2)).max(axis=1)
             offset = w[int(np.argmin(spread))].mean(axis=(0, 1))
             if spread.min() >= QUIET * spread.max() or np.linalg.norm(offset) >= LARGEST_OFFSET:
                 offset = np.zeros(3)
-            return _Windows(turn=(w[chosen] - offset).sum(axis=2) * dt, force=f[chosen] / gravity, gravity=gravity)
+            return _Windows(
+                turn=(w[selection] - offset).sum(axis=2) * dt, force=f[selection] / gravity, gravity=gravity
+            )
     return None
 
 

@@ -33,9 +33,13 @@ def check_corrected(
     """
     from undrift.io.inspect import find_saturated
 
-    both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
+    has_both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
     record_findings = (*find_saturated(raw), *padding(raw, unpadded(raw)))
-    return (*record_findings, *(check_agreement(record) if both else ()), *check_device(record, calibration, stills))
+    return (
+        *record_findings,
+        *(check_agreement(record) if has_both else ()),
+        *check_device(record, calibration, stills),
+    )
 
 
 def check_device(
@@ -56,7 +60,7 @@ def check_device(
     departure, usual = _departure_k(record, calibration), TemperatureSensitivity()
     tabled = calibration.drift is not None and calibration.drift.static is not None
     per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
-    off, expected, reversed_ = {"gyro": np.nan, "accel": np.nan}, {"gyro": np.nan, "accel": np.nan}, False
+    deviation, expected, reversed_ = {"gyro": np.nan, "accel": np.nan}, {"gyro": np.nan, "accel": np.nan}, False
     for triad, readings, ideal, residual_sigma, sigma_per_k in zip(
         calibration.triads, (record.gyro, record.accel), (0.0, gravity), (LEFT_RATE, LEFT_ACCEL), per_k, strict=True
     ):
@@ -64,17 +68,20 @@ def check_device(
             continue
         means = np.array([readings[rest.start : rest.stop].mean(axis=0) for rest in rests])
         fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # other programs state none
-        rms = off[triad.sensor] = _rms(np.linalg.norm(means, axis=1) - ideal)
+        rms = deviation[triad.sensor] = _rms(np.linalg.norm(means, axis=1) - ideal)
         expected[triad.sensor] = math.hypot(fit, residual_sigma, 0.0 if tabled else sigma_per_k * departure)
         # readings with the opposite sign: M (-u - o) = -f - 2 M o, of f = M (u - o)
         reversed_force = -means - 2.0 * model.matrix @ model.offset * triad.si
         reversed_ = rms > LEAST_LEFT and _rms(np.linalg.norm(reversed_force, axis=1) - gravity) < REVERSED * rms
-    far = [sensor for sensor, rms in off.items() if rms > FAR_SIGMAS * expected[sensor]]
-    reversed_ = reversed_ and record.accel is not None and calibration.accel is not None and "gyro" not in far
-    if not far and not reversed_:
+    doubtful = [sensor for sensor, rms in deviation.items() if rms > FAR_SIGMAS * expected[sensor]]
+    reversed_ = reversed_ and record.accel is not None and calibration.accel is not None and "gyro" not in doubtful
+    if not doubtful and not reversed_:
         return ()
-    values = {"left_mg": off["accel"] / STANDARD_GRAVITY * 1e3, "usual_mg": expected["accel"] / STANDARD_GRAVITY * 1e3}
-    values |= {"left_dps": off["gyro"] / RADIAN_PER_DEGREE, "usual_dps": expected["gyro"] / RADIAN_PER_DEGREE}
+    values = {
+        "left_mg": deviation["accel"] / STANDARD_GRAVITY * 1e3,
+        "usual_mg": expected["accel"] / STANDARD_GRAVITY * 1e3,
+    }
+    values |= {"left_dps": deviation["gyro"] / RADIAN_PER_DEGREE, "usual_dps": expected["gyro"] / RADIAN_PER_DEGREE}
     values["rests"] = len(rests)
     return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
 
@@ -92,5 +99,5 @@ def _whole(record: Record, rest: Still) -> bool:
 def _departure_k(record: Record, calibration: Calibration) -> float:
     if record.temp_c is None or not np.isfinite(calibration.reference_temp_c):
         return UNKNOWN_DEPARTURE_K
-    away = np.abs(record.temp_c - calibration.reference_temp_c)
-    return float(np.nanmean(away)) if np.isfinite(away).any() else UNKNOWN_DEPARTURE_K
+    distance = np.abs(record.temp_c - calibration.reference_temp_c)
+    return float(np.nanmean(distance)) if np.isfinite(distance).any() else UNKNOWN_DEPARTURE_K

@@ -67,17 +67,19 @@ Offset: TypeAlias = Literal["none", "rest", "motion"] | OffsetLeft
 REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
 
 
-def _evaluate_triad(plan: TriadPlan, u: FloatArray, at: Conditions, a: FloatArray, w: FloatArray) -> coverage.Span:
+def _evaluate_triad(
+    plan: TriadPlan, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray
+) -> coverage.Span:
     """Evaluate the model for a triad and write readings u to w. The force a is empty without step 4."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
     offset, h = plan.constants.offset, plan.half_step
-    if plan.warm_up is not None and at.since.size:  # step 1, and o of step 2
-        without_line(u, at.since, w, h, *plan.warm_up)
+    if plan.warm_up is not None and conditions.since.size:  # step 1, and o of step 2
+        without_line(u, conditions.since, w, h, *plan.warm_up)
         u, h = w, np.zeros(3)
     if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, at.temp_c, a, w, plan.matrix, offset, h, g, plan.tables)
+        least, greatest = tabulated(u, conditions.temp_c, a, w, plan.matrix, offset, h, g, plan.tables)
         return float(least), float(greatest)
     affine(u, w, plan.matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
@@ -92,16 +94,18 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     gyro, accel = plans
     u, v = flat(record.gyro, rows), flat(record.accel, rows)
     w, a = flat(outputs[0], rows), flat(outputs[1], rows)
-    at = Conditions(*(values[rows] for values in conditions))
+    row_conditions = Conditions(*(values[rows] for values in conditions))
     g = None if gyro is None else gyro.g_sensitivity
-    plain = all(plan is not None and plan.tables is None for plan in plans) and not at.since.size
+    plain = all(plan is not None and plan.tables is None for plan in plans) and not row_conditions.since.size
     if gyro is not None and accel is not None and g is not None and plain:
         accel_constants = (accel.matrix, accel.constants.offset, accel.half_step)
         affine_pair(u, v, w, a, gyro.matrix, gyro.constants.offset, gyro.half_step, *accel_constants, g)
         return coverage.NOWHERE  # both triads in one pass over the memory
     if accel is not None:  # first, since step 4 needs a
-        _evaluate_triad(accel, v, at, NOTHING, a)
-    return coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, at, NOTHING if g is None else a, w)
+        _evaluate_triad(accel, v, row_conditions, NOTHING, a)
+    return (
+        coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, row_conditions, NOTHING if g is None else a, w)
+    )
 
 
 class DriftRangeWarning(UserWarning):
@@ -201,11 +205,11 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    done = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
-    suspicions = _suspicions(done, calibration, record) if check else ()
-    for text in (*(item.text for item in suspicions), *done.warnings):
+    corrected = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
+    suspicions = _suspicions(corrected, calibration, record) if check else ()
+    for text in (*(item.text for item in suspicions), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
-    return done.record
+    return corrected.record
 
 
 def correct_checked(
@@ -243,13 +247,15 @@ def correct_checked(
     (0, 0)
     """
     options = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
-    done = correct_whole(record, calibration, power_on_s, offset, **options)
-    return replace(done, findings=(*_suspicions(done, calibration, record), *done.findings))
+    corrected = correct_whole(record, calibration, power_on_s, offset, **options)
+    return replace(corrected, findings=(*_suspicions(corrected, calibration, record), *corrected.findings))
 
 
-def _suspicions(done: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
+def _suspicions(corrected: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
     """Return findings about a record and its calibration. Still phases from step 7 are not searched again."""
-    return check_corrected(done.record, calibration, record, None if done.rest is None else done.rest.stills)
+    return check_corrected(
+        corrected.record, calibration, record, None if corrected.rest is None else corrected.rest.stills
+    )
 
 
 def correct_whole(
@@ -261,23 +267,23 @@ def correct_whole(
 ) -> Corrected:
     """Correct a record from its start, without plausibility checks. ``options`` are passed to ``correct_planned``."""
     carry = carry_at_start(float(record.time[0]), power_on_s)
-    done = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
+    corrected = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
     if isinstance(offset, str):
         check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
         if offset == "none":
-            return done
-        rest = find_rest_offset(done.record) if offset == "rest" else known_rest_offset(done.record)
-        offset = offset_left(done.record, offset, rest, calibration.gyro)
-    return _subtract_motion_offset(done, offset, options.get("out"))
+            return corrected
+        rest = find_rest_offset(corrected.record) if offset == "rest" else known_rest_offset(corrected.record)
+        offset = offset_left(corrected.record, offset, rest, calibration.gyro)
+    return _subtract_motion_offset(corrected, offset, options.get("out"))
 
 
-def _subtract_motion_offset(done: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
+def _subtract_motion_offset(corrected: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
     """Subtract an offset from a corrected record: step 7."""
-    if done.record.gyro is None:
-        return done
-    rate = np.subtract(done.record.gyro, offset.at(done.record.time), out=None if out is None else out[0])
-    record = done.record.computed(gyro=rate, offset_uncertainty=offset.uncertainty)
-    return replace(done, record=record, rest=offset, findings=(*done.findings, *offset.findings))
+    if corrected.record.gyro is None:
+        return corrected
+    rate = np.subtract(corrected.record.gyro, offset.at(corrected.record.time), out=None if out is None else out[0])
+    record = corrected.record.computed(gyro=rate, offset_uncertainty=offset.uncertainty)
+    return replace(corrected, record=record, rest=offset, findings=(*corrected.findings, *offset.findings))
 
 
 def offset_left(
@@ -447,10 +453,10 @@ class Corrector:
 
         It raises as ``correct`` does, and for a chunk that does not follow in time. The state is then unchanged.
         """
-        done = self.push_checked(chunk)
-        for text in done.warnings:
+        corrected = self.push_checked(chunk)
+        for text in corrected.warnings:
             warnings.warn(text, DriftRangeWarning, stacklevel=2)
-        return done.record
+        return corrected.record
 
     def push_checked(self, chunk: Record) -> Corrected:
         """Correct the next chunk, as ``push``, and return it with masks and findings of this chunk."""
@@ -466,12 +472,12 @@ class Corrector:
         carry = self.state.carry
         if not self.state.samples:
             carry = carry_at_start(float(chunk.time[0]), self._power_on_s)
-        done = correct_planned(
+        corrected = correct_planned(
             chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
         )
-        done = done if self._offset is None else _subtract_motion_offset(done, self._offset)
-        self.state = CorrectorState(reach=self.state.reach.joined(done.reach), carry=done.carry)
-        return done
+        corrected = corrected if self._offset is None else _subtract_motion_offset(corrected, self._offset)
+        self.state = CorrectorState(reach=self.state.reach.joined(corrected.reach), carry=corrected.carry)
+        return corrected
 
 
 def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:

@@ -84,8 +84,8 @@ def find_outside(
         marks = drift.static.gyro_extrapolated  # marks of the gyroscopes if both triads have marks
         data = seen_span(drift.static.temp_c, drift.static.accel_extrapolated if marks is None else marks)
         # subtracting a lag amplifies the noise of a thermometer
-        beyond = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)
-        low, high = max(low, data[0] - beyond), min(high, data[1] + beyond)
+        margin = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)
+        low, high = max(low, data[0] - margin), min(high, data[1] + margin)
     least, greatest = extremes(temp_c)
     if least >= low and greatest <= high:
         return None
@@ -180,9 +180,9 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
         what = f"{seconds:.1f} s with an extrapolated drift table"
         numbers = "no data were recorded near these temperatures and rates"
         findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
-    if (away := reach.departure_c) > reference_span_c:
-        at, span = calibration.reference_temp_c, reference_span_c
-        findings.append(finding("correct.departure", "warn", departure_c=away, reference_c=at, span_c=span))
+    if (departure := reach.departure_c) > reference_span_c:
+        reference, span = calibration.reference_temp_c, reference_span_c
+        findings.append(finding("correct.departure", "warn", departure_c=departure, reference_c=reference, span_c=span))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))

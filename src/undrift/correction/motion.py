@@ -132,8 +132,8 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
     stretches, theta, information = _fit_stretches(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
         pieces, short, _ = _fit_stretches(record, usual, usual, prior, SHORT_S)
-        near = short[: 3 * len(pieces)].reshape(-1, 3).mean(axis=0)
-        other = _fit_stretches(record, near, usual, prior, STRETCH_S)
+        initial = short[: 3 * len(pieces)].reshape(-1, 3).mean(axis=0)
+        other = _fit_stretches(record, initial, usual, prior, STRETCH_S)
         if sum(stretch.cost for stretch in other[0]) < sum(stretch.cost for stretch in stretches):
             stretches, theta, information = other
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
@@ -163,32 +163,32 @@ def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) ->
     The rate errors are x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A scale factor error
     turns gravity as an offset does. The estimated offset compensates a part of it, so less remains in the orientation.
     """
-    none, unit = np.zeros(3), rate_errors.shape[1]
+    zero, unit = np.zeros(3), rate_errors.shape[1]
     if record.duration_s < 2.0 * MEAN_S:  # two means determine nothing in addition to the prior
         return np.zeros((3, 3, unit))
-    answers = _offset_gains(record, none, none, np.diag(prior**2), rate_errors)[:-3]
+    answers = _offset_gains(record, zero, zero, np.diag(prior**2), rate_errors)[:-3]
     mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
     return mean
 
 
 def _offset_gains(
-    record: Record, near: FloatArray, usual: FloatArray, prior: FloatArray, rate_errors: FloatArray
+    record: Record, initial: FloatArray, usual: FloatArray, prior: FloatArray, rate_errors: FloatArray
 ) -> FloatArray:
     """Return the change of the offsets of each stretch and of d, (3 S + 3, 3 C), per unit of an error x_c e_b of the rates."""
-    stretches, _, information = _fit_stretches(record, near, usual, prior, STRETCH_S, rate_errors)
+    stretches, _, information = _fit_stretches(record, initial, usual, prior, STRETCH_S, rate_errors)
     offsets = 3 * len(stretches) + 3
     return np.asarray(np.linalg.solve(information[:offsets, :offsets], information[:offsets, offsets:]))
 
 
 def _fit_stretches(
     record: Record,
-    near: FloatArray,
+    initial: FloatArray,
     usual: FloatArray,
     prior: FloatArray,
     stretch_s: float,
     rate_errors: FloatArray | None = None,
 ) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
-    """Return stretches of about a length, their offsets with the accelerometer offset, and the information, starting from ``near``.
+    """Return stretches of about a length, offsets of each and of the accelerometers, and the information, from ``initial``.
 
     With ``rate_errors`` (N, C), do one step, with the information of errors x_c e_b of the rates as well.
     """
@@ -205,7 +205,7 @@ def _fit_stretches(
     loose = np.concatenate((np.repeat((_LOOSE, accel[0]), 3), np.full(errors, _FIXED)))
     middle, count = np.array([stretch.middle for stretch in stretches]), 3 * len(stretches)
     walk_of_offsets = np.pad(_walk_information(middle, prior, accel[0]), (0, errors))
-    start, theta = (np.append(np.tile(stretch, len(stretches)), np.zeros(3 + errors)) for stretch in (usual, near))
+    start, theta = (np.append(np.tile(stretch, len(stretches)), np.zeros(3 + errors)) for stretch in (usual, initial))
     for _ in range(_ROUNDS):
         information, right = walk_of_offsets.copy(), walk_of_offsets @ (start - theta)
         for k, (stretch, span) in enumerate(zip(stretches, spans, strict=True)):
@@ -217,11 +217,11 @@ def _fit_stretches(
             moments = np.einsum("kibc,ab->kiac", moments, axes[k])
             error_columns = moments[..., 1:].reshape(len(mean), 3, errors)
             design = -np.concatenate((moments[..., 0], fixed[..., 0], error_columns), axis=2)
-            stretch_information, towards = stretch.equations(
+            stretch_information, right_part = stretch.equations(
                 mean, design, loose, (STANDARD_GRAVITY, accel[1] * STANDARD_GRAVITY)
             )
             information[np.ix_(places, places)] += stretch_information
-            right[places] += towards
+            right[places] += right_part
         if errors:
             break
         step = np.linalg.solve(information, right)
@@ -238,8 +238,9 @@ def tilted(force: FloatArray, deviation: float) -> FloatArray:
     of the accelerometers (``deviation``, m/s2) would seem to determine it.
     """
     up = force / np.linalg.norm(force, axis=1)[:, None]
-    away, axes = np.linalg.eigh(np.eye(3) - up.T @ up / len(up))  # mean square sine of the angle to the vertical
-    tilts = axes[:, away > (deviation / STANDARD_GRAVITY) ** 2]
+    # mean square sine of the angle to the vertical
+    mean_squares, axes = np.linalg.eigh(np.eye(3) - up.T @ up / len(up))
+    tilts = axes[:, mean_squares > (deviation / STANDARD_GRAVITY) ** 2]
     return np.asarray(tilts @ tilts.T)
 
 
@@ -272,6 +273,6 @@ def _walk_information(middle: FloatArray, prior: FloatArray, accel: float) -> Fl
     information = np.zeros((count + 3, count + 3))
     information[:3, :3], information[count:, count:] = np.linalg.inv(prior), np.eye(3) / accel**2
     for k, length in enumerate(np.diff(middle)):
-        here = slice(3 * k, 3 * k + 6)
-        information[here, here] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WALK**2 * length)
+        pair = slice(3 * k, 3 * k + 6)
+        information[pair, pair] += np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3)) / (WALK**2 * length)
     return information

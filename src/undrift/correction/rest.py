@@ -255,8 +255,8 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
 
 def _beyond(temp_c: float, span: FloatArray) -> float:
     """Return the distance of a temperature from the range of a table or a constant, K."""
-    beyond = np.max([span[0] - temp_c, temp_c - span[1], 0.0])
-    return UNKNOWN_K if np.isnan(beyond) else float(beyond)
+    distance = np.max([span[0] - temp_c, temp_c - span[1], 0.0])
+    return UNKNOWN_K if np.isnan(distance) else float(distance)
 
 
 def _years_between(date: str, recorded_s: float) -> float:

@@ -420,18 +420,18 @@ def _build_calibration(
     previous, static, reference_c = device.provenance, tables.static, device.reference_temp_c
     if not np.isfinite(reference_c) and static is not None:
         reference_c = float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
-    before = previous.inputs[: previous.count(INPUTS_BEFORE, len(previous.inputs))]
-    chosen = "none" if choice is None else choice.chosen
+    earlier_inputs = previous.inputs[: previous.count(INPUTS_BEFORE, len(previous.inputs))]
+    table_choice = "none" if choice is None else choice.chosen
     provenance = replace(
         previous,
-        inputs=tuple(dict.fromkeys((*before, *(entry for session in sessions for entry in session.inputs)))),
+        inputs=tuple(dict.fromkeys((*earlier_inputs, *(entry for session in sessions for entry in session.inputs)))),
         settings=(
             *(entry for entry in previous.settings if not entry[0].startswith("drift_")),
             ("drift_spline", "not-a-knot" if settings.static.not_a_knot else "smoothing"),
             ("drift_lag_s", f"{tables.lag_s:.4g}"),
-            ("drift_tables", "static" if chosen == "none" else f"static, {chosen}"),
+            ("drift_tables", "static" if table_choice == "none" else f"static, {table_choice}"),
             ("drift_sessions", f"{len(sessions)}"),
-            (INPUTS_BEFORE, f"{len(before)}"),
+            (INPUTS_BEFORE, f"{len(earlier_inputs)}"),
         ),
         versions=previous.versions or versions_used(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),

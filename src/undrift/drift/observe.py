@@ -127,13 +127,13 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates from thermal sessions."""
-    none, three, integers = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
+    empty, three, integers = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
     parts = [
         RateSteps(
             session=integers,
             soak=integers,
-            time=none,
-            temp_c=none,
+            time=empty,
+            temp_c=empty,
             rate_b=three,
             gyro=three,
             accel=three,
@@ -143,7 +143,7 @@ def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) ->
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
         for rows in steps:
-            soaks = 1 + max(int(before.soak.max(initial=-1)) for before in parts)
+            soaks = 1 + max(int(other.soak.max(initial=-1)) for other in parts)
             parts.append(replace(rows, session=rows.session + number, soak=rows.soak + soaks))
     return RateSteps.joined(parts)
 
@@ -257,9 +257,9 @@ def _drop_outliers(block: FloatArray, step: FloatArray) -> FloatArray:
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return block
-    off = np.abs(block - np.median(block, axis=0))
-    limit = OUTLIER * np.maximum(np.median(off, axis=0), np.nan_to_num(step))
-    return np.asarray(block[(off <= limit).all(axis=1)])
+    deviation = np.abs(block - np.median(block, axis=0))
+    limit = OUTLIER * np.maximum(np.median(deviation, axis=0), np.nan_to_num(step))
+    return np.asarray(block[(deviation <= limit).all(axis=1)])
 
 
 def _mean_temperature(temp_c: FloatArray) -> float:
@@ -269,12 +269,12 @@ def _mean_temperature(temp_c: FloatArray) -> float:
 
 def _slope(time: FloatArray, temp_c: FloatArray, middle: float) -> float:
     """Return the slope of the temperature about a moment, degC/min."""
-    near = slice(*np.searchsorted(time, (middle - 0.5 * RAMP_S, middle + 0.5 * RAMP_S)))
-    finite = np.isfinite(temp_c[near])
+    window = slice(*np.searchsorted(time, (middle - 0.5 * RAMP_S, middle + 0.5 * RAMP_S)))
+    finite = np.isfinite(temp_c[window])
     if finite.sum() < 2:
         return 0.0
-    about = time[near][finite] - time[near][finite].mean()
-    return float(60.0 * (about @ temp_c[near][finite]) / (about @ about))
+    about = time[window][finite] - time[window][finite].mean()
+    return float(60.0 * (about @ temp_c[window][finite]) / (about @ about))
 
 
 def _ages(records: Sequence[Record]) -> FloatArray:
@@ -483,9 +483,9 @@ def one_power_on(sessions: Sequence[Session]) -> list[Session]:
     """Join recordings whose clock continues from one to the next, because the device was not switched off between them."""
     chains = list[list[int]]()
     for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
-        before = [chain for chain in chains if _is_continuation(sessions[chain[-1]], sessions[k])]
-        if before:
-            max(before, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
+        candidates = [chain for chain in chains if _is_continuation(sessions[chain[-1]], sessions[k])]
+        if candidates:
+            max(candidates, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
         else:
             chains.append([k])
     return [

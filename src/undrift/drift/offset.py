@@ -252,8 +252,8 @@ def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_uni
 def _widest(blocks: RestBlocks, number: IntArray, least_c: float) -> RestBlocks:
     """Return the blocks of the number with the widest range of temperature, or all blocks if the range is below ``least_c``."""
     widest = max(np.unique(number).tolist(), key=lambda k: float(np.ptp(blocks.temp_c[number == k])))
-    chosen = blocks.taken(number == widest)
-    return chosen if np.ptp(chosen.temp_c) >= least_c else blocks
+    widest_blocks = blocks.taken(number == widest)
+    return widest_blocks if np.ptp(widest_blocks.temp_c) >= least_c else blocks
 
 
 def known_variance(variance: FloatArray) -> FloatArray:

@@ -173,11 +173,11 @@ def prepared(
 
 def _select_rests(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
     """Return the rests at the session and temperature of a mounting in its pose, or in any pose if none match and it is allowed."""
-    near = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
-    near &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
+    same_soak = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
+    same_soak &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
     force = turns.accel.mean(axis=0)
-    same_pose = near & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
-    return rests.taken(near if any_pose and not same_pose.any() else same_pose)
+    same_pose = same_soak & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
+    return rests.taken(same_soak if any_pose and not same_pose.any() else same_pose)
 
 
 def _number_groups(*keys: IntArray) -> IntArray:
@@ -517,8 +517,8 @@ def _leave_out_square(
         missed = np.linalg.solve(np.eye(len(rows)) - hat, residual[rows])
         if group is points.soak:
             for m in np.unique(points.mounting[rows]):  # its offset is its own: only the difference over rate counts
-                same = points.mounting[rows] == m
-                missed[same] -= np.average(missed[same], weights=1.0 / v[rows][same])
+                mounting_rows = points.mounting[rows] == m
+                missed[mounting_rows] -= np.average(missed[mounting_rows], weights=1.0 / v[rows][mounting_rows])
         total += float((missed**2 / v[rows]).sum())
     return total
 

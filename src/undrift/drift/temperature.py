@@ -154,9 +154,9 @@ def _column_temperature(
         problem = f"{low:.1f} to {high:.1f} degC throughout: a chamber, self-heating of a chip, degF read as degC, or a wrong scale"
         findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
     differences = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
-    off, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
-    if abs(off) > OFF_SET_POINT_C:
-        problem = f"{off:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
+    difference, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
+    if abs(difference) > OFF_SET_POINT_C:
+        problem = f"{difference:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
         findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
     return Temperature(temp_c=temp_c, noise_c=noise_c, source="column", findings=tuple(findings))
 
@@ -166,8 +166,8 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     from scipy.ndimage import median_filter
 
     finite, spikes = np.isfinite(temp_c), np.zeros(len(temp_c), dtype=bool)
-    off = np.abs(temp_c[finite] - median_filter(temp_c[finite], size=5, mode="nearest"))
-    spikes[finite] = off > max(SPIKE * float(np.median(off)), 2.5 * step_c, LEAST_SPIKE_C)
+    deviation = np.abs(temp_c[finite] - median_filter(temp_c[finite], size=5, mode="nearest"))
+    spikes[finite] = deviation > max(SPIKE * float(np.median(deviation)), 2.5 * step_c, LEAST_SPIKE_C)
     return spikes
 
 
@@ -197,8 +197,8 @@ def step_of(temp_c: FloatArray) -> float:
     gaps = np.diff(values)
     gaps = gaps[gaps > 1e-9 * np.abs(values).max()]
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    off = np.abs(gaps / step - np.round(gaps / step))
-    return step if (off < SAME_STEP * np.maximum(gaps / step, 1.0)).mean() > 0.95 else 0.0
+    deviation = np.abs(gaps / step - np.round(gaps / step))
+    return step if (deviation < SAME_STEP * np.maximum(gaps / step, 1.0)).mean() > 0.95 else 0.0
 
 
 def _smooth(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
@@ -264,10 +264,10 @@ def without_lag(
             "default_smooth_s gives one."
         )
     x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    before = state or LagState()
-    if len(t) and t[0] <= before.time:
-        raise InputError(f"lag: readings must follow {before.time:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
-    carried = np.array([before.time, before.temp_c, before.smooth_c, before.output_c])
+    previous = state or LagState()
+    if len(t) and t[0] <= previous.time:
+        raise InputError(f"lag: readings must follow {previous.time:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
+    carried = np.array([previous.time, previous.temp_c, previous.smooth_c, previous.output_c])
     y = np.empty_like(x)
     lead(x, t, y, lag_s, smooth_s or AT_ONCE, carried)
     last_s, last_c, low, output = (float(v) for v in carried)

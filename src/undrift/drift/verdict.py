@@ -72,8 +72,8 @@ class TriadSummary:
     @property
     def usual_uncertainty(self) -> FloatArray:
         """Median standard uncertainty of the nodes near data, or of all nodes if none is, shape (3,), ``unit``."""
-        near = self.uncertainty[~self.extrapolated] if not self.extrapolated.all() else self.uncertainty
-        return np.asarray(np.median(near, axis=0))
+        observed = self.uncertainty[~self.extrapolated] if not self.extrapolated.all() else self.uncertainty
+        return np.asarray(np.median(observed, axis=0))
 
     def loop_shown(self, k: int) -> bool:
         """Return True if the loop of an axis is significant."""
@@ -101,8 +101,8 @@ def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
         return None
     factor = model.si_per_reading(calibrated.quantity)
     departure, uncertainty = (table.value - model.offset) * factor, table.uncertainty * factor
-    near = np.flatnonzero(~table.extrapolated)
-    first, last = (near[0], near[-1]) if len(near) > 1 else (0, -1)
+    observed = np.flatnonzero(~table.extrapolated)
+    first, last = (observed[0], observed[-1]) if len(observed) > 1 else (0, -1)
     span_c = table.temp_c[last] - table.temp_c[first]
     summary = TriadSummary(
         unit=SI_UNIT[calibrated.quantity],
@@ -157,8 +157,8 @@ def _dps(model: TriadModel) -> FloatArray:
 
 def without_tables(calibration: Calibration) -> Calibration:
     """Return a calibration with the verdict that it had before an earlier thermal fit."""
-    before = [item for item in calibration.verdict.findings if not item.code.startswith("drift.")]
-    return calibration if calibration.drift is None else replace(calibration, verdict=Verdict.of(*before))
+    findings = [item for item in calibration.verdict.findings if not item.code.startswith("drift.")]
+    return calibration if calibration.drift is None else replace(calibration, verdict=Verdict.of(*findings))
 
 
 # ---- do sessions and calibration belong to one device?
@@ -189,19 +189,21 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     what = "thermal session's turns against the calibration"
     check_axis_order(typical, f"{what} (scale ratios {ratios} on x, y, z)", against="turns")
     check_handedness(typical, what)
-    off, allowed = np.zeros(3), np.zeros(3)
+    deviation, allowed = np.zeros(3), np.zeros(3)
     for j in range(3):
         rows = np.flatnonzero(np.isfinite(soaks.forward[:, 0, j]))
         if len(rows):
             temp_c, ratio = soaks.temp_c[rows], against[rows, j, j]
             has_reference = np.isfinite(device.reference_temp_c)
             reference_c = device.reference_temp_c if has_reference else temp_c[np.abs(ratio - 1.0).argmin()]
-            off[j] = np.interp(reference_c, temp_c, ratio) - 1.0
+            deviation[j] = np.interp(reference_c, temp_c, ratio) - 1.0
             allowed[j] = SCALE_PER_C * np.abs(temp_c - reference_c).min()
-    level = level_of(float((np.abs(off) - allowed).max()), SCALE_OFF)
+    level = level_of(float((np.abs(deviation) - allowed).max()), SCALE_OFF)
     if level == "info" or device.gyro.method == "nominal":
         return Verdict()
-    return Verdict.of(finding("drift.scale_differs", level, percent=100.0 * off, limit_percent=100.0 * SCALE_OFF[0]))
+    return Verdict.of(
+        finding("drift.scale_differs", level, percent=100.0 * deviation, limit_percent=100.0 * SCALE_OFF[0])
+    )
 
 
 def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Verdict:
@@ -216,20 +218,20 @@ def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatA
         distance = np.abs(offset - model.offset)[nodes_in_span].max(axis=1)
     node = int(nodes_in_span[distance.argmin()])
     away_c = float(distance.min()) if np.isfinite(reference_c) else 0.0
-    off = (offset[node] - model.offset) * _dps(model)
+    deviation = (offset[node] - model.offset) * _dps(model)
     uncertainty = np.hypot(triad.uncertainty[node], model.standard_uncertainty[9:12]) * _dps(model)
-    beyond = np.abs(off) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + TEMPERATURE_OFF_C)
-    if not ((beyond > TURN_ON_DPS) & (np.abs(off) > SIGNIFICANT * uncertainty)).any():
+    excess = np.abs(deviation) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + TEMPERATURE_OFF_C)
+    if not ((excess > TURN_ON_DPS) & (np.abs(deviation) > SIGNIFICANT * uncertainty)).any():
         return Verdict()
-    far = ((beyond > FAR_DPS) & (np.abs(off) > CERTAIN * uncertainty)).any()
+    is_large = ((excess > FAR_DPS) & (np.abs(deviation) > CERTAIN * uncertainty)).any()
     values = {
         "temp_c": float(nodes[node]),
-        "offset_dps": off,
+        "offset_dps": deviation,
         "uncertainty_dps": uncertainty,
         "turn_on_dps": TURN_ON_DPS,
     }
     cause = _guess_unit(offset[node] + gravity_rate, model.offset + gravity_rate)
-    return Verdict.of(finding("drift.offset_differs", "fail" if far else "warn", **values, cause=cause))
+    return Verdict.of(finding("drift.offset_differs", "fail" if is_large else "warn", **values, cause=cause))
 
 
 def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
@@ -240,8 +242,8 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
         return Verdict()
     away_c = np.abs(rests.temp_c - device.reference_temp_c)
     away_c = away_c if np.isfinite(away_c).all() else np.full(len(rests), UNKNOWN_DEPARTURE_C)
-    near = away_c <= away_c.min() + NEAR_C
-    poses = split_by(np.flatnonzero(near), rests.session[near], rests.pose[near])
+    near_reference = away_c <= away_c.min() + NEAR_C
+    poses = split_by(np.flatnonzero(near_reference), rests.session[near_reference], rests.pose[near_reference])
     length = np.linalg.norm([force[rows].mean(axis=0) for rows in poses], axis=1)
     local_gravity = device.gravity_m_s2  # parameters of other programs do not state it
     gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
@@ -250,21 +252,26 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
     sigma_terms = np.nan_to_num(
         np.hypot(matrix @ model.forward_matrix * gravity, np.diag(offset * model.si_per_reading("accel")))
     )
-    drift_mg = TemperatureSensitivity().accel_offset_mg_per_k * float(away_c[near].mean())
+    drift_mg = TemperatureSensitivity().accel_offset_mg_per_k * float(away_c[near_reference].mean())
     usual_mg = float(np.sqrt(1e6 * np.sum(sigma_terms**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
     if miss_mg <= SIGNIFICANT * usual_mg:
         return Verdict()
-    values = {"temp_c": float(rests.temp_c[near].mean()), "poses": len(poses), "miss_mg": miss_mg, "usual_mg": usual_mg}
+    values = {
+        "temp_c": float(rests.temp_c[near_reference].mean()),
+        "poses": len(poses),
+        "miss_mg": miss_mg,
+        "usual_mg": usual_mg,
+    }
     return Verdict.of(finding("drift.accel_differs", "fail" if miss_mg > CERTAIN * usual_mg else "warn", **values))
 
 
 def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
     """Return the unit error that explains an offset (3,) by the other offset, along the same direction."""
-    along = float(reading @ constant) / max(float(constant @ constant), 1e-300)
-    same_direction = np.linalg.norm(reading - along * constant) <= 0.2 * np.linalg.norm(reading)
+    ratio = float(reading @ constant) / max(float(constant @ constant), 1e-300)
+    same_direction = np.linalg.norm(reading - ratio * constant) <= 0.2 * np.linalg.norm(reading)
     for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
-        if same_direction and abs(along / factor - 1.0) < 0.2:
-            return f"; the offset is {along:.3g} times the calibration's on every axis: gyroscope is in {text}"
+        if same_direction and abs(ratio / factor - 1.0) < 0.2:
+            return f"; the offset is {ratio:.3g} times the calibration's on every axis: gyroscope is in {text}"
     return ""
 
 

@@ -42,9 +42,10 @@ class CarriedMeans:
         share = np.maximum([self.weight @ moving[k : k + width] for k in self.first], _RESTING)
         when = np.cumsum(0.5 * MEAN_S * share)
         rests = share == _RESTING
-        taken = np.flatnonzero(~rests | ~np.append(False, rests[:-1]))  # a rest has one mean: more would set the sizes
-        self.first, scatter, when = self.first[taken], np.sqrt(share[taken]), when[taken]
-        distance = np.subtract.outer(taken, taken)
+        # a rest has one mean: more would set the sizes
+        used_windows = np.flatnonzero(~rests | ~np.append(False, rests[:-1]))
+        self.first, scatter, when = self.first[used_windows], np.sqrt(share[used_windows]), when[used_windows]
+        distance = np.subtract.outer(used_windows, used_windows)
         shared = np.outer(scatter, scatter) * ((distance == 0) + _SHARED * (abs(distance) == 1))
         # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
         walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
@@ -97,10 +98,10 @@ class CarriedMeans:
         self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]
         self.cost, information, right = solved(self.sizes)
         inverse = np.linalg.inv(information[unknown:, unknown:])
-        gone = information[:unknown, unknown:] @ inverse
+        gain = information[:unknown, unknown:] @ inverse
         self.left = mean - inverse @ right[unknown:]  # (K, 3), two horizontal components and the vertical one
-        self.level = frame, inverse, gone.T, right[unknown:]
-        return information[:unknown, :unknown] - gone @ information[unknown:, :unknown], right[:unknown] - gone @ right[
+        self.level = frame, inverse, gain.T, right[unknown:]
+        return information[:unknown, :unknown] - gain @ information[unknown:, :unknown], right[:unknown] - gain @ right[
             unknown:
         ]
 

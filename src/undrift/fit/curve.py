@@ -273,8 +273,8 @@ class Cubics:
         """Return the integrals over the span of the products of all pairs, or of their derivatives."""
         from scipy.interpolate import BSpline
 
-        at, weight = np.polynomial.legendre.leggauss(4)
+        nodes, weight = np.polynomial.legendre.leggauss(4)
         step = 1.0 / self.intervals
-        z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (at + 1.0)).ravel()
+        z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (nodes + 1.0)).ravel()
         y: FloatArray = np.asarray(BSpline(self.knots, np.eye(self.intervals + 3), 3)(z, nu=derivative))
         return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))

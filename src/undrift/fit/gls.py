@@ -171,15 +171,15 @@ def solve_inverse(
     blocks = [
         np.einsum("ij,ek->eijk", np.eye(3), term) for term in (smooth, -np.ones((count, 1)), *(-f for f in forces))
     ]
-    design, away = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
+    design, remainder = np.hstack([block.reshape(3 * count, -1) for block in blocks]), reading - smooth
     smallest = float(np.sqrt(np.diag(np.sum([_matrix(term) for term in sources.values()], axis=0)).min()))
     known_g = force is not None and prior is not None
     slope: FloatArray = np.zeros((3, 3))  # H
     for number in range(ROUNDS):
         as_read = prior if prior is None or not known_g else _convert_prior(prior, matrix, slope)
-        fit = solve(design, (value - away @ matrix.T).ravel(), sources, excess=excess, prior=as_read)
+        fit = solve(design, (value - remainder @ matrix.T).ravel(), sources, excess=excess, prior=as_read)
         change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
-        if np.abs(away @ change.T).max() <= CONVERGED * smallest and not (known_g and number == 0):
+        if np.abs(remainder @ change.T).max() <= CONVERGED * smallest and not (known_g and number == 0):
             break
         if known_g:
             slope = np.linalg.solve(matrix, fit.theta[12:].reshape(3, 3))
@@ -254,19 +254,19 @@ class _Rows:
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
         observations = np.concatenate((white @ self.value, self.prior @ self.mean))
-        back, along = np.linalg.inv(triangle), orthonormal.T @ observations
-        theta, away = back @ along, observations - orthonormal @ along
+        inverse_triangle, projection = np.linalg.inv(triangle), orthonormal.T @ observations
+        theta, remainder = inverse_triangle @ projection, observations - orthonormal @ projection
         residuals, inverse = self.value - self.design @ theta, white.T @ white
         weighted_design = white.T @ orthonormal[: len(white)]
         return _State(
             theta=theta,
-            covariance=back @ back.T,
-            gains=back @ weighted_design.T,
+            covariance=inverse_triangle @ inverse_triangle.T,
+            gains=inverse_triangle @ weighted_design.T,
             residuals=residuals,
             weighted=inverse @ residuals,
             inverse=inverse,
             projector=inverse - weighted_design @ weighted_design.T,
-            deviance=2.0 * float(np.log(np.diag(factor)).sum() + np.log(pivots).sum()) + float(away @ away),
+            deviance=2.0 * float(np.log(np.diag(factor)).sum() + np.log(pivots).sum()) + float(remainder @ remainder),
         )
 
 

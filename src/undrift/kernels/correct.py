@@ -236,7 +236,7 @@ def tabulated(
     # w = M(T) (x + h sign(x) - o(T)) - G a - e(w, T) with bilinear e (a is empty without g-sensitivity). Returns the minimum and
     # maximum measured rate, so that the caller can check the range of the table. Cells are computed a block at a time, before their
     # coefficients are read, which is twice as fast as sample by sample.
-    at, f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
+    cell_index, f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
     matrix_at, matrix_f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
     rate_at, r, y = np.empty(3 * LOOKED_UP, np.uint32), np.empty(3 * LOOKED_UP), np.empty(3 * LOOKED_UP)
     pe, rate_cells = tables.error, np.uint64(tables.error_rate.cells)
@@ -249,17 +249,17 @@ def tabulated(
             rounded(u, y, h)
             u = y[: u.size]
         if tables.offset.size > 0:
-            cells_of(tables.offset_temp, t, at, f)
+            cells_of(tables.offset_temp, t, cell_index, f)
         if tables.matrix.size > 0:
             cells_of(tables.matrix_temp, t, matrix_at, matrix_f)
-        linear(u, a[3 * start : 3 * stop], w, m, o, g, tables, at, f, matrix_at, matrix_f)
+        linear(u, a[3 * start : 3 * stop], w, m, o, g, tables, cell_index, f, matrix_at, matrix_f)
         if pe.size == 0:
             continue
         least, greatest = extremes(w, least, greatest)
-        cells_of(tables.error_temp, t, at, f)
+        cells_of(tables.error_temp, t, cell_index, f)
         cells_of(tables.error_rate, w, rate_at, r)
         for k in range(np.uint64(t.size)):
-            q, i = THREE * k, rate_cells * np.uint64(at[k])
+            q, i = THREE * k, rate_cells * np.uint64(cell_index[k])
             w[q] -= on_plane(pe, TWELVE * (i + np.uint64(rate_at[q])), f[k], r[q])
             w[q + ONE] -= on_plane(pe, TWELVE * (i + np.uint64(rate_at[q + ONE])) + FOUR, f[k], r[q + ONE])
             w[q + TWO] -= on_plane(pe, TWELVE * (i + np.uint64(rate_at[q + TWO])) + EIGHT, f[k], r[q + TWO])
@@ -268,11 +268,11 @@ def tabulated(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def without_line(
-    x: FloatArray, at: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
+    x: FloatArray, since: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
 ) -> None:  # fmt: skip
     # out = x + h sign(x) - line(at): warm-up over the time since power-on, with flat cells (cells, 3, 2) of value and slope
-    for k in range(np.uint64(at.size)):
-        i, f = cell(grid, at[k])
+    for k in range(np.uint64(since.size)):
+        i, f = cell(grid, since[k])
         for axis in range(THREE):
             q, j = THREE * k + axis, SIX * i + TWO * axis
             u = x[q] + of_code(x[q], h[axis])

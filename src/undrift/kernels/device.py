@@ -91,11 +91,11 @@ def add_process(
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def follow_with_play(temp: FloatArray, half_width: float, at: float, out: FloatArray) -> None:
+def follow_with_play(temp: FloatArray, half_width: float, output: float, out: FloatArray) -> None:
     # out (N,): output of a play operator for a temperature, from its current state
     for k in range(temp.size):
-        at = min(max(at, temp[k] - half_width), temp[k] + half_width)
-        out[k] = at
+        output = min(max(output, temp[k] - half_width), temp[k] + half_width)
+        out[k] = output
 
 
 # ---- servo
@@ -136,18 +136,18 @@ def servo(state: FloatArray, loop: Loop, powered: bool, profile: FloatArray, str
             error = wanted - math.floor(angle * loop.counts_per_rad) if powered else 0.0
             word = loop.proportional * error + loop.derivative * (error - state[ERROR])
             volts = min(max(loop.volts_per_count * word, -loop.clip), loop.clip)
-            back = loop.torque_constant * rate
-            most, least = (loop.supply - back) / loop.resistance, (-loop.supply - back) / loop.resistance
+            back_emf = loop.torque_constant * rate
+            most, least = (loop.supply - back_emf) / loop.resistance, (-loop.supply - back_emf) / loop.resistance
             torque = loop.torque_constant * min(max(loop.amplifier_gain * volts, least), most) if powered else 0.0
             drive = torque
             if rate != 0.0:
                 torque -= math.copysign(loop.friction, rate)
             else:
                 torque = 0.0 if abs(torque) <= loop.friction else torque - math.copysign(loop.friction, torque)
-            after = rate + torque / loop.inertia * loop.period_s
-            if rate * after < 0.0 and abs(drive) <= loop.friction:  # stops and sticks
-                after = 0.0
-            state[ANGLE] = angle + 0.5 * (rate + after) * loop.period_s
-            state[RATE], state[ERROR] = after, error
+            next_rate = rate + torque / loop.inertia * loop.period_s
+            if rate * next_rate < 0.0 and abs(drive) <= loop.friction:  # stops and sticks
+                next_rate = 0.0
+            state[ANGLE] = angle + 0.5 * (rate + next_rate) * loop.period_s
+            state[RATE], state[ERROR] = next_rate, error
             state[SAMPLES] += 1.0
         out[k] = state[ANGLE]

@@ -176,15 +176,15 @@ def carried_means(
     q = np.empty(4 * n)
     strapdown(rate, time, np.array([1.0, 0.0, 0.0, 0.0]), q)
     out[:] = 0.0
-    total, values, before = np.zeros(9 * x), np.empty(width), np.eye(3).ravel()
+    total, values, rotation = np.zeros(9 * x), np.empty(width), np.eye(3).ravel()
     p, row = 0, 3 * x
     for k in range(n):
         half = 0.5 * (time[k] - time[max(k - 1, 0)])
         r = matrix_of(q[4 * k], q[4 * k + 1], q[4 * k + 2], q[4 * k + 3])
         for e in range(9):
             for c in range(x):
-                total[e * x + c] += (before[e] + r[e]) * half * rate_regressors[k * x + c]
-            before[e] = r[e]
+                total[e * x + c] += (rotation[e] + r[e]) * half * rate_regressors[k * x + c]
+            rotation[e] = r[e]
             for c in range(y):
                 values[3 + 9 * x + e * y + c] = r[e] * force_regressors[k * y + c]
         for a in range(3):
