@@ -21,7 +21,6 @@ from undrift.cli.app import run
 from undrift.errors import UndriftError
 from undrift.io.session import read_file_map, read_session
 from undrift.io.store import read_calibration, write_calibration
-from undrift.live.decoder import read_description
 from undrift.programme import read_protocol
 from undrift.rate_log import read_rate_log
 from undrift.sim.device.model import read_device, write_device
@@ -192,17 +191,6 @@ turn_rate_min_dps = [5.0]
 turn_rate_max_dps = [45.0]
 """
 RATES = b"time_s,angle_deg\n" + b"".join(b"%.2f,%.2f\n" % (k / 20, 3.0 * k) for k in range(200))
-STREAM = b"""[stream]
-channels = ["count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
-rate = 100.0
-gyro_unit = "dps"
-accel_unit = "g"
-tick = 1e-6
-counter_bits = 32
-format = "frame"
-pack = "<Ihhhhhh"
-sync = "aa55"
-"""
 
 
 def seeds() -> list[Seed]:
@@ -217,7 +205,6 @@ def seeds() -> list[Seed]:
         "map.toml": (MAP, read_file_map),
         "protocol.toml": (PROTOCOL, read_protocol),
         "study.toml": (STUDY, read_study),
-        "stream.toml": (STREAM, read_description),
         "rates.csv": (RATES, read_rate_log),
         "device.json": (_written(lambda path: write_device(preset("mpu6050"), path)), read_device),
         "calibration.json": (

@@ -1,10 +1,10 @@
-"""Descriptions: what a device sends, from an address or a file, checked before anything is opened."""
+"""Descriptions: what a device sends, from an address, checked before anything is opened."""
 
 import numpy as np
 import pytest
 
-from undrift.errors import FileFormatError, InputError
-from undrift.live.decoder import StreamDescription, read_description
+from undrift.errors import InputError
+from undrift.live.decoder import StreamDescription
 from undrift.live.transports import source_at
 
 SIX = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
@@ -19,14 +19,6 @@ def test_an_address_describes_its_stream():
     assert (what.rate, what.gyro_unit, what.counter_bits, what.device) == (250.0, "dps", 16, "A7")
     assert what.tick_s == 1 / 250
     assert source.name == "tcp://127.0.0.1:9"
-
-
-def test_options_of_an_address_win_over_its_file(tmp_path):
-    path = tmp_path / "stream.toml"
-    path.write_text('[stream]\nchannels = ["accel_x", "accel_y", "accel_z"]\nrate = 50\naccel_unit = "g"\n')
-    what = source_at(f"udp://:5000?description={path}&rate=60").description
-    assert (what.rate, what.accel_unit, what.has_counter) == (60.0, "g", False)
-    assert read_description(path).rate == 50
 
 
 def test_readings_become_a_record_in_the_units_stated():
@@ -83,28 +75,6 @@ def test_a_description_that_cannot_be_is_refused(options, text):
 def test_an_address_that_is_none_is_refused_before_anything_is_opened(address, text):
     with pytest.raises(InputError, match=text):
         source_at(address).open()
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        ("rate = ", r"expected TOML, got"),
-        ("rate = 5", r"stream: this key is missing"),
-        ("[stream]\nspeed = 5", r"line 2: \[stream\], speed: this key is unknown. Check its spelling"),
-        ("[stream]\nrate = '5'", r"line 2: \[stream\], rate: expected a valid number, got '5'"),
-        ("[stream]\nrate = 0", r"rate .*got 0"),
-    ],
-)
-def test_a_file_that_is_no_description_is_refused(tmp_path, content, text):
-    path = tmp_path / "stream.toml"
-    path.write_text(content)
-    with pytest.raises(FileFormatError, match=text):
-        read_description(path)
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"none.toml: there is no file of that name"):
-        read_description(tmp_path / "none.toml")
 
 
 def test_an_address_keeps_what_it_was_given():

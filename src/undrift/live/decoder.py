@@ -1,8 +1,7 @@
 """Decoders, which convert bytes to rows of numbers. Corrupted readings are counted and omitted, without an error.
 
 A StreamDescription contains the channels in their order, their units and the framing. It is part of an address,
-``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``. The same keys can be
-stored under ``[stream]`` in a TOML file, which an address refers to with ``description=FILE``.
+``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``.
 """
 
 import binascii
@@ -12,13 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from operator import xor
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
-from undrift.base.codec import stored, toml_of, value_of
 from undrift.base.summary import at
 from undrift.errors import InputError, check_positive
 from undrift.record import Record
@@ -50,7 +47,6 @@ TRIADS = ("gyro", "accel", "mag")
 MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
 
 
-@stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamDescription:
     """Channels, units and framing of a stream of readings."""
@@ -165,20 +161,6 @@ def described(base: StreamDescription | None, options: tuple[tuple[str, str], ..
         except ValueError as error:
             raise InputError(f"stream: '{text}' is not a number for {name}. Correct the address.") from error
     return StreamDescription(**values) if base is None else replace(base, **values)  # type: ignore[arg-type]
-
-
-def read_description(path: str | Path) -> StreamDescription:
-    """Read a description from a TOML file."""
-    tables, text = toml_of(path)
-    return value_of(_File, {name: table for name, table in tables.items() if name == "stream"}, str(path), text).stream
-
-
-@stored()
-@dataclass(frozen=True, slots=True)
-class _File:
-    """A TOML file with a description. Other tables in the file are ignored."""
-
-    stream: StreamDescription
 
 
 # ---- Counters: the device's counter without wraps and restarts.

@@ -86,7 +86,7 @@ def described_address(address: str) -> tuple[str, tuple[str, ...]]:
     """Return an address with a description of the device, and notes. An address that has a description is not changed."""
     kind, place, options = split_address(address, "device", SOURCES, GROUP, "Name how it is connected")
     given_options = dict(options)
-    if kind not in BYTE_WAYS or {"channels", "rate", "description", "format"} & given_options.keys():
+    if kind not in BYTE_WAYS or {"channels", "rate", "format"} & given_options.keys():
         return address, ()
     source = source_at(address, ANY)
     if not isinstance(source, ByteSource):

@@ -2,10 +2,9 @@
 
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name
 
-The options are the fields of a StreamDescription, and ``description=FILE`` for a TOML file with these fields. A TCP device is a
-server to which this computer connects. A UDP device sends whole datagrams to a port of this computer. LSL provides its own time
-stamps. A new kind of source needs a function from an Address to a Source, and either a row in SOURCES or an entry point in
-"undrift.sources".
+The options are the fields of a StreamDescription. A TCP device is a server to which this computer connects. A UDP device sends
+whole datagrams to a port of this computer. LSL provides its own time stamps. A new kind of source needs a function from an Address
+to a Source, and either a row in SOURCES or an entry point in "undrift.sources".
 """
 
 import importlib
@@ -23,7 +22,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Port
 from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, finite, read_description
+from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, finite
 from undrift.plugins import Options, load_named, split_address
 
 POLL_S = 0.05
@@ -77,10 +76,8 @@ class Address:
         return dict(self.options).get(name, default)
 
     def describe(self, *source_options: str) -> StreamDescription:
-        """Return the stream description from file and options. `source_options` are not part of the description."""
-        file = self.option("description", "")
-        base = read_description(file) if file else self.description
-        return described(base, tuple(pair for pair in self.options if pair[0] not in (*source_options, "description")))
+        """Return the stream description from the options. `source_options` are not part of the description."""
+        return described(self.description, tuple(pair for pair in self.options if pair[0] not in source_options))
 
 
 def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:

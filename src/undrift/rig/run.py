@@ -194,7 +194,7 @@ class _Run:
     ) -> None:
         self._programme, self._rig, self._clock, self._chamber = programme, bench.rig, bench.clock, bench.chamber
         self._mounting, self._devices, self._report, self._settings = bench.mounting, devices, report, settings
-        self._enabled = False
+        self._enabled = self._air_steady = False
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
@@ -256,7 +256,8 @@ class _Run:
         lag_s = self._settings.device_lag_s
         boards = self._sound(self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber, lag_s))
         while True:
-            steady = self._sound(boards, lambda device, air=chamber.soaked(): boards[device].followed(air))
+            self._air_steady = chamber.soaked()
+            steady = self._sound(boards, lambda device: boards[device].followed(self._air_steady))
             if all(steady.values()):
                 return
             board, air_c = boards[next(iter(steady))], chamber.read()
