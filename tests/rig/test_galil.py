@@ -15,7 +15,7 @@ from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeo
 from undrift.rig import galil as axis_module
 from undrift.rig.galil import GalilCard, GalilRig, open_from
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, RigSettings
+from undrift.rig.rig import Limits, RigSettings, turn_by
 
 DEGREE = math.pi / 180.0
 PATIENT = LinkSettings(reply_timeout_s=30.0, connect_timeout_s=30.0)
@@ -69,12 +69,14 @@ def test_opening_a_rig_moves_nothing_and_sets_what_is_read_later():
     with Scripted(card) as server:
         GalilRig(GalilCard(server.url, PATIENT), RigSettings(limits=Limits(travel=math.pi))).close()
         told = [line for line in server.heard if "?" not in line and not line.startswith(("MG", "TP", "SC", "TS"))]
-    assert told[:8] == [
+    assert told[:10] == [
         "EO 0",
         "PF 10.0",
         "LZ 0",
         "ER 556",
         "OE 1",
+        "AC 256000",
+        "DC 256000",
         "FL 20000",
         "BL -20000",
         "STX",
@@ -144,26 +146,25 @@ def test_an_acceleration_is_a_multiple_of_1024_for_run_up_and_slow_down(bench):
     assert achieved == pytest.approx(254_976 * 2 * math.pi / 40_000, rel=1e-12)
 
 
-def test_a_move_returns_the_angle_between_two_positions():
-    with Bench() as bench:
-        bench.card.polls = 20  # half a second
-        assert bench.rig.move_by(-90 * DEGREE) / DEGREE == pytest.approx(-90)
-        assert bench.sent == ["SP 10000", "PR -10000", "BGX"]
-        assert bench.rig.position().angle / DEGREE == pytest.approx(-90)
+@pytest.mark.parametrize("angle_deg", [-90.0, 0.9, 360.0])
+def test_a_turn_by_an_angle_is_one_finite_move(bench, angle_deg):
+    acceleration = 256_000 * 2.0 * math.pi / 40_000
+    assert turn_by(bench.rig, angle_deg * DEGREE, acceleration, bench.clock) / DEGREE == pytest.approx(
+        angle_deg, abs=0.02
+    )
+    assert sum(line == "BGX" for line in bench.sent) == 1
 
 
-def test_a_move_that_ends_at_a_limit_switch_is_a_fault_in_words(bench):
-    bench.card.held["SC"] = "2"
-    with pytest.raises(RigFault, match=r"forward limit \(stop code 2\)"):
-        bench.rig.move_by(1.0)
+def test_a_turn_that_falls_short_is_a_fault(bench):
+    bench.card.arrives = False
+    with pytest.raises(RigFault, match=r"a turn by 90 deg, got 0"):
+        turn_by(bench.rig, 90.0 * DEGREE, 40.0, bench.clock)
 
 
 def test_a_move_is_refused_while_another_runs(bench):
     bench.card.moving = 9
     with pytest.raises(RigFault, match="still moves"):
         bench.rig.turn_for(1.0, 2.0)
-    with pytest.raises(RigFault, match="still moves"):
-        bench.rig.move_by(1.0)
     assert bench.sent == []
 
 
@@ -201,8 +202,6 @@ def test_faults_are_said_in_words(bench):
         lambda rig: rig.turn_for(1.0, 0.01),
         lambda rig: rig.set_acceleration(1e4),
         lambda rig: rig.set_acceleration(-1.0),
-        lambda rig: rig.move_by(4.0),
-        lambda rig: rig.move_by(1e-6),
     ],
 )
 def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
@@ -212,13 +211,14 @@ def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
         assert bench.server.heard == []
 
 
-def test_a_second_move_counts_from_where_the_first_ended():
+def test_a_second_turn_counts_from_where_the_first_ended():
     with Bench(limits=Limits(travel=math.pi)) as bench:
-        bench.card.polls = 60  # more than a second
-        bench.rig.move_by(2.0)
+        bench.rig.turn_for(1.0, 2.0)
+        bench.clock.wait(3.0)
+        bench.rig.stop()
         with pytest.raises(LimitError, match="travel"):
-            bench.rig.move_by(2.0)
-        bench.rig.move_by(-4.0)
+            bench.rig.turn_for(1.0, 2.0)
+        bench.rig.turn_for(-1.0, 4.0)
 
 
 def test_a_refused_command_is_a_fault_with_its_code(bench):
@@ -234,8 +234,8 @@ STEPS = {
     "acceleration": (lambda rig: rig.set_acceleration(40.0), "AC ?"),
     "turn": (lambda rig: rig.turn_for(1.0, 2.0), "SP ?"),
     "begin": (lambda rig: rig.turn_for(1.0, 2.0), "BGX"),
-    "move": (lambda rig: rig.move_by(1.0), "PR ?"),
-    "poll": (lambda rig: rig.move_by(1.0), "MG _BGX"),
+    "distance": (lambda rig: rig.turn_for(1.0, 2.0), "PR ?"),
+    "poll": (lambda rig: rig.stop(), "MG _BGX"),
     "stop": (lambda rig: rig.stop(), "STX"),
     "position": (lambda rig: rig.position(), "TPX"),
     "error": (lambda rig: rig.following_error(), "TEX"),

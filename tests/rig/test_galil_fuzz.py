@@ -33,7 +33,6 @@ CALLS = {
     "acceleration": lambda rig: rig.set_acceleration(40.0),
     "turn": lambda rig: rig.turn_for(90.0 * RADIAN_PER_DEGREE, 1.0),
     "turn back": lambda rig: rig.turn_for(-4.5 * RADIAN_PER_DEGREE, 1.0),
-    "move": lambda rig: rig.move_by(0.9 * RADIAN_PER_DEGREE),
     "stop": lambda rig: rig.stop(),
     "position": lambda rig: rig.position(),
     "measure": lambda rig: mean_turn_rate(rig, rig.clock, 0.1),
@@ -43,7 +42,7 @@ CALLS = {
     "close": lambda rig: rig.close(),
 }
 # what may be begun, as the card must have it; at its own acceleration of 256000 counts/s2, and at 40 rad/s2
-ASKED = {"turn": {"PR 9609", "PR 9608"}, "turn back": {"PR -499"}, "move": {"PR 100"}}
+ASKED = {"turn": {"PR 9609", "PR 9608"}, "turn back": {"PR -499"}}
 TAKES_ANY = ("identify", "close")  # any text is a name; closing asks again
 HARMLESS = re.compile(
     r"STX|AB|MOX|MG _BGX|MG _MOX|MG \d{5}|TC1"

@@ -14,7 +14,7 @@ from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblBoard, GrblRig, open_from, parse_status
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, RigSettings, codes, in_words
+from undrift.rig.rig import Limits, RigSettings, codes, in_words, turn_by
 
 ERRORS, ALARMS = (
     {int(code): words for code, words in codes(kind).items() if code != "other"}
@@ -65,8 +65,8 @@ def test_opening_resets_reads_the_settings_and_moves_nothing():
 
 
 def test_a_move_is_a_whole_number_of_steps(bench):
-    achieved = bench.rig.move_by(90.0 * DEGREE) / DEGREE
-    assert achieved == pytest.approx(800 / 8.889, rel=1e-12)
+    achieved = turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE
+    assert achieved == pytest.approx(800 / 8.889, abs=1e-3)
     assert bench.board.jogs == [(pytest.approx(800 / 8.889, abs=1e-5), 5400.0)]
     assert bench.rig.position().angle / DEGREE == pytest.approx(achieved, abs=1e-3)
 
@@ -98,7 +98,7 @@ def test_an_axis_of_several_has_its_own_settings_and_place():
     with Bench(board) as bench:
         board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,0.500|FS:0,0>\r\n"]
         assert bench.rig.position().angle / DEGREE == pytest.approx(0.5)
-        assert bench.rig.move_by(90.0 * DEGREE) / DEGREE == pytest.approx(90.0)
+        assert turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE == pytest.approx(90.0, abs=0.1)
 
 
 def test_the_motor_sleeps_and_wakes_and_our_own_alarm_is_cleared(bench):
@@ -157,12 +157,6 @@ def test_a_jog_that_is_refused_is_a_fault(bench):
     bench.rig.stop()
 
 
-def test_a_move_that_falls_short_is_a_fault(bench):
-    bench.board.spoilt["$J="] = [b"ok\r\n"]
-    with pytest.raises(RigFault, match=r"a move by 89.9989 deg, got 0"):
-        bench.rig.move_by(90.0 * DEGREE)
-
-
 @pytest.mark.parametrize(
     "told",
     [
@@ -171,9 +165,6 @@ def test_a_move_that_falls_short_is_a_fault(bench):
         lambda rig: rig.turn_for(1.0, 4.0),
         lambda rig: rig.turn_for(1.0, 0.01),
         lambda rig: rig.set_acceleration(1e4),
-        lambda rig: rig.move_by(4.0),
-        lambda rig: rig.move_by(1e-6),
-        lambda rig: rig.move_by(math.nan),
     ],
 )
 def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
@@ -193,7 +184,7 @@ STEPS = {
     "identify": (lambda rig: rig.identify(), "$I"),
     "enable": (lambda rig: rig.enable(True), "?"),
     "acceleration": (lambda rig: rig.set_acceleration(1.0), "$$"),
-    "move": (lambda rig: rig.move_by(1.0), "$J="),
+    "turn": (lambda rig: rig.turn_for(1.0, 2.0), "$J="),
     "stop": (lambda rig: rig.stop(), "?"),
     "position": (lambda rig: rig.position(), "?"),
     "fault": (lambda rig: rig.fault(), "?"),

@@ -85,22 +85,8 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             self._lock = (path / LOCK).open("ab")
         try:
             lock(self._lock, path)
-            if not resume and ((path / SESSION).exists() or any((path / PIECES).iterdir())):
-                raise InputError(
-                    f"{path}: the folder contains a run. Continue it with `resume`, or choose an empty folder."
-                )
-            self.head, pieces = read_journal(path / SESSION)
-            if self.head is None:
-                write_protocol(protocol, path / PROTOCOL)
-            elif self.head.protocol != self.digest:
-                raise InputError(
-                    f"{path}: the protocol differs from the protocol that the run began with. Compare it with {PROTOCOL} there."
-                )
-            self.pieces = tuple(piece for piece in pieces if (path / piece.name).exists())
             with disk_errors(path):
-                self._check_pieces()
-                for folder in (path / PIECES, path, path.parent):
-                    synchronise(folder)
+                self._open(protocol, resume)
         except BaseException:
             self._lock.close()
             raise
@@ -141,6 +127,25 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             synchronise(self.path)
         self.pieces = (*self.pieces, written)
         return written
+
+    def _open(self, protocol: Protocol, resume: bool) -> None:
+        """Read the dwells on the disk, and write the protocol of a new run."""
+        path = self.path
+        if not resume and ((path / SESSION).exists() or any((path / PIECES).iterdir())):
+            raise InputError(
+                f"{path}: the folder contains a run. Continue it with `resume`, or choose an empty folder."
+            )
+        self.head, pieces = read_journal(path / SESSION)
+        if self.head is None:
+            write_protocol(protocol, path / PROTOCOL)
+        elif self.head.protocol != self.digest:
+            raise InputError(
+                f"{path}: the protocol differs from the protocol that the run began with. Compare it with {PROTOCOL} there."
+            )
+        self.pieces = tuple(piece for piece in pieces if (path / piece.name).exists())
+        self._check_pieces()
+        for folder in (path / PIECES, path, path.parent):
+            synchronise(folder)
 
     def _check_pieces(self) -> None:
         """Raise InputError for a piece that was changed, and move pieces that session.toml does not list to `aside`."""

@@ -180,12 +180,12 @@ def matching_ticks(answers: Iterable[tuple[int, float, float]], sample_s: float)
 STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
 RECONNECTIONS = 4
 STOP_MARGIN_S = 2.0  # added to twice the expected stopping time, s
-MOVE_TURN_RATE = 90.0 * RADIAN_PER_DEGREE  # turn rate of `move_by`, rad/s
+START_ACCELERATION = 256_000.0  # default of the card, set at opening, counts/s2
 ERROR_LIMIT = 5.0 * RADIAN_PER_DEGREE  # following error at which the card switches the motor off (ER, OE1)
 
 
 class GalilRig(LinkedRig):
-    """A rate table with a Galil card. It does not move until `turn_for` or `move_by`."""
+    """A rate table with a Galil card. It does not move until `turn_for`."""
 
     stopped = "The table was stopped and its motor switched off."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the amplifier's power."
@@ -194,9 +194,8 @@ class GalilRig(LinkedRig):
         super().__init__(card, settings.limits)
         self.card, self.clock = card, settings.timing
         self._scale = CountScale.from_lines(settings.encoder_lines)
-        self._move_speed = SLEW.round(self._scale.counts(min(MOVE_TURN_RATE, settings.limits.turn_rate)))
-        self._fastest = max(self._scale.counts(settings.limits.turn_rate), self._move_speed)
-        self._acceleration = self._deceleration = 256_000.0  # default of the card, counts/s2
+        self._fastest = self._scale.counts(settings.limits.turn_rate)
+        self._acceleration = START_ACCELERATION  # of both ramps, counts/s2
         self._enabled, self._home = False, 0
         self._last: int | None = None  # last position, counts
         self._read_at = 0.0  # time of its question, s
@@ -235,7 +234,7 @@ class GalilRig(LinkedRig):
         """Return a description of the faults (TS, SC), or None."""
         with self._guarded():
             wrong = wrong_switches(self.card.integer(f"TS{self.card.axis}", 0, 255), self._enabled)
-            code = self._stop_code()
+            code = self.card.integer(f"SC{self.card.axis}", 0, 255)
         if code in STOPS_THAT_ARE_FAULTS:
             wrong.append(f"{in_words('galil_stop', code)} (stop code {code})")
         return "; ".join(wrong) or None
@@ -262,40 +261,28 @@ class GalilRig(LinkedRig):
         self.limits.check_acceleration(acceleration)
         counts = ACCELERATION.round(self._scale.counts(acceleration))
         with self._guarded():
-            self._acceleration = self.card.set("AC", counts, tolerance=1024)
-            self._deceleration = self.card.set("DC", self._acceleration, tolerance=1024)
+            self._set_ramps(counts)
         return self._scale.angle(self._acceleration)
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Turn at a steady rate for a time that includes both ramps (SP, PR, BG), and return the rate set in the card."""
         self.limits.check_turn_rate(turn_rate)
         speed = SLEW.round(self._scale.counts(turn_rate))
-        ramp = 2.0 / (1.0 / self._acceleration + 1.0 / self._deceleration)
-        distance = MOVE.round(steady_angle(speed, seconds, ramp))
+        distance = MOVE.round(steady_angle(speed, seconds, self._acceleration))
         self.limits.check_travel(self._angle_now() + self._scale.angle(distance))
         with self._guarded():
-            actual = self._begin(abs(speed), distance)
+            if self._is_moving():
+                raise RigFault(f"{self.card.name}: the axis still moves. Stop it first.")
+            actual = self.card.set("SP", abs(speed), tolerance=1)
+            self.card.set("PR", distance)
+            self._command("BG")
         return self._scale.angle(math.copysign(actual, turn_rate))
-
-    def move_by(self, angle: float) -> float:
-        """Turn by an angle (PR, BG) and wait until the axis is at rest."""
-        distance = MOVE.round(self._scale.counts(angle))
-        self.limits.check_travel(self._angle_now() + angle)
-        with self._guarded():
-            before = self._counts()
-            self._begin(self._move_speed, distance)
-            self._wait_for_rest(abs(distance) / self._move_speed + 2.0 * self._move_speed / self._deceleration)
-            code = self._stop_code()
-            if code != 1:
-                reason = f"the axis {in_words('galil_stop', code)} (stop code {code})"
-                raise RigFault(f"{self.card.name}: the move is not complete, {reason}. Check the table.", code=code)
-            return self._scale.angle(self._settled() - before)
 
     def stop(self) -> None:
         """Slow down (ST) and wait until the axis is at rest. The motor stays on."""
         with self._guarded():
             self._stop()
-            self._settled()
+            self._settle()
 
     def _prepare(self, settings: RigSettings) -> None:
         """Check that the table is free, configure the card and store the initial position. A running move is stopped."""
@@ -311,8 +298,7 @@ class GalilRig(LinkedRig):
                 self._stop()
             card.set("ER", max(1, round(self._scale.counts(ERROR_LIMIT))), tolerance=1)
             card.set("OE", 1)
-            self._acceleration = card.number(f"MG _AC{card.axis}")
-            self._deceleration = card.number(f"MG _DC{card.axis}")
+            self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self._scale.counts(self.limits.acceleration))))
             self._enabled = self._is_on()
             self._find_clock()
             self._home = self._counts()
@@ -379,8 +365,8 @@ class GalilRig(LinkedRig):
         """Return the angle since the rig was opened at the last reading of the position, rad."""
         return 0.0 if self._last is None else self._scale.angle(self._last - self._home)
 
-    def _settled(self) -> int:
-        """Wait until the position changes by at most one count, and return it. The servo settles after the profile ends."""
+    def _settle(self) -> None:
+        """Wait until the position changes by at most one count. The servo settles after the profile ends."""
         before = self._counts()
         for _ in range(50):
             self.clock.wait(0.02)
@@ -388,9 +374,12 @@ class GalilRig(LinkedRig):
             if abs(counts - before) <= 1:
                 break
             before = counts
-        return counts
 
     # ---- Motion
+
+    def _set_ramps(self, counts: int) -> None:
+        self._acceleration = self.card.set("AC", counts, tolerance=1024)
+        self.card.set("DC", self._acceleration)
 
     def _command(self, letters: str) -> None:
         self.card.do(f"{letters}{self.card.axis}")
@@ -400,18 +389,6 @@ class GalilRig(LinkedRig):
 
     def _is_on(self) -> bool:
         return not self.card.integer(f"MG _MO{self.card.axis}", 0, 1)
-
-    def _stop_code(self) -> int:
-        return self.card.integer(f"SC{self.card.axis}", 0, 255)
-
-    def _begin(self, speed: int, distance: int) -> float:
-        """Begin a move (SP, PR, BG) and return its speed, counts/s. The card ends the move itself."""
-        if self._is_moving():
-            raise RigFault(f"{self.card.name}: the axis still moves. Stop it first.")
-        actual = self.card.set("SP", speed, tolerance=1)
-        self.card.set("PR", distance)
-        self._command("BG")
-        return actual
 
     def _wait_for_rest(self, expected_s: float) -> None:
         """Poll until the profile is complete, for at most twice the expected time plus 2 s."""
@@ -424,7 +401,7 @@ class GalilRig(LinkedRig):
 
     def _stop(self) -> None:
         self._command("ST")
-        self._wait_for_rest(self._fastest / self._deceleration)
+        self._wait_for_rest(self._fastest / self._acceleration)
 
     def _make_safe(self) -> bool:
         """Stop (ST, or AB if that fails) and switch the motor off (MO). Reconnect first if the link is lost."""

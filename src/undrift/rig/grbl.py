@@ -138,7 +138,6 @@ AXES = "XYZABC"
 STEPS, RATE, ACCELERATION = 100, 110, 120  # settings of the first axis: steps/deg, deg/min, deg/s2
 SLACK_DEG = 1.0  # tolerance of a position, deg, since the clocks of driver and board differ
 SLOWEST_DEG_PER_MIN = 1.0  # lowest rate of GRBL, which replaces lower rates with it
-MOVE_DPS = 90.0  # turn rate of `move_by`, deg/s
 
 
 class GrblRig(LinkedRig):
@@ -210,35 +209,18 @@ class GrblRig(LinkedRig):
                 f"got {abs(rate_dps):.4f}. Choose another rate.",
                 turn_rate=turn_rate,
             )
-        distance_deg = self._whole_steps(steady_angle(rate_dps, seconds, self._acceleration_dps2))
+        steps = round(steady_angle(rate_dps, seconds, self._acceleration_dps2) * self._steps_per_deg)
+        distance_deg = steps / self._steps_per_deg
         self.limits.check_travel((self._place_deg - self._home_deg + distance_deg) * RADIAN_PER_DEGREE)
         with self._guarded():
-            self._jog(distance_deg, abs(deg_per_min))
-        return rate_dps * RADIAN_PER_DEGREE
-
-    def move_by(self, angle: float) -> float:
-        """Turn by an angle and wait until the axis is at rest."""
-        angle_deg = angle / RADIAN_PER_DEGREE
-        if not math.isfinite(angle) or abs(angle_deg) * self._steps_per_deg < 0.5:
-            raise LimitError(
-                f"angle: {angle_deg:g} deg is smaller than a step of the motor. Choose a larger angle.", angle=angle
-            )
-        self.limits.check_travel((self._place_deg - self._home_deg) * RADIAN_PER_DEGREE + angle)
-        distance_deg = self._whole_steps(angle_deg)
-        deg_per_min = round(60.0 * min(MOVE_DPS, self.limits.turn_rate / RADIAN_PER_DEGREE, self.fastest_dps), 3)
-        rate_dps = deg_per_min / 60.0
-        with self._guarded():
-            self._stop()
-            before_deg = self._place_deg
-            self._jog(distance_deg, deg_per_min)
-            self.board.wait_for(("Idle",), abs(distance_deg) / rate_dps + 2.0 * rate_dps / self._acceleration_dps2)
-            moved_deg = self._read_place() - before_deg
-            if abs(moved_deg - distance_deg) > 1.0 / self._steps_per_deg + 2e-3:
+            status = self.board.status()
+            if status.state != "Idle":
+                state = self.board.alarm_text(status) if status.state in ("Alarm", "Door") else status.state
                 raise RigFault(
-                    f"{self.board.name}: expected a move by {distance_deg:g} deg, got {moved_deg:g}. Check the table.",
-                    moved_deg=moved_deg,
+                    f"{self.board.name}: the board is not idle, got {state}. Enable the rig and check the table."
                 )
-        return distance_deg * RADIAN_PER_DEGREE
+            self.board.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{abs(deg_per_min):.3f}")
+        return rate_dps * RADIAN_PER_DEGREE
 
     def stop(self) -> None:
         """Slow down (jog cancel) and wait until the axis is at rest. The motor stays on."""
@@ -307,19 +289,6 @@ class GrblRig(LinkedRig):
             )
         self._last, self._place_deg = (place_deg, asked_s), place_deg
         return place_deg
-
-    def _whole_steps(self, angle_deg: float) -> float:
-        return round(angle_deg * self._steps_per_deg) / self._steps_per_deg
-
-    def _jog(self, distance_deg: float, deg_per_min: float) -> None:
-        """Start a jog by a signed angle of a whole number of steps, at a positive rate. The board must be idle."""
-        status = self.board.status()
-        if status.state != "Idle":
-            state = self.board.alarm_text(status) if status.state in ("Alarm", "Door") else status.state
-            raise RigFault(
-                f"{self.board.name}: the board is not idle, got {state}. Enable the rig and check the table."
-            )
-        self.board.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{deg_per_min:.3f}")
 
     def _stop(self) -> None:
         """End the jog and wait until the axis is at rest."""

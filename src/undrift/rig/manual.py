@@ -105,9 +105,7 @@ class ManualRig:
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Raise RigFault, because a hand cannot turn at a steady rate."""
-        raise RigFault(
-            "manual rig: a hand cannot turn at a steady rate. Plan turns through known angles (move_by) instead."
-        )
+        raise RigFault("manual rig: a hand cannot turn at a steady rate. Replace [rates] with [turns] in the protocol.")
 
     def move_by(self, angle: float) -> float:
         """Ask the operator to turn the device by an angle, and return the angle that the operator reports, rad."""

@@ -174,9 +174,6 @@ class Rig(Protocol):
         Return the rate that the controller has set, without waiting for the end of the move.
         """
 
-    def move_by(self, angle: float) -> float:
-        """Turn by an angle and come to rest."""
-
     def stop(self) -> None:
         """Slow down and wait until the axis is at rest. The motor stays on."""
 
@@ -264,6 +261,28 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
             ramp_s=ramp_s,
         )
     return turn_rate * (seconds - ramp_s)
+
+
+TURN_RATE = 90.0 * DPS  # largest rate of a turn by a known angle, rad/s
+ANGLE_TOLERANCE = 0.5 * DPS  # largest error of such a turn, which is measured more accurately, rad
+
+
+def turn_by(rig: Rig, angle: float, acceleration: float, clock: Clock) -> float:
+    """Turn by an angle, wait until the axis is at rest, and return the angle from the positions before and after, rad."""
+    turn_rate = min(TURN_RATE, rig.limits.turn_rate, 0.5 * math.sqrt(abs(angle) * acceleration))
+    seconds = abs(angle) / turn_rate + turn_rate / acceleration
+    before = rig.position().angle
+    rig.turn_for(math.copysign(turn_rate, angle), seconds)
+    clock.wait(seconds)
+    rig.stop()
+    turned = rig.position().angle - before
+    if not abs(turned - angle) <= ANGLE_TOLERANCE:
+        raise RigFault(
+            f"rig: expected a turn by {angle / DPS:g} deg, got {turned / DPS:g}. Check the table, its limit switches and its "
+            "amplifier.",
+            turned=turned,
+        )
+    return turned
 
 
 # ---- Check of a programme against the limits of a rig, before anything moves.

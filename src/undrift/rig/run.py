@@ -34,7 +34,7 @@ from undrift.rig.judge import (
 )
 from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
-from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme
+from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme, turn_by
 
 Phase = Literal[
     "enabling",
@@ -197,6 +197,7 @@ class _Run:
         self._enabled = self._air_steady = False
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
+        self._acceleration = programme.acceleration  # as the controller set it, rad/s2
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
 
     def all_but(self, done: frozenset[int]) -> None:
@@ -386,7 +387,10 @@ class _Run:
         devices = [*self._sound(self._due, lambda device: device.readings.start())]
         self._clock.wait(rest_s)
         self._say("turning")
-        angle = self._rig.move_by(step.angle)
+        if isinstance(self._rig, ManualRig):
+            angle = self._rig.move_by(step.angle)
+        else:
+            angle = turn_by(self._rig, step.angle, self._acceleration, self._clock)
         self._say("resting")
         self._clock.wait(rest_s)
         records = self._records(devices)
@@ -432,7 +436,7 @@ class _Run:
             self._say("enabling")
             self._rig.enable(True)
             self._enabled = True
-            self._rig.set_acceleration(self._programme.acceleration)
+            self._acceleration = self._rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._rig.fault()  # a card reports its last stop until the next move
             # readings that are still in a buffer arrive while the table is at rest
             self._due = tuple(self._sound(self._due, lambda device: device.readings.start()))

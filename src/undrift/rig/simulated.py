@@ -254,20 +254,6 @@ class SimulatedTable:
         self._bench.servo.turn(speed, seconds, self._acceleration)
         return self._scale.angle(speed)
 
-    def move_by(self, angle: float) -> float:
-        """Turn by an angle and come to rest."""
-        self.limits.check_travel(self._bench.angle() + angle)
-        self._answer(moving=True)
-        counts, most = round(self._scale.counts(angle)), self._scale.counts(self.limits.turn_rate)
-        speed = math.copysign(min(math.sqrt(abs(counts) * self._acceleration), most), counts)
-        seconds = abs(counts / speed) + abs(speed) / self._acceleration if counts else 0.0
-        self._fault = None
-        if counts:
-            self._bench.servo.turn(speed, seconds, self._acceleration)
-        self._bench.clock.wait(seconds + SETTLED_S)
-        self._answer(moving=True)
-        return self._scale.angle(counts)
-
     def stop(self) -> None:
         """Slow down and wait until the axis is at rest. The motor stays on."""
         self._answer()
