@@ -87,15 +87,12 @@ class Recorder:
 
         RigTimeout is raised if no such reading arrives.
         """
-        times: list[float] = []
-
-        def later() -> bool:
-            if self._ring and self._ring[-1].time[-1] >= self._first_after(moment):
-                times.append(float(self._ring[-1].time[-1]))
-            return bool(times)
-
-        self._wait(later, deadline_s, "a reading that is certainly later than the start of a dwell")
-        return times[0]
+        self._wait(
+            lambda: bool(self._ring) and self._ring[-1].time[-1] >= self._first_after(moment),
+            deadline_s,
+            "a reading that is certainly later than the start of a dwell",
+        )
+        return float(self._ring[-1].time[-1])
 
     def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
         """Return the readings between two host times, s. `first` is a device time from `begun` that excludes earlier readings."""

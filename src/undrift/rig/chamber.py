@@ -1,6 +1,7 @@
 """Thermal chambers by address, and chambers with a small SCPI-like command set over TCP or a serial port.
 
-``manual:``, a chamber that a person sets, is in rig/manual.py. Commands of the other chambers:
+``manual:`` is a chamber that a person sets. The device's own thermometer then determines when the soak ends. Commands of the other
+chambers:
 
 ::
 
@@ -18,6 +19,7 @@ thermometer, the soak ends after five time constants of steady air (exp(-5) = 0.
 """
 
 import contextlib
+import logging
 import math
 from abc import abstractmethod
 from collections import deque
@@ -32,12 +34,13 @@ from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, check_positive
 from undrift.live.transports import number_of
-from undrift.plugins import load_named, names_in
 from undrift.programme import Soak
 from undrift.record import Face, Record
 from undrift.rig.link import Link, LinkSettings
 
 FEWEST_READINGS = 6
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,21 +224,61 @@ class ScpiChamber(Chamber):
         return value
 
 
-CHAMBERS = {  # function that opens a chamber, by kind (other addresses open a ScpiChamber)
-    "manual": "undrift.rig.manual:open_chamber_from",
-}
-GROUP = "undrift.chambers"
+GIVING_UP = ("q", "quit", "stop")
+
+
+def ask_person(ask: Callable[[str], str], line: str, failure: str, advice: str) -> str:
+    """Print a line for a person and return the answer. Raise RigFault if the person gives up."""
+    try:
+        answer = ask(line).strip()
+    except EOFError:
+        answer = "q"
+    if answer.lower() in GIVING_UP:
+        raise RigFault(f"{failure}, got '{answer}'. {advice}")
+    return answer
+
+
+class HandChamber(Chamber):
+    """A chamber that a person sets. Its temperature cannot be read."""
+
+    near_c = 5.0  # self-heating plus the error of an untrimmed thermometer, K
+
+    def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
+        super().__init__(settings)
+        self._ask = ask
+
+    def read(self) -> None:
+        """Return None, because the temperature cannot be read."""
+        return
+
+    def soaked(self) -> bool:
+        """Return True, because only the device's thermometer can decide."""
+        return True
+
+    def switch_off(self) -> None:
+        """Warn that the person must switch the chamber off."""
+        if self._set_point is not None:
+            log.warning("chamber: set by hand, so it is still on. Switch it off.")
+
+    def _measure(self) -> float:
+        return math.nan
+
+    def _send(self, temp_c: float) -> float:
+        line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
+        failure = f"chamber: it was not set to {temp_c:g} degC"
+        ask_person(self._ask, line, failure, "Set it and continue with `resume`.")
+        return temp_c
 
 
 def open_chamber(
     address: str, settings: ChamberSetup = ChamberSetup(), *, ask: Callable[[str], str] | None = None
 ) -> Chamber:
     """Open a chamber without changing its temperature. ``ask`` prints a line for a person and returns the typed answer."""
-    kind = address.partition(":")[0]
-    if kind not in names_in(CHAMBERS, GROUP):
+    if not address.startswith("manual:"):
         return ScpiChamber(address, settings)
-    chamber: Chamber = load_named(kind, CHAMBERS, GROUP)(address, settings, ask)
-    return chamber
+    if ask is None:
+        raise InputError("chamber: a chamber set by hand requires a person to ask. Use a terminal.")
+    return HandChamber(ask, settings)
 
 
 def _slope(t: FloatArray, temp: FloatArray) -> float:

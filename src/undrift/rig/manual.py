@@ -1,11 +1,9 @@
 """Manual rig: a person mounts the device on its faces and turns it by hand through known angles.
 
 A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, at any rate. The calibration uses the
-angle, not the rate, so `move_by` works and `turn_for` does not. A person can also set a chamber. The device's own thermometer then
-determines when the soak ends.
+angle, not the rate, so `move_by` works and `turn_for` does not.
 """
 
-import logging
 import math
 from collections.abc import Callable
 
@@ -13,23 +11,11 @@ from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, RigFault
 from undrift.live.transports import number_of
 from undrift.record import Face
-from undrift.rig.chamber import Chamber, ChamberSetup
+from undrift.rig.chamber import ask_person
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
-log = logging.getLogger(__name__)
-GIVING_UP = ("q", "quit", "stop")
 QUESTIONS = 3  # number of attempts to get a number
-
-
-def _answer(ask: Callable[[str], str], line: str, failure: str, advice: str) -> str:
-    try:
-        answer = ask(line).strip()
-    except EOFError:
-        answer = "q"
-    if answer.lower() in GIVING_UP:
-        raise RigFault(f"{failure}, got '{answer}'. {advice}")
-    return answer
 
 
 class AskedOperator:
@@ -42,46 +28,7 @@ class AskedOperator:
         """Ask the operator to mount the device."""
         line = f"Motor off. Mount the device with {up} up, step back, then press Enter (q gives up): "
         failure = f"mounting: the device was not mounted {up} up"
-        _answer(self._ask, line, failure, "Mount it and continue with `resume`.")
-
-
-class HandChamber(Chamber):
-    """A chamber that a person sets. Its temperature cannot be read."""
-
-    near_c = 5.0  # self-heating plus the error of an untrimmed thermometer, K
-
-    def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
-        super().__init__(settings)
-        self._ask = ask
-
-    def read(self) -> None:
-        """Return None, because the temperature cannot be read."""
-        return
-
-    def soaked(self) -> bool:
-        """Return True, because only the device's thermometer can decide."""
-        return True
-
-    def switch_off(self) -> None:
-        """Warn that the person must switch the chamber off."""
-        if self._set_point is not None:
-            log.warning("chamber: set by hand, so it is still on. Switch it off.")
-
-    def _measure(self) -> float:
-        return math.nan
-
-    def _send(self, temp_c: float) -> float:
-        line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
-        failure = f"chamber: it was not set to {temp_c:g} degC"
-        _answer(self._ask, line, failure, "Set it and continue with `resume`.")
-        return temp_c
-
-
-def open_chamber_from(address: str, settings: ChamberSetup, ask: Callable[[str], str] | None) -> HandChamber:
-    """Return a chamber that a person sets and switches off."""
-    if ask is None:
-        raise InputError("chamber: a chamber set by hand requires a person to ask. Use a terminal.")
-    return HandChamber(ask, settings)
+        ask_person(self._ask, line, failure, "Mount it and continue with `resume`.")
 
 
 class ManualRig:
@@ -113,7 +60,7 @@ class ManualRig:
         asked_deg = angle / RADIAN_PER_DEGREE
         line = f"Turn the device by {asked_deg:+g} deg, then type the angle it turned in deg (Enter: exactly that, q: give up): "
         for _ in range(QUESTIONS):
-            answer = _answer(self._ask, line, "manual rig: the turn was not done", "The operator gave up.")
+            answer = ask_person(self._ask, line, "manual rig: the turn was not done", "The operator gave up.")
             turned_deg = number_of(answer.removesuffix("deg").replace(",", ".")) if answer else asked_deg
             if math.isfinite(turned_deg):
                 self._angle += turned_deg * RADIAN_PER_DEGREE
