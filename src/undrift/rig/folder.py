@@ -80,6 +80,8 @@ class RunFolder(AbstractContextManager["RunFolder"]):
 
     def __init__(self, path: Path, protocol: Protocol, *, resume: bool = False) -> None:
         self.path, self.digest = path, protocol_digest(protocol)
+        self.head: Head | None = None
+        self.pieces: tuple[RecordedDwell, ...] = ()
         with disk_errors(path):
             (path / PIECES).mkdir(parents=True, exist_ok=True)
             self._lock = (path / LOCK).open("ab")
