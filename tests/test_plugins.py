@@ -72,7 +72,7 @@ def test_a_source_of_another_package_is_opened_by_its_address(installed):
 def test_an_unknown_kind_names_those_of_other_packages_too(installed):
     with pytest.raises(InputError, match=r"rig: expected one of galil:..., .*lathe:..., .*got 'press:'"):
         open_rig("press:")
-    with pytest.raises(InputError, match=r"device: wanted one of tcp:..., .*ramp:..., got 'press:'"):
+    with pytest.raises(InputError, match=r"device: expected one of tcp:..., .*ramp:..., got 'press:'"):
         source_at("press:")
 
 
