@@ -253,7 +253,7 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
     unit of the arguments.
     """
     ramp_s = abs(turn_rate) / acceleration
-    if not ramp_s < seconds:
+    if not 2.0 * ramp_s <= seconds:
         raise LimitError(
             f"turn: {seconds:g} s are too short, the two ramps take {2.0 * ramp_s:.3g} s. Turn for longer, or choose "
             "a larger acceleration.",

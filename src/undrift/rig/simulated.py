@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock, PacedClock
-from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout, check_positive
+from undrift.errors import InputError, LinkError, RigFault, RigTimeout, check_positive
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
@@ -215,7 +215,6 @@ class SimulatedTable:
         self.limits, self._bench = limits, bench
         self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
         self._acceleration = 256_000.0  # counts/s2
-        self._angle = 0.0  # commanded angle since the start, rad
         self._fault: str | None = None
 
     def identify(self) -> str:
@@ -248,8 +247,6 @@ class SimulatedTable:
         speed = SLEW.round(self._scale.counts(turn_rate))
         angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
         self.limits.check_travel(self._bench.angle() + angle)
-        if 2.0 * abs(speed) / self._acceleration > seconds:
-            raise LimitError("turn: the duration is shorter than both ramps. Turn for longer.")
         self._fault = None
         self._bench.servo.turn(speed, seconds, self._acceleration)
         return self._scale.angle(speed)
