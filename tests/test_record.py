@@ -69,8 +69,8 @@ def test_rate_and_duration_leave_drop_outs_out_of_the_rate():
         ({"time": T}, "gyro or accel readings"),
         ({"time": T, "gyro": XYZ[:2]}, r"gyro: expected shape \(3, 3\), got \(2, 3\)"),
         ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"temp_c: expected shape \(3,\), got \(1,\)"),
-        ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate: wanted one of"),
-        ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: wanted one of"),
+        ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate: expected one of"),
+        ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: expected one of"),
         (
             {"time": [0.0, 0.02, 0.01], "gyro": XYZ},
             r"expected strictly increasing seconds, got 1 steps back .* first in row 2",

@@ -48,7 +48,7 @@ def test_a_canonical_name_stays_itself(quantity, data):
 def test_g_is_no_unit_of_rate_and_a_device_unit_no_time():
     with pytest.raises(InputError, match=r"unit of rate: expected one of rad/s, dps, count, v, got 'g'. Name the unit"):
         canonical_unit("g", "rate")
-    with pytest.raises(InputError, match=r"unit of time: wanted one of s, ms, us, ns, min, date, got 'count'"):
+    with pytest.raises(InputError, match=r"unit of time: expected one of s, ms, us, ns, min, date, got 'count'"):
         canonical_unit("count", "time")
     with pytest.raises(InputError, match="rate: expected a physical unit, got count"):
         si_factor("LSB", "rate")

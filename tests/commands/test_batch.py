@@ -201,7 +201,7 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
         ("info", "--write-map", "map.toml"),
         ("validate", "--calibrate-from", "reference"),
     ):
-        assert f"{more[1]}: wanted a recording or a session, got the folder" in undrift.refused(
+        assert f"{more[1]}: expected a recording or a session, got the folder" in undrift.refused(
             more[0], folder, *more[1:]
         )
     assert "leave --output out" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")

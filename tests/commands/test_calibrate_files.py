@@ -96,14 +96,14 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
     line = undrift.refused("calibrate", session, "--serial", "A1", "--sensor", "a")
     assert "--sensor, --serial cannot be used with a session" in line
     line = undrift.refused("calibrate", session, "--latitude-deg", 59.9, "--height-m", 20)
-    assert "wanted none of --height-m beside a session" in line
+    assert "--height-m cannot be used with a session" in line
     line = undrift.refused("calibrate", session, log)
     assert "expected one session, or recordings, got a session and 1 more" in line
     line = undrift.refused("calibrate", board)
     assert "expected a folder with session.toml, got none" in line
     line = undrift.refused("calibrate", data_path("ferraris_nilspod", "example_ferraris_session.csv"))
     assert "undrift info FILE --write-map map.toml to propose a map, and name the map with --map" in line
-    with pytest.raises(InputError, match="wanted one recording or more, got 0; name them"):
+    with pytest.raises(InputError, match="expected one recording or more, got 0"):
         session_from_files([])
 
 

@@ -84,7 +84,7 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     assert "expected a name ending in .parquet, .csv, .csv.gz or .sto" in refused(corrected, "-o", tmp_path / "o.xls")
     assert "this file is also read" in refused(corrected, "-o", corrected)
     assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
-    assert "wanted a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
+    assert "expected a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
 
 
 @pytest.mark.parametrize("inside", ["recording_0.parquet", "session.toml"])

@@ -89,7 +89,7 @@ def test_a_way_with_a_description_is_recorded_as_described(tmp_path):
             "expected a name ending in .parquet, .csv, .csv.gz, .log or .txt",
         ),
         (("tcp://h:1", "-o", "old.csv"), "the file exists already"),
-        (("pigeon:x", "-o", "a.csv"), "wanted one of tcp:..."),
+        (("pigeon:x", "-o", "a.csv"), "expected one of tcp:..."),
     ],
 )
 def test_what_cannot_be_recorded_is_refused(undrift, tmp_path, words, wanted):
@@ -298,7 +298,7 @@ def test_lines_without_names_are_recorded_with_stamps_that_info_reads(undrift, t
 
 
 def test_a_guide_wants_readings(undrift, tmp_path):
-    assert "wanted a file of readings, got" in undrift.refused(
+    assert "expected a file of readings, got" in undrift.refused(
         "record", "tcp://h:1", "--guide", "poses", "-o", tmp_path / "a.txt"
     )
     assert "device that prints lines" in undrift.refused("record", "lsl:x?rate=9", "-o", tmp_path / "a.log")

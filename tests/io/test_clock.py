@@ -98,7 +98,7 @@ def test_counters_that_count_by_tens_or_wrap_where_samples_are_lost_are_unwrappe
         unwrapped(slipped)
     with pytest.raises(InputError, match=r"got 0 different steps and 99 samples"):
         unwrapped(np.zeros(100))
-    with pytest.raises(InputError, match="wanted a number in every row, got 1 empty cells"):
+    with pytest.raises(InputError, match="expected a number in every row, got 1 empty cells"):
         unwrapped(np.array([0.0, np.nan, 2.0]))
 
 

@@ -61,7 +61,7 @@ def test_native_names_that_do_not_add_up_are_refused(names, words):
         ({"gyro": ("a", "b"), "gyro_unit": "dps"}, "columns.gyro: expected three columns x, y, z, got 2"),
         ({"gyro": ("a", "a", "b"), "gyro_unit": "dps"}, "expected three different columns"),
         ({"gyro": ("a", "b", "c")}, "units.gyro: expected the unit of gyro, got none"),
-        ({"gyro": ("a", "b", "c"), "gyro_unit": "furlong"}, "unit of rate: wanted one of"),
+        ({"gyro": ("a", "b", "c"), "gyro_unit": "furlong"}, "unit of rate: expected one of"),
         ({**GYRO, "time": "t"}, "units.time: expected the unit"),
         ({**GYRO, "temp": "T", "temp_unit": "count"}, "expected degC, got count"),
         ({**GYRO, "mag": ("x", "y", "z"), "mag_unit": "count"}, "expected uT, got count"),

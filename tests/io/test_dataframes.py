@@ -47,7 +47,7 @@ def test_frames_of_polars_and_tables_of_arrow_are_those_of_pandas():
     assert np.isnan(Record.from_frame(Polars(empty), units=UNITS, gaps="keep").accel[0, 0])
     with pytest.raises(FileFormatError, match="DataFrame"):
         Record.from_frame(Polars(columns | {"accel_x": ["a"] * N}), units=UNITS)
-    with pytest.raises(InputError, match="wanted a table of pandas, polars or Arrow, got int; make one"):
+    with pytest.raises(InputError, match="expected a table of pandas, polars or Arrow, got int"):
         Record.from_frame(7)
 
 
@@ -87,7 +87,7 @@ def test_dates_in_the_index_are_the_clock(index):
 
 def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
     frame = pd.DataFrame({**PLAIN, "gyro_x": pd.array([None, *range(N - 1)], dtype="Int64")})
-    with pytest.raises(InputError, match="wanted a number in every row, got 1 empty or NaN cells"):
+    with pytest.raises(InputError, match="expected a number in every row, got 1 empty or NaN cells"):
         Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0)
     kept = Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0, gaps="keep")
     assert np.isnan(kept.gyro[0, 0])

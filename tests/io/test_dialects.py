@@ -115,7 +115,7 @@ def test_mt_manager_reads_with_each_delimiter_and_missing_cells_are_gaps(tmp_pat
     rows = [[f"{51400 + k}", "NaN", "NaN" if k == 0 else "0.1", "0.2", "9.8", "0.01", "0.02", "0.03"] for k in range(4)]
     lines = ["// General information: ", "// Update Rate: 100.0Hz", *(delimiter.join(row) for row in (names, *rows))]
     (tmp_path / "m.txt").write_text("\r\n".join(lines) + "\r\n")
-    with pytest.raises(InputError, match="column 'Acc_X': wanted a number in every row, got 1 empty or NaN cells"):
+    with pytest.raises(InputError, match="column 'Acc_X': expected a number in every row, got 1 empty or NaN cells"):
         read_record(tmp_path / "m.txt")
     record = read_record(tmp_path / "m.txt", settings=ReadSettings(gaps="keep"))
     assert np.isnan(record.accel[:, 0]).tolist() == [True, False, False, False]

@@ -27,7 +27,7 @@ def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
     unmapped = ColumnMap(
         time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("u", "v", "w"), gyro_unit="dps"
     )
-    with pytest.raises(InputError, match="column 'w': wanted a number in every row, got 2 empty"):
+    with pytest.raises(InputError, match="column 'w': expected a number in every row, got 2 empty"):
         read_csv(tmp_path / "r.csv", unmapped)
 
 

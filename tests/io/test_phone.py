@@ -132,7 +132,7 @@ def test_files_of_a_phone_that_do_not_belong_together_are_refused(tmp_path):
         read_record(phone(tmp_path, shift=60.0))
     (tmp_path / "Gyroscope.csv").write_text((tmp_path / "TotalAcceleration.csv").read_text())
     (tmp_path / "TotalAcceleration.csv").write_text("t (s),wx (rad/s),wy (rad/s),wz (rad/s)\n0,0,0,1\n1,0,0,1\n")
-    with pytest.raises(FileFormatError, match=r"wanted a gyroscope in Gyroscope.csv and an accelerometer in Total.*"):
+    with pytest.raises(FileFormatError, match=r"expected a gyroscope in Gyroscope.csv and an accelerometer in Total.*"):
         read_record(tmp_path)
 
 

@@ -80,8 +80,8 @@ def test_other_files_are_no_reference(tmp_path):
     ("keys", "words"),
     [
         ({}, "expected a time column or sample_rate_hz, got neither"),
-        ({"time": "t"}, "unit of time: wanted one of"),
-        ({"sample_rate_hz": 1.0, "position": ("a", "b", "c")}, "unit of length: wanted one of"),
+        ({"time": "t"}, "unit of time: expected one of"),
+        ({"sample_rate_hz": 1.0, "position": ("a", "b", "c")}, "unit of length: expected one of"),
         ({"sample_rate_hz": 1.0, "turns": "round"}, "expected body_to_level or level_to_body, got 'round'"),
     ],
 )

@@ -51,10 +51,10 @@ def test_a_map_in_toml_is_the_map_in_python(tmp_path):
     ("old", "new", "kind", "words"),
     [
         ("skip_rows", "skiprows", FileFormatError, "line 7: skiprows: this key is unknown"),
-        ("header = false", 'header = "no"', FileFormatError, "line 6: header: wanted a valid boolean, got 'no'"),
+        ("header = false", 'header = "no"', FileFormatError, "line 6: header: expected a valid boolean, got 'no'"),
         (
             "sample_rate_hz = 50", 'sample_rate_hz = "50"', FileFormatError,
-            "line 1: sample_rate_hz: wanted a valid number, got '50'",
+            "line 1: sample_rate_hz: expected a valid number, got '50'",
         ),
         ("offset = 23", "ofset = 23", FileFormatError, r"line 4: \[scale\], temp, ofset: this key is unknown"),
         ("[1.0, 1.0, -1.0]", "[1.0, 1.0]", FileFormatError, r"line 4: \[scale\], gyro, gain: expected"),
@@ -116,5 +116,5 @@ def test_a_repair_that_a_format_does_not_know_is_refused_rather_than_ignored(tmp
     columns = {f"gyro_{axis}_dps": np.arange(5.0) for axis in "xyz"}
     savemat(tmp_path / "r.mat", {"time_s": np.arange(5) / 100.0, **columns})
     assert len(read_record(tmp_path / "r.mat")) == 5
-    with pytest.raises(InputError, match=r"wanted a table for repair_time .*, got mat"):
+    with pytest.raises(InputError, match=r"expected a table for repair_time .*, got mat"):
         read_record(tmp_path / "r.mat", settings=ReadSettings(repair_time=True))

@@ -36,7 +36,7 @@ class Scripted:
         try:
             return self._chunks.get(timeout=deadline_s)
         except queue.Empty:
-            raise RigTimeout("scripted: wanted a reading, got none") from None
+            raise RigTimeout("scripted: expected a reading, got none") from None
 
     def deliver(self, up_to, host):
         """Let the readings taken up to a moment arrive at another."""

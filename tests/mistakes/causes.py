@@ -149,14 +149,14 @@ TWO_DEVICES = (
     r"(?:several|two|different|more than one) devices?|readings at rest[^;]*apart|serial numbers? differ|devices differ",
 )
 SHORT_RESTS = (
-    r"(?:rests?|pauses?|pose|face)[^;]*(?:too )?short|hold (?:each|them|every)[^;]*\d+ s|wanted rests? of [\d.]+ s or more",
+    r"(?:rests?|pauses?|pose|face)[^;]*(?:too )?short|hold (?:each|them|every)[^;]*\d+ s|expected rests? of [\d.]+ s or more",
 )
 ONE_TEMPERATURE = (r"one temperature (?:only|alone)|(?:only|alone|at) one temperature|single temperature|degC only",)
 SOAK_ORDER = (
     r"set-?points?[^;]*(?:order|differ|belong|swapped|disagree)",
     r"temperature differs from the set-point|order of the (?:soaks|set-points|temperatures)",
 )
-OTHER_KIND = (r"undrift\.calibration|wanted (?:a )?calibration|not a calibration|kind|format",)
+OTHER_KIND = (r"undrift\.calibration|expected (?:a )?calibration|not a calibration|kind|format",)
 CUT_TURN = (r"cut off|still turns at|whole turn|overlaps a stop",)
 RATE_UNIT = (
     r"(?:rate|turn)[^;]*57\.3|stated (?:turn )?rates?[^;]*rad/s|rad/s[^;]*stated[^;]*deg/s|turn_rate_dps[^;]*rad/s|deg/s[^;]*rad/s",

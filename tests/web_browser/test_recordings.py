@@ -306,7 +306,7 @@ def test_what_is_no_recording_gets_one_line_and_is_not_kept(
 ) -> None:
     page = open_page("/check")
     for name, content, words in (
-        ("virus.exe", b"MZ", "wanted a recording"),
+        ("virus.exe", b"MZ", "expected a recording"),
         ("empty.csv", b"", "got an empty file"),
         ("noise.parquet", bytes(range(256)) * 40, "binary data of an unknown kind"),
     ):
