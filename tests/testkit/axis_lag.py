@@ -1,4 +1,4 @@
-"""How late a gyroscope's readings are against the angle of a table with one axis."""
+"""Lag of a gyroscope's readings behind the angle of a table with one axis."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A bench in a process of its own, on loopback.
+"""A bench in a separate process, on loopback.
 
 It and its commands are forks of a process that has imported all they need, which takes seconds; tests/cli/test_bench.py and
 tests/web/test_commands.py have both as they are called.
@@ -91,7 +91,7 @@ class _ForkedCommand:
 
     @property
     def returncode(self) -> int | None:
-        """How it ended; None while it runs."""
+        """Return the exit code, or None while the process runs."""
         return self.process.exitcode
 
     async def wait(self) -> int | None:
@@ -102,7 +102,7 @@ class _ForkedCommand:
 
 @contextmanager
 def bench_process(folder: Path, *words: str) -> Iterator[BenchServer]:
-    """Run ``undrift bench`` on a free loopback port until the end of the block; its log stands beside the folder."""
+    """Run ``undrift bench`` on a free loopback port until the end of the block. Its log is next to the folder."""
     token = [] if "--token" in words else ["--token", "none"]  # pages and requests of tests name plain addresses
     called = ["--port", "0", "--no-browser", "--json", "--folder", str(folder), *token, *words]
     log = folder.parent / f"{folder.name}.log"

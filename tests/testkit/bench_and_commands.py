@@ -28,7 +28,7 @@ def bench(tmp_path_factory) -> Path:
 
 
 def make_bench(folder: Path) -> Path:
-    """Write what the bench holds into a folder."""
+    """Write the files of a bench into a folder."""
     made = demo_session(np.random.default_rng(2007), quick=True)
     write_session(made.session, folder / "session")
     write_record(made.trial.record, folder / "trial.parquet")

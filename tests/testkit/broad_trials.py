@@ -1,4 +1,4 @@
-"""The eight BROAD trials at hand, read once, and what is known of them.
+"""The eight BROAD trials, read once, and known facts about them.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
 """
@@ -20,7 +20,7 @@ FILES = {
     32: "32_disturbed_attached_magnet_1cm",
     35: "35_disturbed_attached_magnet_4cm",
 }
-DEVICES = {"B": (2, 5, 7, 9), "C": (3, 24), "D": (32, 35)}  # by their offsets; the data set has no device id
+DEVICES = {"B": (2, 5, 7, 9), "C": (3, 24), "D": (32, 35)}  # by their offsets, because the data set has no device id
 
 
 def of_device(device: str) -> tuple[tuple[tuple[Record, Reference], ...], tuple[str, ...]]:

@@ -1,4 +1,6 @@
-"""Devices in tests: one on loopback, as fast as the socket takes it; and one on a virtual clock, each piece when it is due."""
+"""Devices for tests: one on loopback, as fast as the socket allows, and one on a virtual clock that sends each piece on
+time.
+"""
 
 import contextlib
 import math
@@ -11,7 +13,7 @@ from testkit.virtual_clock import VirtualClock
 
 
 class Sender:
-    """Sends pieces of bytes to its only client; stays open until closed or told to hang up."""
+    """Device that sends pieces of bytes to its only client and stays open until it is closed or told to hang up."""
 
     def __init__(self, pieces: Iterable[bytes], hang_up: bool = False) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))

@@ -50,7 +50,7 @@ class Build:
     arithmetic: str
 
     def inputs(self, gyro, accel, temp_c):
-        """Return the nearest inputs that the arithmetic holds, as the program takes them."""
+        """Return the nearest inputs that the arithmetic can represent, in the form for the program."""
         return np.column_stack((gyro, accel, temp_c)).astype(TYPES[self.arithmetic])
 
     def real(self, inputs):
@@ -77,7 +77,7 @@ def write(exported: ExportedC, folder: Path) -> None:
 
 
 def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> Build:
-    """Compile an export; warnings are errors."""
+    """Compile an export, with warnings as errors."""
     write(exported, folder)
     program = folder / f"correct_{arithmetic}"
     sources = [folder / "undrift.c", folder / "main.c"]

@@ -17,7 +17,7 @@ from undrift.rig.simulated import SimulatedBench
 
 
 class Card:
-    """A card that believes everything: what was set is read back, a move is over after some polls, and answers can be spoilt."""
+    """A card that accepts everything: settings are read back, a move ends after some polls, and answers can be spoilt."""
 
     def __init__(self, polls: int = 1) -> None:
         self.held: dict[str, str] = {
@@ -99,9 +99,10 @@ BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was, in one answer
 
 
 class TurningCard(Card):
-    """A card that turns the table of a simulated bench; each move takes its time and ends by itself.
+    """A card that turns the table of a simulated bench. Each move takes its time and ends by itself.
 
-    ``fault`` is one of the card's own: ``limit_switch`` (the forward one), ``abort_input``. A stalled amplifier is the bench's.
+    ``fault`` is a fault of the card: ``limit_switch`` (the forward switch) or ``abort_input``. A stalled amplifier is a
+    fault of the bench.
     """
 
     def __init__(self, bench: SimulatedBench) -> None:
@@ -171,7 +172,7 @@ class TurningCard(Card):
 
 
 def served(card: Any, bench: SimulatedBench, **how: Any) -> Scripted:
-    """Let a controller be reached: within the bench's clock or, on the host's clock, over a real socket."""
+    """Make a controller reachable: within the bench's clock or, on the host's clock, over a real socket."""
     clock = bench.clock
     return VirtualScripted(card, clock, **how) if isinstance(clock, VirtualClock) else Scripted(card, **how)
 
@@ -180,7 +181,7 @@ def served(card: Any, bench: SimulatedBench, **how: Any) -> Scripted:
 
 
 class Board:
-    """A board of one rotary axis that is where its jogs end at once, and that answers badly when told to."""
+    """A board with a rotary axis whose jogs end immediately, and that answers badly on request."""
 
     def __init__(self) -> None:
         self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
@@ -233,7 +234,7 @@ class Board:
 
 
 class TurningBoard(Board):
-    """A board that turns the table of a simulated bench by finite jogs; each takes its time and ends by itself."""
+    """A board that turns the table of a simulated bench with finite jogs. Each jog takes its time and ends by itself."""
 
     def __init__(self, bench: SimulatedBench) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""How many devices a Monte Carlo run draws, and how far chance alone carries what is counted in it.
+"""Number of devices in a Monte Carlo run, and the range of its counts due to chance.
 
 `make test` draws few and allows for chance, `make test-slow` draws many. Tests that `make mutants` runs draw more, so that they
 see small faults.
@@ -14,8 +14,8 @@ FEW = 60
 COHORTS = (FEW, pytest.param(1000, marks=pytest.mark.slow))
 LARGER_COHORTS = (200, pytest.param(1000, marks=pytest.mark.slow))
 FALSE_ALARM = 1e-4  # how often a limit is passed by chance where all is right
-RATIO = 1.05  # of a root-mean-square error to its bound: what a method may lose
-SHARES = (0.93, 0.97)  # of nominal 95 % intervals that hold the truth: what a method may be off
+RATIO = 1.05  # limit for the ratio of a root-mean-square error to its bound
+SHARES = (0.93, 0.97)  # limits for the share of nominal 95 % intervals that contain the truth
 
 
 def first_and_long(each: Iterable[object]) -> list[object]:

@@ -1,4 +1,4 @@
-"""The command line called in process, and what a folder holds: shared by the tests of commands."""
+"""The command line called in process, and the content of a folder, for the tests of commands."""
 
 import json
 import re
@@ -20,7 +20,7 @@ PROGRESS = re.compile(r"^undrift \w+(?: \w+)?: .+, \d+ s so far, .+\n", re.MULTI
 
 @dataclass(frozen=True)
 class Answer:
-    """What a call came to."""
+    """Result of a call."""
 
     code: int
     out: str
@@ -36,7 +36,7 @@ class Answer:
 
 
 class Undrift:
-    """Calls undrift and takes what it wrote; terminals of 60, 80 and 120 columns must show the same."""
+    """Caller of undrift that captures the output. Terminals of 60, 80 and 120 columns must show the same."""
 
     def __init__(self, capsys):
         self.capsys = capsys
@@ -96,7 +96,7 @@ def write_lines(path: Path, lines: list[list[str]]) -> None:
 
 
 def at_rest(folder: Path, path: Path, *, seconds: float = 120.0, seed: int = 1) -> Record:
-    """Write a device at rest, white noise alone: a CSV in rad/s and m/s2."""
+    """Write a device at rest with white noise only, as a CSV in rad/s and m/s2."""
     rng = np.random.default_rng(seed)
     n = int(100 * seconds)
     record = Record(

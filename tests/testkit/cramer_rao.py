@@ -51,7 +51,7 @@ def carried(g: Function, x: Array, steps: Array | float, covariance: Array) -> A
 
 
 def inverse_model(theta: Array) -> Array:
-    """Return matrix and offset of the correction for K row by row and b: what a fit reports."""
+    """Return matrix and offset of the correction, as reported by a fit, from K row by row and b."""
     return np.concatenate((np.linalg.inv(theta[:9].reshape(3, 3)).ravel(), theta[9:12], theta[12:]))
 
 
@@ -68,7 +68,7 @@ def white_device(rng: np.random.Generator, *, g_sensitivity: bool = False) -> De
 
 @dataclass(slots=True)
 class Tally:
-    """Errors of many devices, in units of the bound and of the stated uncertainty."""
+    """Errors of many devices, in units of the bound and of the reported uncertainty."""
 
     name: str
     by_bound: list[Array]
@@ -89,16 +89,18 @@ class Tally:
 
     @property
     def coverage(self) -> float:
-        """Share of stated 95 % intervals that hold the truth, pooled likewise."""
+        """Return the pooled share of 95 % intervals that contain the truth."""
         return float(np.mean(np.abs(self.by_stated) <= 1.959964))
 
     @property
     def worst_ratio(self) -> float:
-        """The same ratio of the parameter that does worst."""
+        """Return the same ratio for the worst parameter."""
         return float(np.sqrt(np.mean(np.square(self.by_bound), axis=0)).max())
 
     def check(self, devices: int, *, most: float = 0.0) -> None:
-        """Show the figures and hold them to the promise; ``most`` is a larger limit of the share of intervals that hold."""
+        """Print the figures and check them against the promise. ``most`` is a larger limit for the share of valid
+        intervals.
+        """
         errors = np.size(self.by_bound)
         low, high = share_limits(errors)
         high = max(high, most)

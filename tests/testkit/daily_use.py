@@ -1,4 +1,4 @@
-"""Daily use of a device that does not exist: each day it is switched on, lies on a table, is worn, and lies there again.
+"""Daily use of a simulated device: each day it is switched on, is on a table, is worn, and is put back on the table.
 
 ::
 
@@ -27,7 +27,7 @@ _WALKING = 30.0  # days, to which ``ageing`` refers
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DailyUseSettings:
-    """How a device is used, day after day."""
+    """Daily use of a device."""
 
     days: int = 50
     turn_on: float = 0.03 * RADIAN_PER_DEGREE  # standard deviation of the offset from switch-on to switch-on, rad/s
@@ -60,7 +60,9 @@ def simulate_daily_use(
     settings: DailyUseSettings = DailyUseSettings(),
     motions: Sequence[Motion] = (),
 ) -> Iterator[Day]:
-    """Yield the recording of each day; motions: some to choose from, else one is drawn for each day."""
+    """Yield the recording of each day. ``motions`` contains motions to choose from. Without it, each day has a random
+    motion.
+    """
     aged = np.zeros(3)
     for number in range(settings.days):
         aged = aged + settings.ageing / _WALKING**0.5 * rng.standard_normal(3)
@@ -85,7 +87,7 @@ def board_temperature(motion: Motion, rng: np.random.Generator, settings: DailyU
 
 
 def draw_day(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:
-    """Draw what is done with the device on a day."""
+    """Draw the use of the device on a day."""
     rate = settings.sample_rate_hz
     risen, stance = draw_task("sit_to_stand", rng=rng, rest_s=1.0), draw_task("posturography", rng=rng, rest_s=0.0)
     upright = np.arange(round(min(settings.worn_s, stance.duration_s) * rate)) / rate

@@ -1,4 +1,4 @@
-"""Where the real recordings are, and how a test shows the figures that it asserts."""
+"""Access to the real recordings, and printing of the figures that a test asserts."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the folder of recordi
 
 
 def data_path(*parts: str) -> Path:
-    """Return a file of the public recordings; skip the test where the folder is absent."""
+    """Return a file of the public recordings. Skip the test if the folder is missing."""
     if not DATA.is_dir():
         pytest.skip(f"no public recordings at {DATA}: set UNDRIFT_DATA")
     path = DATA.joinpath(*parts)
@@ -21,5 +21,5 @@ def data_path(*parts: str) -> Path:
 
 
 def show(label: str, value: object, limit: object = None) -> None:
-    """Print a figure and the limit it is held to: `pytest -s` or a failing test shows it."""
+    """Print a figure and its limit. `pytest -s` or a failing test shows it."""
     print(f"  {label}: {value}" + ("" if limit is None else f"   (limit {limit})"))

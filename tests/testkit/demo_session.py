@@ -22,13 +22,15 @@ class Demo:
     """A small complete example."""
 
     device: DeviceModel  # The truth
-    nominal: Calibration  # What the data sheet alone says
+    nominal: Calibration  # from the data sheet only
     session: Session  # Six faces and rate-table steps
-    trial: SimulatedTrial  # A sit-to-stand with its reference
+    trial: SimulatedTrial  # a sit-to-stand task with its reference
 
 
 def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
-    """Return a small complete example: device, calibration session of three minutes, sit-to-stand with optics."""
+    """Return a small complete example: device, calibration session of three minutes, and a sit-to-stand task with
+    optics.
+    """
     lm335 = Thermometer(trim_error_c=0.8, lag_s=20.0, noise_c=0.03, step_c=5.0 / 4096 / 0.010)
     device = replace(random_device(rng, grade="consumer"), thermometer=lm335)
     rates = tuple(

@@ -1,4 +1,4 @@
-"""A disk that is full, and the log of what was written to one: disk.c, compiled once and preloaded into a process of its own."""
+"""A full disk, and a log of the writes to a disk: disk.c, compiled once and preloaded into a separate process."""
 
 import ctypes
 import hashlib
@@ -38,7 +38,9 @@ def _library() -> ctypes.CDLL:
 
 @contextmanager
 def full_after(folder: Path, sound: int, *, stays: bool) -> Iterator[list[int]]:
-    """Let so many calls that take room below a folder succeed, and the next fail; yield a list that then holds their number."""
+    """Let a number of calls that allocate disk space below a folder succeed, and the next call fail. The yielded list
+    counts them.
+    """
     library, counted = _library(), list[int]()
     library.disk_arm(str(folder).encode(), sound, stays, -1)
     try:
@@ -66,7 +68,7 @@ class Content:
 
 @dataclass(frozen=True)
 class Cut:
-    """A disk after a power cut: what was reported before, and the files that are left, by their names below the folder."""
+    """A disk after a power cut: the reports before it, and the remaining files by name below the folder."""
 
     marks: tuple[int, ...]
     files: dict[str, bytes]
@@ -78,7 +80,7 @@ WAYS = ("all that was not brought to the disk is lost", "names are kept", "zeros
 
 
 def logged(code: str, folder: Path, log: Path, *, timeout_s: float = 120.0) -> None:
-    """Run code in a process of its own and log what it writes below a folder."""
+    """Run code in a separate process and log its writes below a folder."""
     env = preloaded(DISK_FOLDER=str(folder), DISK_LOG=str(log))
     subprocess.run([sys.executable, "-c", code], env=env, check=True, timeout=timeout_s)
 
@@ -140,7 +142,7 @@ def cuts(log: Path, folder: Path, *, everywhere: bool = False) -> Iterator[Cut]:
 
 
 def _left(content: Content, way: str) -> bytes:
-    """Return what a power cut leaves of a file."""
+    """Return the content of a file after a power cut."""
     if way.startswith(("contents", "nothing")):
         return bytes(content.seen)
     if way.startswith("zeros"):

@@ -1,4 +1,4 @@
-"""How the blocks of a page run: a small language of comments above a block, so that a page says itself what its test does.
+"""Runner for the blocks of a page, controlled by comments above the blocks.
 
 A comment of Markdown stands just above the fence, where no reader sees it:
 
@@ -41,7 +41,7 @@ from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import BENCH, ThermalSettings
 from undrift.units import STANDARD_GRAVITY, si_factor
 
-SAMPLE = "undrift sample"  # the one line that says where the data of the pages come from
+SAMPLE = "undrift sample"  # the line that names the source of the data on the pages
 BLOCK = re.compile(r"((?:^<!--[^\n]*-->\n)*)^```(sh|python|toml|csv|text)\n(.*?)^```$", re.M | re.S)
 RATES = (0.2, 1.0)  # rad/s, of a short session over temperature
 ELSEWHERE = ("cd", "gcc", "make", "pip", "python", "python3", "source")
@@ -55,7 +55,7 @@ class Block:
     text: str
     line: int
     marks: dict[str, str]
-    follows: bool  # nothing stands between it and the block before
+    follows: bool  # True if the block directly follows the previous block
 
 
 def blocks_of(text: str) -> list[Block]:
@@ -79,7 +79,7 @@ def lines_of(text: str) -> list[str]:
 
 
 def run_page(text: str, folder: Path) -> int:
-    """Run the blocks of a page in a folder, in order; return how many ran. An AssertionError names the line."""
+    """Run the blocks of a page in a folder, in order, and return their number. An AssertionError names the line."""
     names: dict[str, object] = {}
     ran, printed, by_python = 0, "", False
     with contextlib.chdir(folder):
@@ -138,7 +138,7 @@ def words_of(line: str) -> list[str]:
 
 
 def parse(line: str, at: str) -> None:
-    """Check that a command has the options of the line; other programs only by name."""
+    """Check that a command has the options of the line. Other programs are checked by name only."""
     words = words_of(line)
     if words[0] != "undrift":
         assert words[0] in ELSEWHERE, f"{at}: {line}: unknown program"

@@ -10,5 +10,5 @@ from undrift.units import is_physical
 
 
 def faces_at(record: Record, stills: Sequence[Still]) -> list[Face | None]:
-    """Name it for each; None for a free pose."""
+    """Return the face of each still, or None for a free pose."""
     return list(faces_of(still_means(np.asarray(record.accel), stills), centred=is_physical(record.accel_unit)))

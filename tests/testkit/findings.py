@@ -6,7 +6,7 @@ from undrift.findings import Finding
 
 
 def only(findings: Iterable[Finding], code: str) -> Finding:
-    """Return the one finding of a code; fail where there is none or more than one."""
+    """Return the only finding with a code. Fail if there is no such finding or more than one."""
     (item,) = (item for item in findings if item.code == code)
     return item
 

@@ -1,4 +1,5 @@
-"""What firmware prints to a serial port, after the public examples of makers and libraries: forty shapes of one motion.
+"""Output of firmware on a serial port, as in the public examples of makers and libraries: forty formats of the same
+motion.
 
 Each shape is a function of the true readings that writes text; what it states (units, names, time) is what the example states. A
 device lies for five seconds, is turned about its axes and lies on another face. Gyroscopes come in rad/s, accelerometers in m/s2.
@@ -48,12 +49,12 @@ def motion(seconds: float = 20.0) -> Motion:
 
 @dataclass(frozen=True)
 class Shape:
-    """One shape of a log, and what a reader may know from it."""
+    """A format of a log, and the information that a reader can extract."""
 
     name: str
     source: str  # Public example or document that it follows
     text: str
-    asks: str = ""  # What the text does not state: "rate", "units", "scale"
+    asks: str = ""  # information missing in the text: "rate", "units", "scale"
 
 
 Line = Callable[[int, float, np.ndarray, np.ndarray, float], str]

@@ -16,7 +16,7 @@ from undrift.model import (
 )
 from undrift.record import Record
 
-N = 203  # odd, so that no vector width divides it; small, so that the tests also run without the compiler
+N = 203  # odd, so that no vector width divides it, and small, so that the tests also run without the compiler
 
 
 def triad(rng, unit_in, unit_out, scale, offset, g=None):

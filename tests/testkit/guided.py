@@ -1,4 +1,4 @@
-"""A device in an operator's hands on a clock that is moved by hand, and an operator who does what a guide says."""
+"""A device in an operator's hands on a manual clock, and an operator who follows a guide."""
 
 import math
 from dataclasses import replace
@@ -14,11 +14,11 @@ from undrift.sim.motion.motion import facing, unit_vector
 from undrift.units import STANDARD_GRAVITY
 
 STEP_S = 0.2  # between two looks of the page
-LONG_STEP_S = 0.5  # where only what is captured counts
+LONG_STEP_S = 0.5  # for tests of the captures only
 
 
 class HandFeed:
-    """Readings of a hand-held device, as a source would keep them."""
+    """Readings of a hand-held device, with the interface of a source."""
 
     def __init__(self, seed=3, device=None, lossy=0.0, **settings):
         self.clock = VirtualClock()
@@ -39,7 +39,7 @@ class HandFeed:
         self.moves |= {(move.start, move.stop) for move in self.held.moves if move.stop > 0.0}
 
     def recent(self, seconds=1.0, drop=None):
-        """Return the newest readings; those in the span ``drop``, s, were lost."""
+        """Return the newest readings. Readings in the span ``drop``, s, are lost."""
         rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
         if drop is not None:
             rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
@@ -59,7 +59,7 @@ class HandFeed:
         )
 
     def watch(self, guide, duration_s, **lost):
-        """Feed a guide for a while; return all its lights."""
+        """Feed a guide for a while and return all its lights."""
         lights = []
         for _ in range(round(duration_s / STEP_S)):
             self.go()
@@ -94,7 +94,7 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
 
 
 def capture_faces(feed, guide, step_s=LONG_STEP_S, within_s=200.0):
-    """Do what the guide says until it has six faces."""
+    """Follow the guide until it has six faces."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"
@@ -109,7 +109,7 @@ def capture_faces(feed, guide, step_s=LONG_STEP_S, within_s=200.0):
 
 
 def capture_turns(feed, guide, step_s=LONG_STEP_S, within_s=300.0):
-    """Do what the guide says until it has six turns."""
+    """Follow the guide until it has six turns."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"

@@ -1,4 +1,4 @@
-"""A device that a person turns as a guide asks, axis by axis and face by face: forward equations for tests alone."""
+"""A device that a person turns by axes and faces according to a guide: forward equations for tests only."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -33,7 +33,9 @@ def drawn_device(rng: np.random.Generator) -> TurnedDevice:
 
 
 def guided_rates(rng: np.random.Generator, rounds: int) -> np.ndarray:
-    """Return body rates (N, 3), rad/s: a rest, then rounds of full turns to and fro about levelled axes, and of faces held."""
+    """Return body rates (N, 3), rad/s: a rest, then rounds of full turns in both directions about level axes, with
+    rests on faces.
+    """
     pieces = [np.zeros((round(5.0 * RATE_HZ), 3))]
 
     def move(axis: int, angle: float, seconds: float) -> None:
@@ -60,7 +62,7 @@ def guided_rates(rng: np.random.Generator, rounds: int) -> np.ndarray:
 
 @cache
 def guided_recording(seed: int, rounds: int = 3) -> tuple[Record, TurnedDevice]:
-    """Return the readings of a device that hands turn so, with a tremor of 6 deg/s and 3 cm, and what it is."""
+    """Return the readings of a device turned in this way, with a tremor of 6 deg/s and 3 cm, and its true parameters."""
     rng = np.random.default_rng(seed)
     device, rate = drawn_device(rng), guided_rates(rng, rounds)
     time = np.arange(len(rate)) / RATE_HZ

@@ -1,4 +1,4 @@
-"""A device that a hand holds in one pose after the other, with tremor and sway: forward equations for tests alone."""
+"""A device held by hand in a series of poses, with tremor and sway: forward equations for tests only."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ FINE_HZ = 200.0
 
 @dataclass(frozen=True)
 class Tremor:
-    """What a hand does while it holds a pose, rms of three axes together."""
+    """Motion of a hand that holds a pose, rms of three axes together."""
 
     rate_dps: float  # tremor of 7 to 11 Hz
     sway_deg: float  # slow turning of 0.1 to 0.5 Hz
@@ -30,7 +30,9 @@ def hand_waves(rng, t, low_hz, high_hz):
 
 
 def hand_held_log(rng, tremor, *, poses=10, hold_s=(3.0, 7.0), move_s=(0.8, 1.6), sample_rate_hz=100.0, clock=1.0):
-    """Return the record (rad/s, m/s2; time times ``clock``) and the stretches (poses, 2), s, in which each pose is held."""
+    """Return the record (rad/s, m/s2, with time times ``clock``) and the stretches (poses, 2), s, in which each pose is
+    held.
+    """
     holds, moves = rng.uniform(*hold_s, poses), rng.uniform(*move_s, poses - 1)
     # Axes that lie all around: a spiral on the sphere, the device turned about them at random.
     z = 1.0 - 2.0 * (np.arange(poses) + 0.5) / poses

@@ -1,4 +1,4 @@
-"""A device that is turned by hand between two rests, and what cameras see of it: forward equations for tests alone."""
+"""A device turned by hand between two rests, and its optical poses: forward equations for tests only."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Device:
-    """u = K (w + G f) + offset + noise, late by lag_s; K and offset in the unit of the readings."""
+    """u = K (w + G f) + offset + noise, delayed by lag_s, with K and offset in the unit of the readings."""
 
     forward: np.ndarray = None
     offset: np.ndarray = None

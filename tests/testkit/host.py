@@ -1,4 +1,4 @@
-"""A host that stamps readings as they come: in bursts, late, and some never.
+"""A host that stamps readings on arrival: in bursts, late, and some never.
 
 A device sends what it has gathered since its last transmission, every 20 to 70 ms; a transmission takes a moment, some stall, and
 some are lost with all that they carry. The host writes the readings of one transmission one after another, a tick apart, each with
@@ -16,23 +16,23 @@ from undrift.record import Record
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostSettings:
-    """How transmissions come and go. All defaults are choices; steps of 1 to 69 ms at 100 Hz are those of a log over Bluetooth."""
+    """Timing of transmissions. The defaults are assumed, with steps of 1 to 69 ms at 100 Hz as in a log over Bluetooth."""
 
     interval_s: tuple[float, float] = (0.02, 0.07)  # Between transmissions, uniform
-    latency_s: float = 0.0015  # Mean time of one under way, exponential
-    stall_share: float = 0.005  # Of the transmissions: held back, and sent with the next ones
+    latency_s: float = 0.0015  # mean duration of a transmission, exponential
+    stall_share: float = 0.005  # share of transmissions that are delayed and sent with the next
     stall_s: tuple[float, float] = (0.1, 0.6)
-    lost_share: float = 0.004  # Of the transmissions: never come
+    lost_share: float = 0.004  # share of transmissions that are lost
     outage_s: tuple[float, float] = (0.3, 2.0)  # Length of an outage, during which none comes
     outages: int = 3  # Of a recording
-    tick_s: float = 0.001  # Of the host's stamps; readings of one transmission are this far apart
+    tick_s: float = 0.001  # tick of the host's stamps, which separates readings of a transmission
     clock_error: float = 2e-4  # Relative: the device's clock runs slow by it
-    counter_bits: int = 8  # Of the device's counter of samples
+    counter_bits: int = 8  # of the device's counter of samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HostStamped:
-    """What a host wrote of a recording."""
+    """The host's data of a recording."""
 
     record: Record  # The readings that came, with the host's stamps
     kept: IntArray  # (M,), which samples of the recording came

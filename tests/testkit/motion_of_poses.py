@@ -17,7 +17,7 @@ def motion_from_poses(
     time: FloatArray | None = None,
     settings: PoseSettings = PoseSettings(),
 ) -> Motion:
-    """Return what an ideal sensor at the body's origin would feel."""
+    """Return the readings of an ideal sensor at the body's origin."""
     if (sample_rate_hz is None) == (time is None):
         raise InputError(
             "motion: expected either a sample rate or the instants, got "

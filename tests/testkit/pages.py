@@ -1,4 +1,4 @@
-"""What every report page must have, in its text and in a browser."""
+"""Requirements for every report page, in its text and in a browser."""
 
 import re
 from collections.abc import Container, Iterator
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 CHROMIUM = ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome")
-WIDTHS, LEAST_PX = (1280, 390), 9.0  # CSS pixels; of the text of figures on the narrow screen
+WIDTHS, LEAST_PX = (1280, 390), 9.0  # CSS pixels, and the smallest text of figures on the narrow screen
 SCHEMES = ("light", "dark")
 CORNERS = tuple(zip(WIDTHS, SCHEMES, strict=True))
 PRINTED_PX = 680  # an A4 page less two margins of 15 mm, at 96 px an inch
@@ -35,7 +35,7 @@ _CUT = """() => {
 
 
 def faults_of(text: str) -> list[str]:
-    """Return what a page lacks: parts, labels, captions; and what it would fetch."""
+    """Return missing parts, labels and captions of a page, and its external resources."""
     bare = re.sub(r"<a [^>]*>", "", text)
     svgs, tables = re.findall(r"<svg\b[^>]*>", text), re.findall(r"<table\b.*?</table>", text, re.S)
     levels = [int(level) for level in re.findall(r"<h([1-6])\b", text)]
@@ -57,7 +57,7 @@ def faults_of(text: str) -> list[str]:
 
 
 def _open_findings(text: str) -> int:
-    """Return how many findings stand beside the verdict without unfolding anything."""
+    """Return the number of findings visible at the verdict without unfolding."""
     found = re.search(r'<section class="verdict.*?</section>', text, re.S)
     return 0 if found is None else found[0].partition("<details>")[0].count("<li>")
 
@@ -68,7 +68,7 @@ _BESIDE = """[...document.querySelectorAll(".cards :is(th, td)")]
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """Start Debian's chromium; skip where there is none."""
+    """Start Debian's chromium, or skip the test if it is missing."""
     path = next((name for name in CHROMIUM if Path(name).exists()), None)
     if path is None:
         pytest.skip("no chromium on this machine: make test installs it on Debian")
@@ -83,10 +83,10 @@ def browser() -> Iterator[Any]:
 
 
 def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNERS) -> list[str]:
-    """Return what is wrong with a page in the browser, at each width and in each scheme, and in print.
+    """Return the faults of a page in the browser, at each width and in each scheme, and in print.
 
-    Accessibility, which takes most of the time, is ``judged`` at two corners: what depends on the width is seen in either
-    scheme, and contrast at either width.
+    Accessibility takes most of the time and is ``judged`` at two corners. Effects of the width occur in either scheme,
+    and contrast is the same at either width.
     """
     from axe_playwright_python.sync_playwright import Axe
 

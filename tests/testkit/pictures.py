@@ -1,4 +1,4 @@
-"""What a picture cuts or covers: text that is drawn beyond its edge, or under a legend."""
+"""Faults of pictures: text beyond the edge or under a legend."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -59,7 +59,7 @@ def _outside(axis: "Axis") -> Iterator[Any]:
 
 @contextmanager
 def pictures_looked_at() -> Iterator[list[str]]:
-    """Collect what the pictures cut that are made meanwhile, on pages and in files."""
+    """Collect the faults of all pictures drawn in the meantime, on pages and in files."""
     found: list[str] = []
     saved = figures._saved
 

@@ -1,4 +1,4 @@
-"""A triad without cross-axis terms, for what is tested beside it."""
+"""A triad without cross-axis terms, for tests of other effects."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from undrift.units import si_factor
 
 
 def plain_triad(unit_in, unit_out, quantity="rate", *, offset=(0.0, 0.0, 0.0), offset_sigma=0.0):
-    """Return a triad of physical units; offset_sigma: standard uncertainty of the offset, raw unit."""
+    """Return a triad of physical units. offset_sigma is the standard uncertainty of the offset, raw unit."""
     covariance = np.zeros((12, 12))
     covariance[9:12, 9:12] = np.eye(3) * offset_sigma**2
     return TriadModel(

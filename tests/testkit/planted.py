@@ -47,7 +47,7 @@ def motion_of(t, roll, pitch, yaw, position):
 
 
 def walked(rng, t, contacts):
-    """Return angles (N, 3) and way (N, 3) of walking ahead, yaw 0, by contacts: what a person's steps do to the trunk."""
+    """Return angles (N, 3) and displacement (N, 3) of the trunk while walking ahead with yaw 0, from foot contacts."""
     padded = np.concatenate((contacts[:1] - np.diff(contacts[:2]), contacts, contacts[-1:] + np.diff(contacts[-2:])))
     k = CubicSpline(padded, np.arange(-1, len(contacts) + 1.0))(np.clip(t, padded[0], padded[-1]))
     on = _smooth_rise(t, padded[0], contacts[0] - padded[0]) - _smooth_rise(t, contacts[-1], padded[-1] - contacts[-1])
@@ -75,7 +75,7 @@ def contacts_of(rng, start, count, duration=None):
 
 
 def walk(rng, count=24):
-    """Return a person who stands, walks ahead, stands."""
+    """Return a person who is upright, walks ahead, and stops."""
     contacts = contacts_of(rng, 4.5, count)
     t = np.arange(round((contacts[-1] + 4.0) * FINE)) / FINE
     angles, way = walked(rng, t, contacts)
@@ -84,7 +84,7 @@ def walk(rng, count=24):
 
 
 def step_up(rng, count=3, *, pause=3.0, height=None):
-    """Return a person who rises one step after another, with a stance between or none; and start, duration, height of each lift."""
+    """Return a person who climbs steps, with or without a stance between, and start, duration and height of each lift."""
     duration, height = rng.uniform(0.6, 1.2), rng.uniform(0.12, 0.22) if height is None else height
     starts = 5.0 + (duration + pause) * np.arange(count) + rng.uniform(-0.05, 0.05, count) * pause
     t = np.arange(round((starts[-1] + duration + 5.0) * FINE)) / FINE
@@ -107,20 +107,22 @@ def step_up(rng, count=3, *, pause=3.0, height=None):
 
 
 def _slow_sway(rng, t, rms):
-    """Return the sway of a body that is held up: the slower the larger, as that of stance below its own frequency."""
+    """Return the sway of an upright body. Slow sway is larger, as in stance below its own frequency."""
     lines = np.geomspace(0.03, 0.6, 9) * rng.uniform(0.9, 1.1, 9)
     sway = sum(np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 2.0 * np.pi)) / f**0.5 for f in lines)
     return rms * sway / np.sqrt(0.5 * (1.0 / lines).sum())
 
 
 def up_and_go(rng, *, turned=np.pi, begun=5.0):
-    """Return a person who gets up, walks out, turns, walks back, turns and sits down; each turn by an angle to the left."""
+    """Return a person who gets up, walks out, turns, walks back, turns and sits down. Each turn has an angle to the
+    left.
+    """
     sits, rise, lean = rng.normal(0.0, 3.0) * DEGREE, rng.uniform(1.4, 2.2), rng.uniform(25.0, 40.0) * DEGREE
     duration, turn = rng.uniform(0.48, 0.7), rng.uniform(1.6, 2.6)
     walks = begun + rise + 0.3
     out = contacts_of(rng, walks + duration, 20, duration)
     turns = [(out[6], out[6] + turn, turned), (out[14], out[14] + turn, np.pi)]
-    stop = out[14] + turn + 0.2  # the person stands, turned, and sits down
+    stop = out[14] + turn + 0.2  # the person is upright after the turn, and sits down
     contacts = out[out < stop]
     down = contacts[-1] + duration
     t = np.arange(round((down + rise + 4.0) * FINE)) / FINE
@@ -153,7 +155,7 @@ def _leg(rng, nodes):
     rate *= rng.uniform(0.7, 1.15) * rng.uniform(0.9, 1.1, len(rate)) * DEGREE * 1.1
     rate[-1] = rate[0]
     whole = PchipInterpolator(phase, rate).integrate(0.0, 1.0)
-    for _ in range(40):  # the slow part of the stance takes what is left, so that a stride begins as it ended
+    for _ in range(40):  # the slow part of the stance is adjusted so that a stride ends as it began
         rate[2:4] -= whole
         whole = PchipInterpolator(phase, rate).integrate(0.0, 1.0)
     angle = PchipInterpolator(phase, rate).antiderivative()
@@ -162,7 +164,7 @@ def _leg(rng, nodes):
 
 
 def walk_of_leg(rng, place, count=16):
-    """Return a person who stands, walks ahead, stands, by a device at a shank or a thigh; and end contacts, or mid-swings (s)."""
+    """Return a walking person with a device at a shank or thigh, and end contacts or mid-swings (s)."""
     legs = {"shank": _leg(rng, SHANK), "thigh": _leg(rng, THIGH)}
     contacts = contacts_of(rng, 5.0, count, rng.uniform(0.95, 1.4))
     padded = np.concatenate((contacts[:1] - np.diff(contacts[:2]), contacts, contacts[-1:] + np.diff(contacts[-2:])))
@@ -189,7 +191,9 @@ def walk_of_leg(rng, place, count=16):
 
 
 def chair_of_thigh(rng, count=5):
-    """Return a person who sits, stands and sits some times, by a device at a thigh; start and end of rises, and of sittings (s)."""
+    """Return a person who sits and gets up several times, with a device at a thigh, and start and end of rises and of
+    sittings (s).
+    """
     sits, stands = rng.uniform(-95.0, -70.0) * DEGREE, rng.normal(0.0, 4.0) * DEGREE
     lasts = rng.uniform(0.8, 2.0, (2, count))
     pauses = rng.uniform(0.4, 1.5, (2, count))

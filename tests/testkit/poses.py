@@ -45,7 +45,7 @@ def fit_multi_position(
     gyro: bool = True,
     cross_axis_prior: float | None = 0.01,
 ) -> PosesFit:
-    """Fit both triads to recordings of free poses and moves between them; stills are found if none are given."""
+    """Fit both triads to recordings of free poses and moves. Stills are detected if they are not given."""
     records = (recorded,) if isinstance(recorded, Record) else tuple(recorded)
     if stills is None:
         stills = [still for search in find_poses(records) for still in search.stills]

@@ -31,9 +31,10 @@ def resting_line(k: int, rate: float = 100.0) -> bytes:
 
 
 class PrintingBoard:
-    """A board; a context manager. ``write`` is what its firmware prints; ``print_lines`` prints at a rate until closed.
+    """A board, as a context manager. ``write`` prints a text. ``print_lines`` prints at a rate until the board is
+    closed.
 
-    With patience it waits for a computer that is too busy to read; real ones lose what a line cannot hold.
+    With patience it waits for a busy computer. Real boards lose data that the line cannot buffer.
     """
 
     def __init__(self, baud: int | None = None, patience_s: float = 0.0) -> None:
@@ -53,7 +54,9 @@ class PrintingBoard:
         self.unplug()
 
     def write(self, data: bytes) -> None:
-        """Print; garbage where the other side reads at another baud rate, nothing where nobody reads within its patience."""
+        """Print data. It is garbled if the other side reads at another baud rate, and lost if nobody reads within its
+        patience.
+        """
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._near < 0 or self.silent:
                 return

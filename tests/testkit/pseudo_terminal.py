@@ -1,4 +1,4 @@
-"""A serial line that is a pseudo-terminal; tests that use one are skipped on systems without, as Windows."""
+"""A pseudo-terminal as a serial line. Its tests are skipped on systems without pseudo-terminals, such as Windows."""
 
 import os
 

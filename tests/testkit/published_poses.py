@@ -18,7 +18,7 @@ from undrift.segments import sphere_of
 
 @dataclass(frozen=True)
 class PublishedFit:
-    """What the published demonstration prints."""
+    """Output of the published demonstration."""
 
     multiples: tuple[float, ...]
     stills: list[int]  # Found at each
@@ -43,7 +43,7 @@ class StillVariance:
 
 
 def variance_with_rest(record: Record, rest_s: float = 50.0) -> StillVariance:
-    """Return the windowed variance of a recording; its opening rest gives the level at rest."""
+    """Return the windowed variance of a recording, and the level at rest from its opening rest."""
     values = np.asarray(record.accel)
     half = round(0.5 * record.sample_rate_hz)
     windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)
@@ -54,7 +54,7 @@ def variance_with_rest(record: Record, rest_s: float = 50.0) -> StillVariance:
 
 
 def fit_lengths(reading: np.ndarray, gravity: float, unit_in: str) -> TriadFit:
-    """Fit an upper triangular matrix and an offset to readings (N, 3) of one length, all of one weight."""
+    """Fit an upper triangular matrix and an offset to readings (N, 3) of equal length and weight."""
     center, radius = sphere_of(reading)
     scale, upper = gravity / radius, np.triu_indices(3)
     v = scale * (reading - center)

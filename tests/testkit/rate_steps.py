@@ -1,4 +1,4 @@
-"""Rate steps at several soaks: as a device gives them on a table in a chamber, and as arithmetic alone gives them."""
+"""Rate steps at several soaks: measured with a device on a table in a chamber, and computed directly."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion
 
-GRID = np.radians(np.arange(5, 91, 5))  # the note's sit-to-stand rates, one way round
+GRID = np.radians(np.arange(5, 91, 5))  # rates of the note's sit-to-stand task, in one direction
 SOAKS = np.concatenate((np.arange(18.0, 75.0, 5.0), [75.0]))
 GRAVITY = 9.80665
 
 
 def table_motion(rates: np.ndarray = GRID, dwell_s: float = 2.0) -> Motion:
-    """Return the turns of one soak: three mountings, each rate both ways."""
+    """Return the turns of a soak: three mountings, each rate in both directions."""
     settings = BenchSettings(turn_rates=tuple(rates), dwell_s=dwell_s, still_s=6.0)
     return bench_motion("rate_table", rng=np.random.default_rng(0), settings=settings)
 
@@ -23,7 +23,7 @@ def table_motion(rates: np.ndarray = GRID, dwell_s: float = 2.0) -> Motion:
 def soaked(
     device: DeviceModel, motion: Motion, temps: np.ndarray, rng: np.random.Generator
 ) -> tuple[RateSteps, RestBlocks]:
-    """Return what a settled device shows at each soak, by the thermometer's own temperature."""
+    """Return the results of a settled device at each soak, by its own thermometer."""
     steps, rests = [], []
     for soak, temp in enumerate(temps):
         record = simulate_device(device, motion, rng=rng, temp_c=float(temp), power_on_s=7200.0).record

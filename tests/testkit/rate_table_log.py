@@ -1,4 +1,4 @@
-"""A simulated rate table that keeps a log of its own: another clock, coarse steps, gaps; and the device on it."""
+"""A simulated rate table with its own log (another clock, coarse steps, gaps), and the device on it."""
 
 import numpy as np
 

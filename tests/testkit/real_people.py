@@ -55,7 +55,7 @@ class CapturedTrial:
     name: str  # Of the trial
     task: Captured  # sit_to_stand, squat or stairs
     device: Reference  # Poses of a device at L5
-    category: CategoryName = DEFAULT  # Of the person, whose simulated people are compared
+    category: CategoryName = DEFAULT  # category of the person, whose simulated people are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +66,10 @@ class CohortComparison:
     task: str  # What was done
     measure: str
     unit: str
-    real: float  # Median over the repetitions; NaN where the recording does not show it
-    low: float  # Of the cohort, 2.5 %
+    real: float  # median over the repetitions, NaN if the recording does not determine it
+    low: float  # of the cohort, 2.5 %
     median: float  # Of the cohort
-    high: float  # Of the cohort, 97.5 %
+    high: float  # of the cohort, 97.5 %
     note: str = ""  # Limits of the comparison
 
     @property
@@ -110,7 +110,7 @@ def motion_rows(
 
 
 def _people(group: Group, category: CategoryName, count: int, seed: int) -> tuple[Subject, ...]:
-    """Return people of a category; beyond thirty, of further cohorts."""
+    """Return people of a category. More than thirty people need further cohorts."""
     seeds = ([seed, 0, *([block] if block else [])] for block in range(-(-count // GROUP_SIZE)))
     drawn = (cohort(group, rng=np.random.default_rng(each), category=category) for each in seeds)
     return tuple(person for people in drawn for person in people)[:count]
@@ -153,7 +153,7 @@ def _measured(
     time: FloatArray, pitch: FloatArray, rate: FloatArray, rise: int, reach: int
 ) -> tuple[float, float, float, float] | None:
     first, last, peak = max(rise - reach, 0), min(rise + reach, len(time) - 1), rise
-    while peak > first and rate[peak] < 0.0:  # the trunk turns back before the body is up; then it may bend to sit down
+    while peak > first and rate[peak] < 0.0:  # the trunk turns back before the body is up, then it may bend to sit down
         peak -= 1
     while peak < last and rate[peak] > 0.0:
         peak += 1
@@ -193,7 +193,7 @@ def _figures_of(performed: Task | PoseSpline, time: FloatArray, *, whole: bool) 
 
 Condition = Literal["closed on foam", "open on foam", "closed on firm", "open on firm"]
 PATH_HZ = 10.0  # the path of the centre of pressure is taken at this rate: the plate's noise adds none
-BAND_HZ = (0.05, 2.5)  # below, 50 s are too short; above, the library has no power
+BAND_HZ = (0.05, 2.5)  # below, 50 s are too short, and above, the library has no power
 EDGE_S = 2.5  # of the simulated stance, in which sway builds up
 STANCE_S = 45.0  # of both, so that slow drift counts alike
 MEASURES = (
@@ -226,7 +226,7 @@ class Stance:
     time: FloatArray  # (N,), s
     acceleration: FloatArray  # (N, 2), of the body's centre, m/s2
     pressure: FloatArray  # (N, 2), centre of pressure, m
-    category: CategoryName = DEFAULT  # Of the person, as of a capture
+    category: CategoryName = DEFAULT  # category of the person, as in a capture
 
 
 def read_stance(path: Path, *, mass_kg: float, condition: Condition, category: CategoryName = DEFAULT) -> Stance:

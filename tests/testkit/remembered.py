@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 def run_folder(factory: pytest.TempPathFactory) -> Path:
-    """Return the folder that all processes of a run share, or that of this process if no lock is available."""
+    """Return the folder shared by all processes of a run, or a folder of this process if no lock is available."""
     base = factory.getbasetemp()
     folder = (base.parent if fcntl and "PYTEST_XDIST_WORKER" in os.environ else base) / "remembered"
     folder.mkdir(exist_ok=True)
@@ -35,7 +35,7 @@ def run_folder(factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Let one process at a time into the block."""
+    """Allow only one process at a time in the block."""
     if fcntl is None:
         yield
         return
@@ -48,10 +48,10 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def remembered(function: Callable[..., T], folder: Path) -> Callable[..., T]:
-    """Return a function that computes once in a run for equal arguments.
+    """Return a function that is computed once per run for equal arguments.
 
-    Only for pure functions whose results are not written to; a generator among the arguments may not be used afterwards. Whom
-    ``progress`` tells makes no other result.
+    The function must be pure, and its results must not be modified. A generator argument must not be used afterwards.
+    ``progress`` does not affect the result.
     """
     results: dict[Path, T] = {}
 
@@ -77,7 +77,7 @@ def folder_made_once(folder: Path, name: str, make: Callable[[Path], object]) ->
     path = folder / name
     with locked(path):
         if not (path / "made").exists():
-            shutil.rmtree(path, ignore_errors=True)  # of one who failed half-way
+            shutil.rmtree(path, ignore_errors=True)  # of a process that failed half-way
             path.mkdir()
             make(path)
             (path / "made").touch()
@@ -89,7 +89,7 @@ def _hash_of(value: object) -> str:
     stream = io.BytesIO()
     pickler = pickle.Pickler(stream, protocol=5)
     pickler.fast = (
-        True  # without references to what was pickled before: whether two strings are one object does not count
+        True  # without references to earlier pickled objects, because the identity of strings does not matter
     )
     pickler.dump(value)
     return blake2b(stream.getvalue(), digest_size=16).hexdigest()

@@ -71,14 +71,14 @@ DEVICE = DeviceModel(
 
 
 def simulated(clock=None, *, devices=1, **settings):
-    """Return a simulated bench with such devices; on a clock of its own no time passes but what the test waits for."""
+    """Return a simulated bench with these devices. On a virtual clock, time passes only when the test waits."""
     return SimulatedBench(
         (DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock()
     )
 
 
 class Hands:
-    """Mount at once and remember it; at some mountings, counted from 1, another face than was asked for."""
+    """Operator who mounts immediately and records it. Some mountings, counted from 1, have another face than requested."""
 
     def __init__(self, bench, wrong: Mapping[int, str] = {}):
         self.bench, self.wrong, self.mounted = bench, dict(wrong), []
@@ -89,7 +89,7 @@ class Hands:
 
 
 class Device:
-    """The readings of a device on the bench, for tests that change what it reads; without a thermometer."""
+    """Readings of a device on the bench, for tests that modify them, without a thermometer."""
 
     def __init__(self, bench, number=0):
         self.bench, self.readings = bench, bench.readings[number]
@@ -156,7 +156,7 @@ def run(
     hands=None,
     rig=None,
 ):
-    """Run a protocol on a bench, on its own table or a driver; return the result and the hands."""
+    """Run a protocol on a bench, with its own table or a driver. Return the result and the operator."""
     hands = hands or Hands(bench)
     with RunFolder(path, protocol, resume=resume) as folder:
         connected = RigBench(
@@ -187,7 +187,7 @@ def mean_turn_rate(rig, clock, duration_s):
 
 
 def at_rest(bench, within_s=60.0):
-    """Wait until the true axis is at rest with its motor off; False when it never is."""
+    """Wait until the true axis is at rest with its motor off. Return False if this never happens."""
     return bench.clock.until(lambda: abs(bench.turn_rate()) <= 1e-3 and not bench.servo.powered, within_s, 0.1) is True
 
 

@@ -24,7 +24,9 @@ TOGETHER_S = 0.02  # between two packets of the device, host s
 
 
 class BenchOnHost:
-    """A bench whose clock runs at a multiple of the host's: a card to drive the table, and a device that sends; +z is up."""
+    """A bench whose clock runs at a multiple of the host's: a card that drives the table, and a sending device, with +z
+    up.
+    """
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
@@ -56,11 +58,11 @@ class BenchOnHost:
             return self.bench.turn_rate()
 
     def at_rest(self, *, motor_on: bool = False) -> bool:
-        """Wait until the axis is at rest with its motor off, or on too; False when it never is."""
+        """Wait until the axis is at rest with its motor off, or also on. Return False if this never happens."""
         return until(lambda: abs(self.turn_rate()) <= 2e-3 and (motor_on or not self.bench.servo.powered))
 
     def turning(self) -> bool:
-        """Wait until the axis turns; False when it never does."""
+        """Wait until the axis turns. Return False if this never happens."""
         return until(lambda: abs(self.turn_rate()) > 0.2)
 
 
@@ -114,7 +116,7 @@ class Command:
         return self._process.exitcode is not None
 
     def signal(self, number: int) -> None:
-        """Send it a signal; harmless when it has ended."""
+        """Send a signal to the process, if it is still running."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self._process.pid, number)
 
@@ -124,7 +126,7 @@ class Command:
         self._process.join(30.0)
 
     def result(self) -> tuple[int | None, str, str]:
-        """Wait for its end; return its exit code, and what it wrote to standard output and standard error."""
+        """Wait for the end. Return the exit code, standard output and standard error."""
         self._process.join(120.0)
         return self._process.exitcode, self._out.read_text(), self._err.read_text()
 
@@ -146,7 +148,7 @@ def _called(words: list[str], out: Path, err: Path, killed_at: tuple[str, int] |
 
 
 def _kill_in_call(name: str, number: int) -> None:
-    """Let this process end by kill -9 in so many calls of a function."""
+    """Let this process end with kill -9 after a number of calls of a function."""
     owner: Any = {"fsync": os, "wait": PacedClock}[name]
     function, calls = getattr(owner, name), itertools.count(1)
 

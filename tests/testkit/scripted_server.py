@@ -1,4 +1,4 @@
-"""Servers that answer as they are told to, for the rig's drivers: over a real socket on loopback, or within a virtual clock."""
+"""Servers with scripted answers for the rig's drivers, over a real socket on loopback or within a virtual clock."""
 
 import contextlib
 import socket
@@ -12,7 +12,7 @@ Answer = Callable[[str], bytes | None]
 
 
 class Scripted:
-    """Listens on a free port; each command that ends with the terminator is answered by a function, None says nothing."""
+    """Server on a free port. A function answers each command that ends with the terminator. None means no answer."""
 
     def __init__(self, answer: Answer, terminator: bytes = b"\r", at_once: str = "", greeting: bytes = b"") -> None:
         self.heard: list[str] = []
@@ -61,7 +61,7 @@ class Scripted:
             client.close()
 
     def _client(self) -> socket.socket:
-        """Return the latest client; one that connected a moment ago may not have been accepted yet."""
+        """Return the latest client. A client that connected just now may not be accepted yet."""
         assert self._came.wait(timeout=10.0), "nobody connected"
         return self._clients[-1]
 
@@ -88,7 +88,7 @@ class Scripted:
             return
 
     def _hear(self, client: Any, waiting: bytes, data: bytes) -> bytes:
-        """Answer what bytes complete; return what waits for its end."""
+        """Answer completed commands and return the incomplete rest."""
         for byte in data:
             waiting += bytes([byte])
             if bytes([byte]) in self._at_once and self._at_once:
@@ -136,7 +136,7 @@ class Line:
 
 
 class VirtualScripted(Scripted):
-    """The same within a virtual clock: whoever waits for an answer takes the time that it needs, and nobody else does."""
+    """The same server within a virtual clock. Only the client that waits for an answer spends the time for it."""
 
     def __init__(self, answer: Answer, clock: VirtualClock, terminator: bytes = b"\r", at_once: str = "") -> None:
         self.heard: list[str] = []
@@ -150,7 +150,7 @@ class VirtualScripted(Scripted):
 
     @property
     def line(self) -> Line:
-        """Return that of the latest client."""
+        """Return the line of the latest client."""
         return self._lines[-1]
 
     def hang_up(self) -> None:

@@ -11,7 +11,7 @@ INSTANT = Sampling(gyro_averaging="instant")
 
 
 def motion_of(time: np.ndarray, rate: np.ndarray, force: np.ndarray | None = None, **more: object) -> Motion:
-    """Return a motion with stated rates; its orientation is not that of the rates."""
+    """Return a motion with the given rates. Its orientation does not match the rates."""
     n = len(time)
     return Motion(
         time=time,
@@ -43,5 +43,5 @@ def device_of(gyro: SensorChain | None = None, accel: SensorChain | None = None,
 
 
 def run(device: DeviceModel, motion: Motion, seed: int = 1, **more: object) -> Simulated:
-    """Return what the device says, from a fixed seed."""
+    """Return the output of the device, with a fixed seed."""
     return simulate_device(device, motion, rng=np.random.default_rng(seed), **more)  # type: ignore[arg-type]

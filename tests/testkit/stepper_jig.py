@@ -14,7 +14,7 @@ GUARD_S = {"bno": 1.0, "lsm": 0.5}
 
 
 def clock_lag(run, sensor="bno"):
-    """Both sensors share a clock; the BNO has the cleaner readings."""
+    """Return the lag of the clock. Both sensors share a clock, and the BNO has less noise."""
     d = np.load(data_path("ratetable_jig", f"{run}.npz"))
     record = Record(time=d["t_imu"], gyro=d[f"gyro_{sensor}_dps"], gyro_unit="dps")
     return find_axis_lag(record, d["t_jig"], np.radians(d["top_angle_deg"].astype(float))).seconds

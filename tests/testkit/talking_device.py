@@ -1,4 +1,6 @@
-"""A device in tests that talks at its rate, from the first who connects on; falls silent, hangs up, comes back on the same port."""
+"""A device for tests that sends at its rate after the first connection, falls silent, hangs up, and returns on the same
+port.
+"""
 
 import contextlib
 import socket
@@ -10,12 +12,12 @@ CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
 
 
 def resting(k: int) -> str:
-    """Return the numbers of reading k: a device that lies still, turned by a sawtooth that tells readings apart."""
+    """Return the numbers of reading k of a device at rest. A sawtooth rotation distinguishes the readings."""
     return f"{(k % 50) * 0.01:.4f},0.02,-0.01,0.01,0.02,9.81,{25.0 + k * 1e-4:.4f}"
 
 
 class TalkingDevice:
-    """Sends numbered lines to all that listen; a context manager."""
+    """Device that sends numbered lines to all listeners, as a context manager."""
 
     def __init__(self, rate: float = 200.0, numbers: Callable[[int], str] = resting) -> None:
         self.rate, self.numbers = rate, numbers
@@ -31,7 +33,7 @@ class TalkingDevice:
 
     @property
     def address(self) -> str:
-        """What to connect to."""
+        """Return the address of the device."""
         options = f"channels={CHANNELS}&rate={self.rate:g}&gyro_unit=dps&accel_unit=m/s2&device=talker"
         return f"tcp://127.0.0.1:{self.port}?{options}"
 

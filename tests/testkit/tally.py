@@ -1,4 +1,4 @@
-"""What became of a recording."""
+"""Result of a recording."""
 
 from types import SimpleNamespace
 

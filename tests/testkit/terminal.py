@@ -1,4 +1,4 @@
-"""What a person reads on terminals of several widths: the same words and numbers, none cropped and none broken."""
+"""Text on terminals of several widths: the same words and numbers, none cropped and none broken."""
 
 import importlib
 import io
@@ -21,19 +21,19 @@ WIDTHS = (60, 80, 120)  # columns
 
 
 class Terminal(io.StringIO):
-    """A terminal that keeps what is written to it."""
+    """A terminal that stores its text."""
 
     def isatty(self) -> bool:
         return True
 
 
 def words_of(text: str) -> Counter[str]:
-    """Count the words and numbers; rules of tables and the colons behind heads are none."""
+    """Count the words and numbers, without rules of tables and colons after headings."""
     return Counter(word for word in (part.strip("─:") for part in text.split()) if word)
 
 
 def differences(text: str, whole: str, width: int, spare: str = "") -> list[str]:
-    """Tell what a terminal's text has other than the whole one, and its lines that could have been shorter."""
+    """Return the differences of a terminal's text from the whole text, and its lines that could have been shorter."""
     told, wanted = words_of(text) + words_of(spare), words_of(whole)
     lost = [f"lost: {word}" for word in wanted - told]
     made_up = [f"not in the whole text: {word}" for word in set(told) - set(wanted)]
@@ -42,7 +42,7 @@ def differences(text: str, whole: str, width: int, spare: str = "") -> list[str]
 
 
 class Widths:
-    """Shows everything on several terminals beside the place where it goes."""
+    """Show all output on several terminals in addition to its target."""
 
     def __init__(self) -> None:
         self.whole, self.narrow = io.StringIO(), {width: Terminal() for width in WIDTHS}
@@ -51,7 +51,7 @@ class Widths:
     @contextmanager
     def watching(self) -> Iterator[None]:
         """Watch what commands show."""
-        for module in pkgutil.iter_modules(cli.__path__):  # one that is imported within would keep what is put here
+        for module in pkgutil.iter_modules(cli.__path__):  # an import inside the block would keep the replacement
             importlib.import_module(f"{cli.__name__}.{module.name}")
         with pytest.MonkeyPatch.context() as patch:
             if common.SAID_EVERY_S >= 1.0:  # its thread would write to whichever place is shown on just then
@@ -61,7 +61,7 @@ class Widths:
             yield
 
     def differences(self) -> list[str]:
-        """Tell what the terminals have other than the whole text."""
+        """Return the differences of the terminals from the whole text."""
         texts = ((text.getvalue(), self.whole.getvalue(), width) for width, text in self.narrow.items())
         return [line for each in texts for line in differences(*each, spare=self._spare)]
 
@@ -85,7 +85,7 @@ class Widths:
 
 @contextmanager
 def on(place: io.StringIO, width: int) -> Iterator[None]:
-    """Let stdout and stderr be a place of a width."""
+    """Redirect stdout and stderr to a target with a width."""
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(place), redirect_stderr(place):
         for name, value in (("COLUMNS", width), ("LINES", 50), ("TERM", "dumb")):
             patch.setitem(os.environ, name, str(value))

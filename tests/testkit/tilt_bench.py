@@ -1,4 +1,4 @@
-"""Devices that are calibrated on a bench that errs and worn later: what `orient` states of its tilt, and what is true.
+"""Devices calibrated on an imperfect bench and worn later: the tilt uncertainty of `orient`, and the true tilt.
 
 Later the offset has moved with temperature (0 to 10 K, the device's own slopes) and age (0 to 12 months and a switch-on, drawn
 here: 30 mm/s2 in a year and 0.5 mg); every second device has 10 bits over +-2 g. It lies in a free pose, and it is worn by a
@@ -68,7 +68,7 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
     offset = replace(device.accel.offset, constant=device.accel.offset.constant + moved)
     later = replace(device, accel=replace(device.accel, offset=offset))
     frame = np.eye(3)  # from the case to the axes of the fit
-    if kind == "multi_position":  # z is that of the accelerometer z, y lies in the plane of y and z
+    if kind == "multi_position":  # z is the accelerometer's z, and y is in the plane of y and z
         turned, upper = np.linalg.qr(true_calibration(device, temp_c=25.0).accel.matrix)
         frame = (turned * np.sign(np.diag(upper))).T
     found = []

@@ -165,7 +165,9 @@ def test_what_cannot_be_judged_is_refused(perfect):
         validate_trial(record, hidden(reference, -1.0, 7.6))
     gyro = np.array(record.gyro)
     gyro[4000:4010] = np.nan
-    with pytest.raises(InputError, match=r"expected a rate at every sample, got a gap \(NaN\) at 10 of 7699, the first"):
+    with pytest.raises(
+        InputError, match=r"expected a rate at every sample, got a gap \(NaN\) at 10 of 7699, the first"
+    ):
         validate_trial(replace(record, gyro=gyro), reference)
     gyro[:1600] = np.nan
     with pytest.raises(InputError, match=r"at rest or more, without gaps, got 1501 gaps \(NaN\); .* use offset none"):
