@@ -61,14 +61,14 @@ FAULTS = {
     "text in a number column": (_cell("accel_x", "abc"), "expected numbers, got 'abc' in data row 300"),
     "a missing column": (_drop("gyro_y"), "Add the missing axes"),
     "no time": (_drop("time"), "expected a time column or sample_rate_hz"),
-    "two units in one triad": (_two_units, "wanted"),
+    "two units in one triad": (_two_units, "expected"),
     "time that goes back": (_time(501, 400), "backward"),
     "time that stands still": (_time(501, 500), "doubled"),
     "time with NaN": (_cell("time", "nan"), "first in data row 300"),
     "two sample rates": (_mixed, "expected one sample rate, got 100 Hz and then 50 Hz"),
     "a short row": (_short_row, "got 3 in data row 300"),
     "one row": (_one_row, "expected two rows or more, got 1"),
-    "a head alone": (_no_rows, "wanted"),
+    "a head alone": (_no_rows, "expected"),
 }
 
 
@@ -152,8 +152,8 @@ FILES = {
     "a damaged gzip": (_torn, "gzip file"),
     "an empty file": (lambda sound, source, path: path.write_bytes(b""), "got an empty file"),
     "no file": (lambda sound, source, path: None, "no file of that name"),
-    "a folder": (lambda sound, source, path: path.mkdir(), "wanted"),
-    "a torn Parquet file": (lambda sound, source, path: path.write_bytes(b"PAR1" + bytes(200)), "wanted"),
+    "a folder": (lambda sound, source, path: path.mkdir(), "expected"),
+    "a torn Parquet file": (lambda sound, source, path: path.write_bytes(b"PAR1" + bytes(200)), "expected"),
 }
 
 
@@ -245,8 +245,8 @@ CALIBRATIONS = {
     "half": ("half", "expected JSON"),
     "another kind": ('{"kind": "undrift.device", "format": 1}', "expected kind 'undrift.calibration'"),
     "another version": ("version", "expected format 1, got 99"),
-    "another shape": ("shape", "wanted"),
-    "another unit": ("unit", "wanted"),
+    "another shape": ("shape", "expected"),
+    "another unit": ("unit", "expected"),
     "a list": ("[1, 2]", "expected kind 'undrift.calibration'"),
     "a folder": ("folder", "no calibration of"),
 }

@@ -95,7 +95,7 @@ def test_a_device_that_hangs_up_is_connected_again(source: LiveDevice, talker: T
 
 
 def test_what_is_no_address_and_who_is_not_there_are_refused(source: LiveDevice):
-    with pytest.raises(InputError, match="wanted"):
+    with pytest.raises(InputError, match="expected"):
         LiveDevice("pigeon:loft")
     with pytest.raises(LinkError, match="Check power"):
         LiveDevice("tcp://127.0.0.1:9?channels=gyro_x,gyro_y,gyro_z&rate=100").start()
