@@ -30,10 +30,11 @@ from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import find_motion_offset
 from undrift.correction.rest import find_rest_offset
+from undrift.drift.observe import nominal_triad
 from undrift.model import AdcModel, Calibration, TriadModel
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY
-from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
+from undrift.validation.agreement import Validation, validate_leave_one_out, validate_trials
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior
 from undrift.validation.trial import Figures, TrialSettings, validate_trial
 
@@ -58,20 +59,30 @@ def pairs(numbers: Sequence[str]) -> list[tuple[Record, Reference]]:
 def steps(numbers: tuple[str, ...]) -> Iterator[tuple[str, Validation]]:
     """Yield the trials of a device after each step of the correction."""
     trials = pairs(numbers)
-    for name, settings in (
-        ("raw", TrialSettings(adc="none")),
-        ("rest offset", TrialSettings(adc="none", offset="rest")),
-        ("rest offset and quantisation", TrialSettings(offset="rest")),
-    ):
-        yield name, validate_trials(trials, settings=settings, names=numbers)
-    for name, settings in (("calibrated", TrialSettings(adc="none")), ("and quantisation", TrialSettings())):
-        yield name, validate_leave_one_out(trials, settings=settings, names=numbers)
+    rest = TrialSettings(offset="rest")
+    yield "raw", validate_trials(trials, names=numbers)
+    yield "rest offset", validate_trials(trials, settings=rest, names=numbers)
+    rounding = [nominal_calibration(record) for record, _ in trials]
+    yield "rest offset and quantisation", validate_trials(trials, calibrations=rounding, settings=rest, names=numbers)
+    yield "calibrated", validate_leave_one_out(trials, names=numbers)
+
+
+def nominal_calibration(record: Record) -> Calibration:
+    """Return a calibration that only gives back what the rounding of a record's codes took."""
+    return Calibration(
+        device=record.device,
+        reference_temp_c=float("nan"),
+        gravity_m_s2=STANDARD_GRAVITY,
+        gyro=nominal_triad(record.gyro_unit, "rate"),
+        accel=nominal_triad(record.accel_unit, "accel"),
+        adc=device_adc([record]),
+    )
 
 
 def floor(numbers: tuple[str, ...]) -> Validation:
     """Return the trials, each by a fit to itself."""
     adc = device_adc([trial(n)[0] for n in numbers])
-    return summed(
+    return Validation.of(
         tuple(validate_trial(*trial(n), calibration=_calibration(single(n, adc), adc), name=n) for n in numbers)
     )
 

@@ -84,7 +84,6 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         for record in records
     ]
     without: list[Calibration | None] = [None] * len(records)
-    plain = TrialSettings(adc="none")
     rows: tuple[tuple[str, Sequence[Calibration | None], OffsetChoice], ...] = (
         ("raw", without, "none"),
         ("rest", without, "rest"),
@@ -96,7 +95,7 @@ def steps(numbers: Sequence[str]) -> Iterator[tuple[str, list[Ended]]]:
         ("and the magnetometer, offset from motion", with_field, "motion"),
     )
     for name, calibrations, offset in rows:
-        settings = replace(plain if calibrations is without else TrialSettings(), offset=offset)
+        settings = TrialSettings(offset=offset)
         if calibrations is fits:  # the same, with the errors to expect of trials that were held out
             trials = validate_leave_one_out(every, settings=settings, names=numbers).trials
         else:

@@ -24,7 +24,7 @@ from undrift.calibration.reference import fit_reference
 from undrift.errors import UndriftError
 from undrift.frames import quaternion_product
 from undrift.record import Record, Reference
-from undrift.validation.agreement import Validation, summed, validate_leave_one_out, validate_trials
+from undrift.validation.agreement import Validation, validate_leave_one_out, validate_trials
 from undrift.validation.trial import Trial, TrialSettings, validate_trial
 
 SETS = {
@@ -85,7 +85,7 @@ def table(name: str) -> Iterator[tuple[str, Validation]]:
 
 def by_motion(trials: list[tuple[Record, Reference]], settings: TrialSettings, names: tuple[str, ...]) -> Validation:
     """Return the trials of a device, each calibrated by the motion in the others, without their reference."""
-    return summed(
+    return Validation.of(
         tuple(
             validate_trial(
                 *pair,
@@ -104,7 +104,7 @@ def by_themselves(name: str) -> Validation:
     def judged(record: Record, reference: Reference) -> Trial:
         return validate_trial(record, reference, calibration=calibrate_to_references([record], [reference]))
 
-    return summed(tuple(judged(*trial_results) for trial_results in pairs(name)))
+    return Validation.of([judged(*pair) for pair in pairs(name)])
 
 
 def main(names: tuple[str, ...]) -> None:

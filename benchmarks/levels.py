@@ -1,4 +1,4 @@
-"""Levels of correction and a simulated device, as in ``undrift validate --compare``, on trials of four kinds, deg.
+"""Levels of correction and a simulated device, as in ``undrift validate``, on trials of four kinds, deg.
 
 ``python -m benchmarks.levels`` prints a table of each set, or of the named sets:
 
@@ -33,7 +33,7 @@ from undrift.study.figure3 import OPTICS, SETTLED_S, actual_device, calibrated, 
 from undrift.study.recorded import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out
-from undrift.validation.levels import LevelTable, LevelTrial, judge_levels, simulate_trial_of
+from undrift.validation.levels import LevelTable, LevelTrial, judge_levels
 from undrift.validation.trial import TrialSettings
 
 Pairs = list[tuple[Record, Reference]]
@@ -118,7 +118,6 @@ def _compared(
 ) -> LevelTable:
     trials = []
     for k, (record, reference) in enumerate(pairs):
-        rng = np.random.default_rng(k)
         trials.append(
             LevelTrial(
                 recording=f"{k + 1}",
@@ -127,7 +126,6 @@ def _compared(
                 calibration=calibrations[k],
                 person=people[k] if people else "",
                 task=tasks[k] if tasks else "",
-                simulated=simulate_trial_of(record, reference, calibrations[k], mounting=np.eye(3), rng=rng),
             )
         )
     return judge_levels(trials, settings=settings)

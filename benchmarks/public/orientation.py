@@ -73,8 +73,7 @@ def errors() -> Iterator[tuple[str, str, str, tuple[float, float]]]:
         for name, offset in STEPS:
             for k, (number, pair) in enumerate(zip(numbers, pairs(numbers), strict=True)):
                 calibration = models[name][k] if name in models else None
-                plain = TrialSettings(adc="none") if calibration is None else TrialSettings()
-                judged = validate_trial(*pair, calibration=calibration, settings=replace(plain, offset=offset))
+                judged = validate_trial(*pair, calibration=calibration, settings=TrialSettings(offset=offset))
                 method = name + OFFSETS[offset]
                 figures = judged.figures
                 yield method, "strapdown", number, (figures.end_total_deg, figures.end_inclination_deg)

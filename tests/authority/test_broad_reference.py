@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.broad import nominal_calibration
 
 from testkit.broad_trials import DEVICES, of_device
 from testkit.cohorts import first_and_long
@@ -27,11 +28,13 @@ REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.25}  # means of row (b) of test_broad
 @pytest.mark.parametrize("device", [pytest.param("B", marks=pytest.mark.slow), "C", "D"])
 def test_the_end_error_of_held_out_trials_stays_below_its_limit(device):
     pairs, names = of_device(device)
-    rest = agreement.validate_trials(pairs, settings=TrialSettings(adc="none", offset="rest"), names=names)
-    undone = agreement.validate_trials(pairs, settings=TrialSettings(offset="rest"), names=names)
+    settings = TrialSettings(offset="rest")
+    rest = agreement.validate_trials(pairs, settings=settings, names=names)
+    rounding = [nominal_calibration(record) for record, _ in pairs]
+    undone = agreement.validate_trials(pairs, calibrations=rounding, settings=settings, names=names)
     show(f"device {device}, and quantisation, mean end error, deg", f"{undone.mean.end_total_deg:.2f}")
     assert undone.mean.end_total_deg == pytest.approx(REST_AND_ROUNDING[device], abs=0.05)
-    fitted = agreement.validate_leave_one_out(pairs, settings=TrialSettings(adc="auto"), names=names)
+    fitted = agreement.validate_leave_one_out(pairs, names=names)
     show(
         f"device {device}, rest offset alone, mean end error, deg", f"{rest.mean.end_total_deg:.2f}", REST_ALONE[device]
     )
@@ -95,7 +98,7 @@ def test_windows_of_12_to_20_s_give_about_the_same(device):
 
 def test_elements_are_those_of_this_class_of_device():
     pairs, names = of_device("B")
-    result = agreement.validate_leave_one_out(pairs, settings=TrialSettings(adc="auto"), names=names)
+    result = agreement.validate_leave_one_out(pairs, names=names)
     fast = result.held_out[2]  # trial 07, up to 1450 deg/s; the others reach 1200
     model = fast.fit.triad.model
     show("device B without trial 07, matrix less identity, %", np.round(100.0 * (model.matrix - np.eye(3)), 3).tolist())

@@ -5,6 +5,7 @@ End error: median over the first 3 s after the motion. Degrees.
 """
 
 import pytest
+from benchmarks.broad import nominal_calibration
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
@@ -30,11 +31,13 @@ WITHIN = 0.2  # deg
 @pytest.mark.parametrize("number", FILES)
 def test_rows_a_b_c_come_out_within_a_fifth_of_a_degree(number):
     a, b, c = (
-        trial_module.validate_trial(*trial(number), calibration=None, settings=settings, name=FILES[number]).figures
-        for settings in (
-            TrialSettings(adc="none"),
-            TrialSettings(offset="rest", adc="none"),
-            TrialSettings(offset="rest"),
+        trial_module.validate_trial(
+            *trial(number), calibration=calibration, settings=settings, name=FILES[number]
+        ).figures
+        for settings, calibration in (
+            (TrialSettings(), None),
+            (TrialSettings(offset="rest"), None),
+            (TrialSettings(offset="rest"), nominal_calibration(trial(number)[0])),
         )
     )
     found = (

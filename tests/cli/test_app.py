@@ -67,7 +67,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
         (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
         (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),
         (["orient", "a.csv"], "--output requires an argument"),
-        (["validate", "a.csv", "--adc", "some"], 'Invalid value "some" for --adc'),
+        (["validate", "a.csv", "--offset", "some"], 'Invalid value "some" for --offset'),
         (["noise", "a.csv", "--rest-s"], "--rest-s requires an argument"),
         (["demo", "extra"], "unexpected argument extra. Run undrift demo --help"),
         (["--json"], 'Unknown command "--json"'),

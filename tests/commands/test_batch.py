@@ -124,10 +124,10 @@ def test_validate_takes_the_reference_of_a_recordings_name_from_a_folder(undrift
         "validate", tmp_path / "in", "--calibration", bench / "calibration.json", *optics, "-o", tmp_path / "out"
     )
     assert answer.code == 1
-    assert "b.parquet: wanted one reference of its name" in answer.out
+    assert "b.parquet: expected one reference of its name" in answer.out
     rows = rows_of(tmp_path / "out")
     assert rows["a.parquet"]["error"] == ""
-    assert "deg rms in total" in rows["a.parquet"]["summary"]
+    assert "deg calibrated with calibration.json" in rows["a.parquet"]["summary"]
     assert {"report.html", "validation.json"} <= set(contents(tmp_path / "out" / "a"))
 
 
@@ -156,7 +156,7 @@ def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_
     words = ("validate", folder / "sub", "--calibration", bench / "calibration.json", "--reference")
     answer = undrift(*words, tmp_path / "optics" / "sub", "--json").json()
     assert [bool(file["error"]) for file in answer["files"]] == [False, True]
-    assert "wanted one reference of its name in" in answer["files"][1]["error"]
+    assert "expected one reference of its name in" in answer["files"][1]["error"]
 
 
 @pytest.mark.parametrize(

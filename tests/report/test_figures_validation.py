@@ -5,165 +5,113 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.commands.validate import (
-    SHOWN,
-    Validated,
-    coverage_text,
-    method_section,
-    recordings_section,
-    trials_sections,
-)
+from undrift.commands.validate import SHOWN, Validated, trials_section
 from undrift.correction.correct import correct
-from undrift.findings import finding
-from undrift.model import AdcModel, Verdict
+from undrift.model import Verdict
 from undrift.report.figures import trial_figure
 from undrift.report.page import write_page
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
-from undrift.sync import LagSettings
 from undrift.validation.agreement import validate_trials
 from undrift.validation.expected import Expected
+from undrift.validation.levels import LevelTrial, judge_levels
 from undrift.validation.trial import TrialSettings
 
-METHOD = Validated(
-    result=None,
-    recordings=("a.csv", "b.csv", "c.csv"),
-    references=("a.trc", "b.trc", "c.trc"),
-    calibration=None,
-    source="",
-    leave_one_out=False,
-    verdict=Verdict(),
-    settings=TrialSettings(offset="none"),
-)
-WHY = finding("imported.uncertainty", "warn", program="imucal")
 MADE = true_calibration(random_device(np.random.default_rng(2)))
 
 
 @pytest.fixture(scope="module")
-def result():
+def pairs():
     rng = np.random.default_rng(2)
     device = random_device(rng)
     truth = true_calibration(device)
     trials = [simulate_trial("sit_to_stand", device, rng=rng) for _ in range(3)]
-    pairs = [(correct(trial.record, truth), trial.reference) for trial in trials]
-    return validate_trials(pairs, calibrations=(None,), settings=TrialSettings(offset="none"), names=["a", "b", "c"])
+    return [(correct(trial.record, truth), trial.reference) for trial in trials]
 
 
-def choices(method):
-    return dict(method_section(method).rows)
+@pytest.fixture(scope="module")
+def result(pairs):
+    return validate_trials(pairs, names=["a", "b", "c"])
+
+
+@pytest.fixture(scope="module")
+def validated(pairs, result):
+    trials = [
+        LevelTrial(recording=name, record=record, reference=reference)
+        for name, (record, reference) in zip("abc", pairs, strict=True)
+    ]
+    return Validated(
+        result=result, levels=judge_levels(trials), files=(("a.csv", "a.trc"), ("b.csv", "b.trc"), ("c.csv", "")),
+        calibration=None, source="", verdict=Verdict(), settings=TrialSettings(),
+    )  # fmt: skip
 
 
 @pytest.mark.slow
-def test_an_error_smaller_than_stated_is_not_outside(result, tmp_path):
-    small, large = result.trials[0], result.trials[1]
-    of = {"end_total_deg": 40.0, "end_interval_deg": (30.0, 60.0), "end_at_most_deg": 55.0}
-    of |= {"rmse_total_deg": 40.0, "rmse_interval_deg": (30.0, 60.0), "rmse_at_most_deg": 55.0}
+def test_an_error_smaller_than_predicted_is_within(result, validated, tmp_path):
+    high = {"end_total_deg": 40.0, "end_interval_deg": (30.0, 60.0), "end_at_most_deg": 55.0}
+    high |= {"rmse_total_deg": 40.0, "rmse_interval_deg": (30.0, 60.0), "rmse_at_most_deg": 55.0}
     low = {"end_total_deg": 1e-4, "end_interval_deg": (5e-5, 3e-4), "end_at_most_deg": 2e-4}
     low |= {"rmse_total_deg": 1e-4, "rmse_interval_deg": (5e-5, 3e-4), "rmse_at_most_deg": 2e-4}
+    small, large = (
+        replace(trial, expected=Expected(**of)) for trial, of in zip(result.trials, (high, low), strict=False)
+    )
     assert small.figures.rmse_total_deg < 30.0
-    trials = (replace(small, expected=Expected(**of)), replace(large, expected=Expected(**low)))
-    one, both = replace(result, trials=trials[:1]), replace(result, trials=trials)
-    assert (one.coverage.rmse_inside, one.coverage.trials, one.coverage.end_inside) == (1, 1, 1)
-    assert (both.coverage.rmse_inside, both.coverage.trials) == (1, 2)  # the second is larger than stated
-    assert "total error over the motion 1 of 1" in coverage_text(one.coverage)
-    method = replace(METHOD, result=one, recordings=("a.csv",), references=("a.trc",))
-    write_page(tmp_path / "page.html", method.summary())
-    page = (tmp_path / "page.html").read_text()
-    assert "Not larger than expected (95 %, at most): end error 1 of 1" in page
-    assert "inside" not in coverage_text(one.coverage)
+    assert [trial.within_expected for trial in (small, large, result.trials[2])] == [True, False, None]
+    validated = replace(validated, result=replace(result, trials=(small, large)), files=validated.files[:2])
+    assert "Within the predicted limits: no (1 of 2 recordings)." in validated.summary().answer
+    write_page(tmp_path / "page.html", validated.summary())
+    assert "Predicted limits in deg" in (tmp_path / "page.html").read_text()
 
 
 def test_every_figure_of_the_table_is_a_field_of_the_result(result):
-    section, _ = trials_sections(result.trials, [("mean", result.mean)])
+    section = trials_section(result.trials, result)
     assert len(section.columns) == len(SHOWN) + 3
-    assert [row[0] for row in section.rows] == ["a", "b", "c", "mean"]
-    for row, figures in zip(section.rows, [*(t.figures for t in result.trials), result.mean], strict=True):
+    assert [row[0] for row in section.rows] == ["a", "b", "c", "mean", "median"]
+    figures = [*(trial.figures for trial in result.trials), result.mean, result.median]
+    for row, errors in zip(section.rows, figures, strict=True):
         for cell, key in zip(row[1:], SHOWN, strict=False):
-            assert float(cell) == pytest.approx(getattr(figures, key), abs=0.005 + 1e-9)
-        assert float(row[-2]) == pytest.approx(100.0 * figures.pitch_defined, abs=0.051)
-        assert float(row[-1]) == pytest.approx(100.0 * figures.valid_optics, abs=0.051)
+            assert float(cell) == pytest.approx(getattr(errors, key), abs=0.005 + 1e-9)
+        assert float(row[-2]) == pytest.approx(100.0 * errors.pitch_defined, abs=0.051)
+        assert float(row[-1]) == pytest.approx(100.0 * errors.valid_optics, abs=0.051)
 
 
-def test_sections_are_errors_what_was_done_and_one_for_each_trial(result):
-    sections = [one for one in replace(METHOD, result=result).summary().sections if one.on != "terminal"]
-    assert [section.title.partition(" ")[0] for section in sections] == [
-        "error",
-        "Further",
-        "Method",
-        "Recordings",
-        "a",
-        "b",
-        "c",
-    ]
+def test_the_page_shows_errors_levels_method_and_each_trial(validated):
+    sections = [one for one in validated.summary().sections if one.on != "terminal"]
+    titles = [section.title.partition(" ")[0] for section in sections]
+    assert titles == ["Error", "Levels", "Pitch", "Method", "Recordings", "a", "b", "c"]
 
 
-def test_each_recording_is_shown_with_its_reference_its_lag_and_the_share_of_its_whole_file(result):
-    section = recordings_section(METHOD, result.trials)
-    assert [row[:2] for row in section.rows] == [("a.csv", "a.trc"), ("b.csv", "b.trc"), ("c.csv", "c.trc")]
+def test_each_recording_is_shown_with_its_reference_its_lag_and_its_mounting(result, validated):
+    (section,) = [one for one in validated.summary().sections if one.title == "Recordings"]
+    assert [row[:2] for row in section.rows] == [("a.csv", "a.trc"), ("b.csv", "b.trc"), ("c.csv", "the same file")]
     for row, trial in zip(section.rows, result.trials, strict=True):
         shown = dict(zip(section.columns, row, strict=True))
-        assert float(shown["lag found (ms)"].split()[0]) == pytest.approx(trial.figures.lag_ms, abs=0.006)
-        assert shown["lag in the figures"] == ("undone" if trial.lag_undone else "left in")
+        assert float(shown["lag (ms)"].split()[0]) == pytest.approx(trial.figures.lag_ms, abs=0.006)
+        assert shown["in the errors"] == ("no" if trial.lag_undone else "yes")
         assert shown["motion (s)"] == f"{trial.motion.start_s:.1f} to {trial.motion.stop_s:.1f}"
-        assert float(shown["optics seen, whole file (%)"]) == pytest.approx(
-            100.0 * trial.figures.valid_optics_file, abs=0.051
-        )
-    unseen = recordings_section(replace(METHOD, references=()), (replace(result.trials[0], mounting=None),) * 3)
-    assert unseen.rows[0][1] == "the same file"
-    assert unseen.rows[0][5] == "not observable"
-
-
-def test_the_page_says_which_calibration_judged_and_what_its_verdict_was():
-    assert choices(METHOD)["calibration"] == "none: readings in the unit of their file"
-    assert "its verdict" not in choices(METHOD)
-    read = replace(METHOD, calibration=MADE, source="mine.json", verdict=Verdict(status="marginal", findings=(WHY,)))
-    assert choices(read)["calibration"].startswith(f"mine.json of {MADE.device}: gyroscope by ")
-    assert method_section(read).rows[1] == ("its verdict", "marginal")
-    assert method_section(METHOD).findings == ()
-    assert "figures are optimistic" in choices(replace(METHOD, calibration=MADE))["calibration"]
-    assert choices(replace(METHOD, calibration=MADE, leave_one_out=True))["calibration"].startswith(
-        "leave-one-out: each"
-    )
-
-
-def test_the_page_says_what_became_of_the_offset():
-    rest = replace(METHOD, settings=TrialSettings(offset="rest"))
-    assert choices(METHOD)["gyroscope's offset"] == "not corrected"
-    assert choices(rest)["gyroscope's offset"] == "the mean rate of the first still phase is subtracted"
-    assert choices(replace(METHOD, calibration=MADE))["gyroscope's offset"] == "the calibration's alone"
-    assert choices(replace(rest, calibration=MADE))["gyroscope's offset"].startswith(
-        "the calibration's, and the mean rate"
-    )
-    assert "and the motion of the others" in choices(replace(rest, leave_one_out=True))["gyroscope's offset"]
-
-
-def test_the_page_says_what_became_of_the_rounding():
-    codes = replace(MADE, adc=AdcModel(gyro_lsb=np.ones(3), gyro_rounding="toward_zero"))
-    assert choices(METHOD)["ADC's rounding"].startswith("corrected where the codes show it")
-    assert choices(replace(METHOD, settings=TrialSettings(adc="none")))["ADC's rounding"] == "left in"
-    assert choices(replace(METHOD, calibration=codes))["ADC's rounding"] == (
-        "corrected by the calibration (gyroscope toward zero)"
-    )
-    assert (
-        choices(replace(METHOD, calibration=replace(MADE, adc=None)))["ADC's rounding"]
-        == "unknown to the calibration: left in"
-    )
-
-
-def test_the_page_says_how_far_the_lag_was_looked_for():
-    settings = TrialSettings(lag=LagSettings(longest_lag_s=30.0))
-    assert choices(replace(METHOD, settings=settings))["lag"].startswith(
-        "searched up to 30 s either way; one up to 10 ms"
-    )
+        assert shown["mounting (deg)"] == "not observable"
 
 
 @pytest.mark.parametrize(
-    ("align", "words"),
-    [("auto", "removed where it exceeds 5 deg"), ("level", "is removed")],
+    ("changed", "words"),
+    [
+        ({}, "deg raw (rms over the motion, median of 3 recordings)."),
+        ({"calibration": MADE, "source": "c.json"}, " deg calibrated with c.json (rms over"),
+        ({"calibration": MADE}, " deg calibrated with these same recordings (rms over"),
+    ],
 )
-def test_the_page_says_what_became_of_the_mounting(align, words):
-    assert choices(replace(METHOD, settings=TrialSettings(align=align)))["mounting"].endswith(words)
+def test_the_answer_says_the_error_before_and_after(validated, changed, words):
+    answer = replace(validated, **changed).summary().answer
+    assert answer.startswith("Pitch error ")
+    assert words in answer
+
+
+@pytest.mark.parametrize(("align", "words"), [("auto", "is removed if it exceeds 5 deg."), ("level", "is removed.")])
+def test_the_page_says_what_became_of_the_mounting(validated, align, words):
+    validated = replace(validated, settings=TrialSettings(align=align))
+    (method,) = [one for one in validated.summary().sections if one.title == "Method"]
+    assert any(line.startswith("Mounting: ") and line.endswith(words) for line in method.text)
 
 
 def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.broad import nominal_calibration
 
 from testkit.hand_turns import Device, make_recording
 from undrift.calibration.codes import device_adc
 from undrift.errors import InputError
 from undrift.validation.agreement import validate_leave_one_out, validate_trials
-from undrift.validation.trial import TrialSettings, nominal_calibration
+from undrift.validation.trial import TrialSettings
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -23,9 +24,8 @@ def pairs():
 
 
 def test_each_recording_may_bring_its_calibration(pairs):
-    calibrations = [nominal_calibration(record, None) for record, _ in pairs]
-    same = validate_trials(pairs, calibrations=calibrations, settings=TrialSettings(adc="none"))
-    none = validate_trials(pairs, settings=TrialSettings(adc="none"))
+    same = validate_trials(pairs, calibrations=[nominal_calibration(record) for record, _ in pairs])
+    none = validate_trials(pairs)
     assert same.mean.rmse_total_deg == pytest.approx(none.mean.rmse_total_deg)
 
 

@@ -144,9 +144,9 @@ def _summary(
 
 
 def _details(run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...]) -> Iterator[Section]:
-    from undrift.commands.validate import trials_sections
+    from undrift.commands.validate import trials_section
 
-    for section in (trials_sections(trials)[0], _bench(run), _rates(run), *calibration_sections(fit.constant)):
+    for section in (trials_section(trials), _bench(run), _rates(run), *calibration_sections(fit.constant)):
         yield replace(section, folded=True)
 
 

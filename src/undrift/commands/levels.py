@@ -1,4 +1,4 @@
-"""Levels of correction for ``undrift validate --compare`` and ``undrift validate FOLDER --trials trials.csv``.
+"""Levels of correction for ``undrift validate`` and ``undrift validate FOLDER --trials trials.csv``.
 
 The table of trials has a row per recording. Columns: recording, person, task and device; reference, if the recording
 does not contain a reference. Optional columns: calibration, map, sensor, reference_map, reference_up and markers, with
@@ -20,7 +20,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.files import read_bytes
 
 if TYPE_CHECKING:
-    from undrift.validation.levels import LevelSummary, LevelTable, LevelTrial
+    from undrift.validation.levels import LevelTable, LevelTrial
     from undrift.validation.trial import TrialSettings
 
 
@@ -28,133 +28,122 @@ NEEDED = ("recording", "person", "task", "device")
 FILES = ("recording", "reference", "calibration", "map", "reference_map")
 OPTIONAL = (*FILES[1:], "sensor", "reference_up", "markers")
 METHODS = {"strapdown": "gyroscopes", "vqf": "VQF"}
+EMPTY = "–"
 
 # ---- sections
 
 
 def label_of(table: "LevelTable", level: str, method: str) -> str:
     """Return the label of a row: the level, with the method if there are two."""
-    methods = {errors.method for errors in table.errors}
-    return f"{level}, {METHODS[method]}" if len(methods) > 1 else level
+    return f"{level}, {METHODS[method]}" if len({errors.method for errors in table.errors}) > 1 else level
 
 
 def levels_sections(table: "LevelTable") -> tuple[Section, ...]:
-    """Return the errors at each level of correction over all trials, and their details."""
+    """Return the errors at each level of correction, the agreement, and the errors of each trial."""
     groups = list(dict.fromkeys(summary.group for summary in table.summaries))
-    sections = [_errors_section(table, "all"), _warnings(table), _agreement(table), _simulated_section(table)]
+    sections = [_errors_section(table, "all"), _agreement(table)]
     sections += [replace(_errors_section(table, group), on="page") for group in groups[1:]]
-    return (*(section for section in sections if section.rows or section.text), _trials(table))
+    labelled = any(trial.person or trial.task or trial.device for trial in table.trials)
+    names = NEEDED if labelled else NEEDED[:1]
+    trials = Section(
+        title=f"{table.quantity.capitalize()} error of each trial (deg)",
+        columns=(*names, *(label_of(table, errors.level, errors.method) for errors in table.errors)),
+        rows=tuple(
+            (
+                *(getattr(trial, name) for name in names),
+                *(number(float(errors.error_deg[k])) for errors in table.errors),
+            )
+            for k, trial in enumerate(table.trials)
+        ),
+        folded=True,
+    )
+    return (
+        *(section for section in sections if section.rows or section.text),
+        *([trials] if len(table.trials) > 1 else ()),
+    )
 
 
 def _errors_section(table: "LevelTable", group: str) -> Section:
+    """Return a row for each level: error, reduction from the level above, and the error of a simulated device."""
+    import numpy as np
+
     rows = list[tuple[str, ...]]()
-    for summary in table.summaries:
-        if summary.group != group or not summary.trials:
+    for summary, errors in zip(
+        (summary for summary in table.summaries if summary.group == group), table.errors, strict=True
+    ):
+        if not summary.trials:
             continue
-        low, high = summary.interval_deg
-        spread = f"{max(low, 0.0):.2f} to {high:.2f}" if summary.people > 1 else "–"
-        decision = summary.decision
-        less = (
-            (number(decision.difference), interval(decision.interval, ".2f"), decision.verdict)
-            if decision
-            else ("–",) * 3
+        (low, high), decision = summary.interval_deg, summary.decision
+        cells = [f"{max(low, 0.0):.2f} to {high:.2f}" if summary.people > 1 else EMPTY]
+        cells += [number(decision.difference), decision.verdict] if decision else [EMPTY, EMPTY]
+        both = np.isfinite(errors.difference_deg)
+        if group == "all":
+            simulated = errors.simulated_deg[both].mean() if both.any() else np.nan
+            cells += [number(simulated), number(errors.difference_deg[both].max() if both.any() else np.nan)]
+        label = label_of(table, summary.level, summary.method)
+        rows.append((label, f"{summary.people} ({summary.trials})", number(summary.mean_deg), *cells))
+    heads = ["level", "people (trials)", "error (deg)", "95 %", "less than above", "rated"]
+    text = [
+        f"{table.quantity.capitalize()} error, root mean square over the motion, mean over people. From three people on, each "
+        f"level is compared with the level above it: better, equivalent or worse by {table.margin_deg:g} deg, at 5 % over all "
+        "levels."
+    ]
+    if group == "all":
+        heads += ["simulated", "differs by"]
+        text.append(
+            "Simulated: a device that errs exactly as its calibration says, in the same motion. Differs by: largest difference "
+            "between the actual and the simulated error at any time."
         )
-        rows.append(
-            (
-                label_of(table, summary.level, summary.method),
-                f"{summary.people} ({summary.trials})",
-                number(summary.mean_deg),
-                spread,
-                number(summary.median_deg),
-                *less,
-            )
+        text += dict.fromkeys(
+            f"{label_of(table, row.level, row.method)}: {row.missing}" for row in table.errors if row.missing
         )
-    missing = dict.fromkeys(
-        f"{label_of(table, row.level, row.method)}: {row.missing}" for row in table.errors if row.missing
-    )
-    heads = ("level", "people (trials)", "error (deg)", "95 %", "median trial", "less than above", "95 %", "verdict")
-    text = (
-        f"{table.quantity} error, root mean square over the motion, mean over people. Each level is compared with the level above "
-        f"it: better, equivalent or worse by a margin of {table.margin_deg:g} deg, at 5 % over all levels, from three people on.",
-        *(missing if group == "all" else ()),
-    )
     title = "Levels of correction" if group == "all" else f"Levels of correction, {group}"
-    return Section(title=title, columns=heads, rows=tuple(rows), text=text)
+    told = [k for k in range(len(heads)) if any(row[k] != EMPTY for row in rows)]
+    return Section(
+        title=title,
+        columns=tuple(heads[k] for k in told),
+        rows=tuple(tuple(row[k] for k in told) for row in rows),
+        text=tuple(text),
+    )
 
 
-def _warnings(table: "LevelTable") -> Section:
+def _warnings(table: "LevelTable") -> tuple[Section, ...]:
     """Return the warnings of the trials, once for each recording, with the first level that has it."""
     texts = dict[tuple[str, str], str]()
     for errors in table.errors:
         for recording, item in errors.findings:
             texts.setdefault((recording, item.code), f"{Path(recording).name}, {errors.level}: {item.text}")
-    return Section(title="Warnings", text=tuple(texts.values()))
+    return (Section(title="Warnings", text=tuple(texts.values())),) if texts else ()
 
 
 def _agreement(table: "LevelTable") -> Section:
     """Return the agreement with the optics, for levels and groups with ten people or more."""
     rows = list[tuple[str, ...]]()
-    best: LevelSummary | None = None
+    best = None
     for summary in table.summaries:
         limits, icc = summary.agreement, summary.icc
         if limits is None:
             continue
-        cells = (
-            (f"{icc.value:.3f}", interval(icc.interval), number(icc.minimal_detectable_change)) if icc else ("–",) * 3
-        )
-        bias = f"{round(limits.bias, 2) + 0.0:+.2f}"
-        name = label_of(table, summary.level, summary.method)
-        rows.append((summary.group, name, str(limits.count), bias, interval(limits.limits, "+.2f"), *cells))
+        cells = [EMPTY] * 3
+        if icc is not None:
+            cells = [f"{icc.value:.3f}", interval(icc.interval), number(icc.minimal_detectable_change)]
+        label, bias = label_of(table, summary.level, summary.method), f"{limits.bias:+.2f}"
+        rows.append((summary.group, label, str(limits.count), bias, interval(limits.limits, "+.2f"), *cells))
         if summary.group == "all" and (best is None or summary.mean_deg < best.mean_deg):
             best = summary
-    heads = ("group", "level", "people", "bias (deg)", "95 % limits", "ICC(2,1)", "95 %", "MDC95 (deg)")
-    text = (
-        f"Agreement of device and optics on the {table.measure}, one mean per person, for ten people or more. The "
-        f"columns are Bland "
-        "and Altman's limits, ICC(2,1) within a single task, and the smallest change that "
-        "exceeds measurement error. An ICC depends "
-        "on how much the people differ.",
-    )
     if best is None:
         return Section(title="Agreement with the optics")
-    picture = figure_of("figures:draw_people_agreement", table, best)
-    return Section(title="Agreement with the optics", columns=heads, rows=tuple(rows), text=text, pictures=(picture,))
-
-
-def _simulated_section(table: "LevelTable") -> Section:
-    """Return the errors of the actual and the simulated device next to each other."""
-    import numpy as np
-
-    from undrift.validation.levels import NOTE_DIFFERENCE_DEG
-
-    rows = list[tuple[str, ...]]()
-    for errors in table.errors:
-        both = np.isfinite(errors.difference_deg)
-        if both.any():
-            means = [number(x[both].mean()) for x in (errors.error_deg, errors.simulated_deg, errors.difference_deg)]
-            within = f"{(errors.difference_deg[both] <= NOTE_DIFFERENCE_DEG).sum()} of {both.sum()}"
-            name = label_of(table, errors.level, errors.method)
-            rows.append((name, *means, number(errors.difference_deg[both].max()), within))
-    heads = ("level", "actual (deg)", "simulated", "difference", "most", f"within {NOTE_DIFFERENCE_DEG:g} deg")
-    text = (
-        "simulated: a device with this calibration, in the motion of the reference, corrected in the same way. "
-        "difference: "
-        "largest difference between the two errors of a trial, mean and maximum. The limit of the "
-        "application note is "
-        f"{NOTE_DIFFERENCE_DEG:g} deg over 4 s.",
+    return Section(
+        title="Agreement with the optics",
+        columns=("group", "level", "people", "bias (deg)", "95 % limits", "ICC(2,1)", "95 %", "MDC95 (deg)"),
+        rows=tuple(rows),
+        text=(
+            "Agreement of device and optics on the range of pitch, one mean per person, from ten people on: limits of Bland and "
+            "Altman, ICC(2,1) within one task, and the smallest change that is more than measurement error (MDC95). An ICC depends "
+            "on how much the people differ.",
+        ),
+        pictures=(figure_of("figures:draw_people_agreement", table, best),),
     )
-    return Section(title="Simulated against actual", columns=heads, rows=tuple(rows), text=text if rows else ())
-
-
-def _trials(table: "LevelTable") -> Section:
-    labelled = any(trial.person or trial.task or trial.device for trial in table.trials)
-    names = NEEDED if labelled else NEEDED[:1]
-    heads = (*names, *(label_of(table, errors.level, errors.method) for errors in table.errors))
-    rows = (
-        (*(getattr(trial, name) for name in names), *(number(float(errors.error_deg[k])) for errors in table.errors))
-        for k, trial in enumerate(table.trials)
-    )
-    return Section(title=f"{table.quantity} error of each trial (deg)", columns=heads, rows=tuple(rows), folded=True)
 
 
 def levels_json(table: "LevelTable") -> dict[str, Any]:
@@ -164,11 +153,10 @@ def levels_json(table: "LevelTable") -> dict[str, Any]:
     errors = list[dict[str, Any]]()
     for row in table.errors:
         items = findings_json([item for _, item in row.findings])
-        findings = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
-        errors.append(asdict(replace(row, findings=())) | {"findings": findings})
+        named = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
+        errors.append(asdict(replace(row, findings=())) | {"findings": named})
     return {
         "quantity": table.quantity,
-        "measure": table.measure,
         "margin_deg": table.margin_deg,
         "trials": [{name: getattr(trial, name) for name in NEEDED} for trial in table.trials],
         "summaries": [asdict(summary) for summary in table.summaries],
@@ -195,7 +183,7 @@ class PeopleValidated(Result):
             answer=self._answer(),
             data=self.data,
             pictures=(figure_of("figures:draw_level_errors", self.table),),
-            sections=(*levels_sections(self.table), methods),
+            sections=(*levels_sections(self.table), *_warnings(self.table), methods),
             written=() if self.output is None else (self.output / "levels.json", self.output / "report.html"),
         )
 
@@ -205,48 +193,39 @@ class PeopleValidated(Result):
         return levels_json(self.table) | {"methods": self.methods()}
 
     def _answer(self) -> str:
+        """Return the error before, and the smallest error of the levels that judge most trials."""
         table = self.table
-        every = [summary for summary in table.summaries if summary.group == "all" and summary.trials]
-        complete = [summary for summary in every if summary.trials == max(candidate.trials for candidate in every)]
-        first, best = every[0], min(complete, key=lambda summary: summary.mean_deg)
+        judged = [summary for summary in table.summaries if summary.group == "all" and summary.trials]
+        most = max(summary.trials for summary in judged)
+        first, best = judged[0], min((s for s in judged if s.trials == most), key=lambda summary: summary.mean_deg)
+        before, after = (label_of(table, summary.level, summary.method) for summary in (first, best))
         low, high = best.interval_deg
         spread = f" [95 % {max(low, 0.0):.2f} to {high:.2f}]" if best.people > 1 else ""
-        names = [label_of(table, candidate.level, candidate.method) for candidate in (best, first)]
         return (
-            f"least of {len(complete)} levels, {names[0]}: {table.quantity} error {best.mean_deg:.2f} deg{spread}, {names[1]} "
-            f"{first.mean_deg:.2f}; {best.people} people, {best.trials} trials"
+            f"{table.quantity.capitalize()} error {first.mean_deg:.3g} deg {before}, {best.mean_deg:.2f} deg{spread} at the best "
+            f"level ({after}); {best.people} people, {best.trials} trials."
         )
 
     def methods(self) -> str:
         """Return a paragraph about the methods, for a paper."""
         table = self.table
         people, tasks, devices = (len({getattr(trial, name) for trial in table.trials}) for name in NEEDED[1:])
-        corrected_otherwise = sum(trial.left_out or trial.calibration is None for trial in table.trials)
-        count = len(table.trials) - corrected_otherwise
+        by_others = sum(trial.left_out or trial.calibration is None for trial in table.trials)
+        count = len(table.trials) - by_others
         calibrated = f"{count} recordings were corrected with an earlier calibration of their device"
-        if corrected_otherwise:
-            calibrated += f", {corrected_otherwise} with a fit to the other recordings of their device (leave-one-out)"
+        if by_others:
+            calibrated += f", {by_others} with a fit to the other recordings of their device (leave-one-out)"
         return (
             f"{len(table.trials)} recordings of {people} people in {tasks} tasks with {devices} inertial sensors were "
             f"compared with optical motion capture by undrift {__version__}. {calibrated}. The offset of the gyroscopes was taken "
-            "from the calibration, from the first rest, or from gravity during the motion. Orientation was "
-            "integrated from the "
-            "gyroscopes (strapdown, started from the rest before the motion) or estimated "
-            "with VQF (offline, without magnetometer). "
-            "Lags between the clocks of more than 10 ms were removed "
-            "before the comparison. Errors are root mean squares over the "
-            f"motion of each trial ({table.quantity}), averaged by person. Means over people have Student's 95 % "
-            f"interval. "
-            f"Paired differences are judged against a margin of {table.margin_deg:g} deg with a "
-            f"two-sided t test and two single-sided t "
-            f"tests, with Bonferroni's correction. Agreement on the "
-            f"{table.measure}, one mean per person, is given by Bland and "
-            "Altman's 95 % limits and "
-            "ICC(2,1) with its 95 % interval."
+            "from the calibration, from the first rest, or from gravity during the motion. Orientation was integrated from the "
+            "gyroscopes (strapdown, started from the rest before the motion) or estimated with VQF (offline, without "
+            "magnetometer). Lags between the clocks of more than 10 ms were removed before the comparison. Errors are root mean "
+            f"squares over the motion of each trial ({table.quantity}), averaged by person. Means over people have Student's 95 % "
+            f"interval. Paired differences are judged against a margin of {table.margin_deg:g} deg with a two-sided t test and two "
+            "one-sided t tests, with Bonferroni's correction. Agreement on the range of pitch, one mean per person, is given by "
+            "Bland and Altman's 95 % limits and ICC(2,1) with its 95 % interval."
         )
-
-
-# ---- the table of trials
 
 
 def validate_people(
@@ -285,8 +264,11 @@ def validate_people(
     return result
 
 
+# ---- the table of trials
+
+
 def _rows(table: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of the table, every column that there may be in each."""
+    """Yield the rows of the table, with every possible column in each."""
     reader = csv.DictReader(read_bytes(table).decode("utf-8-sig", "replace").splitlines())
     heads = [head.strip() for head in reader.fieldnames or ()]
     lacking, unknown = [x for x in NEEDED if x not in heads], [x for x in heads if x not in (*NEEDED, *OPTIONAL)]
@@ -295,16 +277,17 @@ def _rows(table: Path) -> Iterator[dict[str, str]]:
         raise InputError(
             f"{table}: expected columns {', '.join(NEEDED)}, and of {', '.join(OPTIONAL)}, got {got}. Correct the header line."
         )
-    empty, rows = dict.fromkeys((*NEEDED, *OPTIONAL), ""), 0
+    count = 0
     for line, row in enumerate(reader, start=2):
-        cells = empty | {head.strip(): (value or "").strip() for head, value in row.items() if head}
+        cells = dict.fromkeys((*NEEDED, *OPTIONAL), "")
+        cells |= {head.strip(): (value or "").strip() for head, value in row.items() if head}
         if missing := [name for name in NEEDED if not cells[name]]:
             raise InputError(
                 f"{table}: {', '.join(missing)} is missing in line {line}. Fill it in, or delete the line."
             )
-        rows += 1
+        count += 1
         yield cells
-    if not rows:
+    if not count:
         raise InputError(f"{table}: expected a row for each recording, got none. Add the rows.")
 
 
@@ -323,25 +306,33 @@ def _check_rows(table: Path, rows: list[dict[str, str]]) -> None:
 
 
 def _trial(table: Path, row: dict[str, str], opening: Opening, forward: Side | None, up: Side | None) -> "LevelTrial":
-    """Read one row's recording, reference and calibration."""
+    """Read the recording, the reference and the calibration of a row."""
     from undrift.io.store import read_calibration
     from undrift.validation.levels import LevelTrial
 
     paths = {name: table.parent / row[name] if row[name] else None for name in FILES}
-    recording = cast("Path", paths["recording"])
-    reference = (paths["reference"],) if paths["reference"] else ()
     optics = Optics(
-        reference=reference, reference_map=paths["reference_map"], markers=row["markers"] or None,
+        reference=(paths["reference"],) if paths["reference"] else (),
+        reference_map=paths["reference_map"],
+        markers=row["markers"] or None,
         reference_up=cast("Any", row["reference_up"] or None),
-    )  # fmt: skip
+    )
     model = read_calibration(paths["calibration"]) if paths["calibration"] else None
     how = replace(opening, column_map=paths["map"] or opening.column_map, sensor=row["sensor"] or opening.sensor)
     try:
-        (pair,) = optics.pairs((recording,), how.like(model, paths["calibration"]), command="validate")
+        ((record, reference),) = optics.pairs(
+            (cast("Path", paths["recording"]),), how.like(model, paths["calibration"]), command="validate"
+        )
     except UndriftError as error:
         raise InputError(f"{table}, {row['recording']}: {error}") from error
-    about: dict[str, Any] = {name: row[name] for name in NEEDED}
-    worn = worn_by(model, forward, up)
     return LevelTrial(
-        **about, record=pair[0], reference=pair[1], calibration=model, cluster=optics.of_cluster(), mounting=worn
+        recording=row["recording"],
+        person=row["person"],
+        task=row["task"],
+        device=row["device"],
+        record=record,
+        reference=reference,
+        calibration=model,
+        cluster=optics.of_cluster(),
+        mounting=worn_by(model, forward, up),
     )

@@ -44,8 +44,9 @@ from undrift.study.case import WORN_S, on_the_clock
 from undrift.study.recorded import SAMPLE_RATE_HZ
 from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.align import LEAD_S
 from undrift.validation.levels import LEVEL_NAMES, LEVELS, judge_level
-from undrift.validation.trial import LEAD_S, TRIAL_SETTINGS, Trial
+from undrift.validation.trial import TRIAL_SETTINGS, Trial
 
 # ---- the simulated and the actual device
 

@@ -1,6 +1,7 @@
 """Validation of a calibration on real motion: orientation errors in degrees against an orientation reference.
 
-    trial              one recording against its reference: lag, mounting, strapdown from rest, errors
+    trial              one recording against its reference: lag, strapdown from rest, errors
+    align              mounting of the device on the body of the reference
     levels             levels of correction over trials, people and tasks
     agreement          several recordings: means, leave-one-out, agreement of methods and differences against a margin
     expected           errors expected from a calibration's uncertainty

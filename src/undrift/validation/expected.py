@@ -56,17 +56,14 @@ ERROR_PRIOR = ErrorPrior()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
-    """Errors that a calibration's uncertainty lets one expect, deg, with 95 % intervals."""
+    """Errors expected from the uncertainty of a calibration, deg."""
 
-    end_total_deg: float  # expected root mean square of the end error, deg
-    end_interval_deg: tuple[float, float]
-    end_at_most_deg: float  # 95 % quantile of the end error, deg
-    rmse_total_deg: float  # expected root-mean-square error over the motion, deg
+    end_total_deg: float  # root mean square of the end error
+    end_interval_deg: tuple[float, float]  # 95 %
+    end_at_most_deg: float  # 95 % quantile
+    rmse_total_deg: float  # root-mean-square error over the motion
     rmse_interval_deg: tuple[float, float]
     rmse_at_most_deg: float
-
-
-OffsetKind = Literal["other", "own", "subtracted", "shown"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +73,7 @@ class OffsetSource:
     # "other": offset of the model, from another recording. "own": offset of the recording's own rest plus the model's change
     # to motion. "subtracted": the mean of the own rest is subtracted after the correction, which also removes the model's
     # offset. "shown": offset determined from the motion.
-    rest: OffsetKind
+    rest: Literal["other", "own", "subtracted", "shown"]
     in_motion: bool  # True if the change from rest to motion was fitted
     recordings: int = 1  # number of recordings in the fit
 
@@ -85,31 +82,32 @@ class OffsetSource:
 class Strapdown:
     """A recording with the orientation integrated from it, through the motion."""
 
-    record: Record  # Corrected, rad/s and m/s2, from the start of the integration on
+    record: Record  # corrected, rad/s and m/s2, from the start of the integration on
     q_nb: FloatArray  # (N, 4), its orientation
-    stop_s: float  # End of the motion, s, the record's clock
-    delay_s: float  # By which the orientation lags the reference in the figures, s
+    stop_s: float  # end of the motion, s, on the clock of the record
+    delay_s: float  # by which the orientation lags the reference in the errors, s
     turned: FloatArray  # (3, 3), rotation from the frame of the model to the frame of the integration
     offset_covariance: FloatArray  # (3, 3), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
     offset_prior: FloatArray  # (3,), of the offset that motion shows, standard deviation before it, rad/s
-    noise_density: float  # noise density of the rate, rad/sqrt(s)
-    tilt: float  # Standard uncertainty of the start, each level axis, rad
+    noise_density: float  # of the rate, rad/sqrt(s)
+    tilt: float  # standard uncertainty of the start, each level axis, rad
     mounting: float  # mounting error between device and body of the reference, about each axis, rad
 
 
 def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
-    """Return the end error and the root-mean-square error to expect of a recording."""
-    at, gain, rate = _sensitivity(run, model, source)
+    """Return the expected end error and root-mean-square error of a recording."""
+    time, gain, rate = _sensitivity(run, model, source)
     covariance = _covariance(run, model, source, prior)
-    size, means = gain.shape[2], np.zeros_like(covariance)
-    ends = np.concatenate((gain[-1], np.sqrt(at[-1] - at[0]) * np.eye(3), np.eye(3)), axis=1)
+    size, elapsed = gain.shape[2], time - time[0]
+    ends = np.concatenate((gain[-1], np.sqrt(elapsed[-1]) * np.eye(3), np.eye(3)), axis=1)
+    means = np.zeros_like(covariance)
     means[:size, :size] = np.einsum("kap,kaq->pq", gain, gain) / len(gain)
-    means[size:, size:] = np.diag(np.repeat((float((at - at[0]).mean()), 1.0), 3))
+    means[size:, size:] = np.diag(np.repeat((float(elapsed.mean()), 1.0), 3))
     late = run.delay_s * rate  # (K, 3), rad, in earth axes
     linear = np.zeros(len(covariance))
     linear[:size] = np.einsum("kap,ka->p", gain, late) / len(late)
-    end = _root(covariance, ends.T @ ends, 0.0 * linear, 0.0)
-    rmse = _root(covariance, means, linear, float((late**2).sum(axis=1).mean()))
+    end = _root_deg(covariance, ends.T @ ends, 0.0 * linear, 0.0)
+    rmse = _root_deg(covariance, means, linear, float((late**2).sum(axis=1).mean()))
     return Expected(
         end_total_deg=end[0],
         end_interval_deg=(end[1], end[2]),
@@ -125,23 +123,18 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     from undrift.correction.motion import offset_answer  # imported here, because it requires scipy and kernels
     from undrift.kernels.rotation import accumulate
 
-    gyro, time, q = np.asarray(run.record.gyro), run.record.time, run.q_nb
-    scaled_rotation = si_factor(model.unit_out, "rate") * run.turned
-    matrix = scaled_rotation @ model.matrix
+    gyro, time, q = np.ascontiguousarray(run.record.gyro), np.ascontiguousarray(run.record.time), run.q_nb
+    to_earth = si_factor(model.unit_out, "rate") * run.turned
+    matrix = to_earth @ model.matrix
     force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
-    u, is_shown = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
-    sign = np.sign(u + model.offset) - np.sign(model.offset) * is_shown  # subtracting an offset also removes c at rest
-    moving = find_turning(gyro, time)[0][:, None] * (source.rest != "shown" or model.moving_offset is not None)
-    columns_of = (u, np.ones((len(gyro), 1)), force @ run.turned, moving, sign)
-    regressors = np.concatenate(columns_of, axis=1)
-    width = max(1, round(_STEP_S * run.record.sample_rate_hz))
+    u, rezeroed = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
+    sign = np.sign(u + model.offset) - np.sign(model.offset) * rezeroed  # subtracting an offset also removes c at rest
+    turning = find_turning(gyro, time)[0][:, None] * (source.rest != "shown" or model.moving_offset is not None)
+    regressors = np.concatenate((u, np.ones((len(gyro), 1)), force @ run.turned, turning, sign), axis=1)
     last = max(1, int(np.searchsorted(time, run.stop_s, side="right")) - 1)
-    knots = np.append(np.arange(0, last, width), last)
+    knots = np.append(np.arange(0, last, max(1, round(_STEP_S * run.record.sample_rate_hz))), last)
     total, relative = np.zeros((len(knots), 3, 3, regressors.shape[1])), np.empty((len(knots), 4))
-    flat = (np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(regressors).reshape(-1))
-    accumulate(
-        *flat, np.ascontiguousarray(time), np.ascontiguousarray(time[knots]), relative.reshape(-1), total.reshape(-1)
-    )
+    accumulate(gyro.reshape(-1), regressors.reshape(-1), time, time[knots], relative.reshape(-1), total.reshape(-1))
     axes = np.stack([rotate(q[knots], axis[None]) for axis in np.eye(3)], axis=2)  # (K, 3, 3), R_nb
     sums = np.einsum("ab,kbcd->kacd", axes[0], total)
     steady = sums[..., 3]
@@ -150,14 +143,14 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     columns = []
     for name in model.parameters:
         kind, _, where = name.partition("_")
-        row, last = "xyz".index(where[0]), "xyz".index(where[-1])
+        row, column = "xyz".index(where[0]), "xyz".index(where[-1])
         if kind == "offset":
-            columns.append(-steady @ matrix[:, row] * (not is_shown))
+            columns.append(-steady @ matrix[:, row] * (not rezeroed))
         elif kind == "code":
             columns.append(sums[..., 8 + row] @ matrix[:, row])
         else:
-            place = {"m": last, "g": 4 + last, "moving": 7}[kind]
-            columns.append(sums[..., place] @ scaled_rotation[:, row] * (1.0 if kind == "m" else -1.0))
+            place = {"m": column, "g": 4 + column, "moving": 7}[kind]
+            columns.append(sums[..., place] @ to_earth[:, row] * (1.0 if kind == "m" else -1.0))
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
     gain = np.concatenate((np.stack(columns, axis=2), steady, start, moved), axis=2)
@@ -168,31 +161,30 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
     from undrift.correction.motion import axis_moved_by
 
-    moving = [i for i, name in enumerate(model.parameters) if name.startswith("moving_")]
-    more = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0
-    change = more * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
+    size = len(model.parameters)
+    moving, matrix = ([i for i, name in enumerate(model.parameters) if name.startswith(x)] for x in ("moving_", "m_"))
+    of_mean = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0  # the mean of the fitted recordings errs too
+    change = of_mean * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
     day = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
     if moving and source.rest == "shown":  # the prior's share of d is among the model's own
         reduction = day / run.offset_prior * axis_moved_by(model) / run.offset_prior
         day = day - reduction @ reduction.T
-    extra = (
+    added = (
         np.full(3, change * (not moving and source.rest != "shown")),
         np.array([run.tilt**2, run.tilt**2, prior.pose**2]),
         np.full(3, run.mounting**2 + prior.mounting**2),
         np.full(3, run.noise_density**2),
         np.full(3, prior.pose**2),
     )
-    size = len(model.parameters)
-    covariance = np.diag(np.concatenate((np.zeros(size), *extra)))
+    covariance = np.diag(np.concatenate((np.zeros(size), *added)))
     covariance[:size, :size] = model.covariance
     covariance[size : size + 3, size : size + 3] += day
     covariance[moving, moving] += change / si_factor(model.unit_out, "rate") ** 2
-    matrix = [i for i, name in enumerate(model.parameters) if name.startswith("m_")]
-    covariance[matrix, matrix] += more * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
+    covariance[matrix, matrix] += of_mean * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
     return covariance
 
 
-def _root(covariance: FloatArray, square: FloatArray, linear: FloatArray, constant: float) -> list[float]:
+def _root_deg(covariance: FloatArray, square: FloatArray, linear: FloatArray, constant: float) -> list[float]:
     """Return root mean and quantiles of the root of x' D x + 2 b' x + c for normal x of mean zero, deg."""
     from scipy.special import gammaincinv
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from undrift.arrays import FloatArray, interpolated
-from undrift.errors import AlignmentError, Implausible
+from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.model import AXES
@@ -39,49 +39,51 @@ def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatA
     return mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
 
 
-def rate_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
-    """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3)."""
+def best_rotation(u: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return the rotation (3, 3) that minimises sum |w - R u|^2, the singular values, and whether a reflection fits better."""
+    left, singular, right = np.linalg.svd(w.T @ u)
+    sign = float(np.sign(np.linalg.det(left @ right)))
+    return left @ np.diag((1.0, 1.0, sign)) @ right, singular, sign < 0.0
+
+
+def unexplained_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
+    """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3).
+
+    The share is NaN if the motion is too small to compare rates.
+    """
     u, w = common_rates(record, poses, lag_s)
-    left_vectors, _, right = np.linalg.svd(w.T @ u)
-    rotation = left_vectors @ np.diag((1.0, 1.0, np.sign(np.linalg.det(left_vectors @ right)))) @ right
-    total = float((w**2).sum() + (u**2).sum()) / 2.0
-    if not len(w) or math.sqrt(total / len(w)) < LEAST_RATE:
-        raise AlignmentError("reference: too little motion to compare rates. Record more motion.")
-    return float(((w - u @ rotation.T) ** 2).sum()) / total, rotation
+    rotation = best_rotation(u, w)[0]
+    total = 0.5 * float((w**2).sum() + (u**2).sum())
+    enough = len(w) > 0 and math.sqrt(total / len(w)) >= LEAST_RATE
+    return float(((w - u @ rotation.T) ** 2).sum()) / total if enough else math.nan, rotation
 
 
 def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
     """Return findings on the convention of a reference's poses, or raise an error if it is clearly wrong. The record is in SI."""
-    if record.gyro is None:
-        return ()
-    try:
-        share, rotation = rate_share(record, poses, lag_s)
-    except AlignmentError:
+    share, rotation = unexplained_share(record, poses, lag_s)
+    if math.isnan(share):
         return ()
     if share > LEFT_OVER:
-        candidates = {
+        others = {
             "its quaternions turn level to body, not body to level": quaternion_conjugate(poses.q_nb),
             "its quaternions are x-y-z-w, not w-x-y-z": np.roll(poses.q_nb, 1, axis=1),
         }
         shares = {
-            text: rate_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0] for text, q in candidates.items()
+            text: unexplained_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0]
+            for text, q in others.items()
         }
-        texts = [text for text in sorted(shares, key=lambda one: shares[one]) if shares[text] < EXPLAINED]
+        texts = [text for text in sorted(shares, key=lambda text: shares[text]) if shares[text] < EXPLAINED]
         if texts:
-            raise _other(poses, ", or ".join(texts), "convert them, or name their order in the file's map")
-    unlike = (finding("validate.rates_differ", "warn", percent=100.0 * share),) if share > UNLIKE else ()
-    return unlike or _check_up(record, poses, lag_s, rotation)
-
-
-def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArray) -> tuple[Finding, ...]:
-    """Check that the mean specific force in n is gravity, up."""
+            raise _implausible(poses, ", or ".join(texts), "Convert them, or name their order in the map of the file.")
+    if share > UNLIKE:
+        return (finding("validate.rates_differ", "warn", percent=100.0 * share),)
     if record.accel is None:
         return ()
+
     visible = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
-    times = poses.time[visible] + lag_s
-    force = interpolated(times, record.time, record.accel)
-    sound = np.isfinite(force).all(axis=1)
-    up = rotate(poses.q_nb[visible][sound], force[sound] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
+    force = interpolated(poses.time[visible] + lag_s, record.time, record.accel)
+    finite = np.isfinite(force).all(axis=1)
+    up = rotate(poses.q_nb[visible][finite], force[finite] @ rotation.T).mean(axis=0) / STANDARD_GRAVITY
     length = float(np.linalg.norm(up))
     angle = math.acos(float(np.clip(up[2] / max(length, 1e-9), -1.0, 1.0)))
     if not LENGTH[0] < length < LENGTH[1] or angle < TILTED:
@@ -92,14 +94,13 @@ def _check_up(record: Record, poses: Reference, lag_s: float, rotation: FloatArr
     if axis == "-z":
         text = "acceleration has the opposite sign, or its laboratory is mirrored (left-handed) or upside down"
     if angle > CLEARLY:
-        action = "name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
-        raise _other(poses, text, f"{action}, or correct the sign of the columns")
+        action = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
+        raise _implausible(poses, text, f"{action}, or correct the sign of the columns.")
     return (finding("validate.not_up", "warn", angle_deg=angle / RADIAN_PER_DEGREE, text=text),)
 
 
-def _other(poses: Reference, text: str, action: str) -> Implausible:
+def _implausible(poses: Reference, text: str, action: str) -> Implausible:
     name = poses.name or "reference"
     return Implausible(
-        f"{name}: the poses do not agree with the device's readings: {text}; {action}",
-        mistake=text,
+        f"{name}: the poses do not agree with the readings of the device: {text}. {action}", mistake=text
     )

@@ -229,8 +229,9 @@ class Recordings:
 
     async def calibrate_by(self, stored: StoredFile, reference: StoredFile) -> bool:
         """Calibrate from a recording and its optics. The result becomes the job of the bench."""
-        job = self.bench.new_job(stored.path.stem)
-        options = *self._optics(stored, reference), "--calibrate-from", "reference", *self.bench.place.words()
+        job, place = self.bench.new_job(stored.path.stem), self.bench.place
+        gravity = place.gravity_m_s2 if place.words() else None
+        options = *self._optics(stored, reference), "--calibrate-from", "reference", *stated(gravity_m_s2=gravity)
         outcome = await self.bench.command("validate", *options, "-o", job.folder)
         stored.error = outcome.error
         if outcome.done:
