@@ -85,7 +85,7 @@ def test_check_accepts_a_table_by_its_limit(capsys):
         (["stop", "--rig", "lathe:"], "rig: expected one of galil:", 2),
         (["stop", "--rig", "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"], "127.0.0.1:9", 3),
         (["check", "--rig", "manual:"], "rig check: expected a table with a motor, got manual:", 2),
-        (["check", "--rig", NOBODY, "--seconds", "0"], "duration_s above 0", 2),
+        (["check", "--rig", NOBODY, "--seconds", "0"], "`duration_s` must be above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
         (
             ["run", "p.toml", *SIMULATED, "--device", "tcp://h:1", "-o", "x"],

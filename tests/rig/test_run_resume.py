@@ -34,10 +34,6 @@ LONGER = Protocol(
 )  # fmt: skip
 DWELLS = 9
 needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
-# calls in which a run is killed: of the clock's wait while it moves and reads, of fsync while it writes
-INSTANTS = (("fsync", 2), ("wait", 40), ("fsync", 11), ("wait", 75))
-CHANCE = random.Random(60)
-SIXTY_INSTANTS = tuple((CHANCE.choice(("wait", "fsync")), CHANCE.randrange(1, 60)) for _ in range(60))
 
 
 @pytest.fixture
@@ -55,13 +51,13 @@ def simulated_run(protocol, path, *more):
 
 
 @needs_signals
-@pytest.mark.parametrize("instants", [INSTANTS, pytest.param(SIXTY_INSTANTS, marks=pytest.mark.slow)], ids=len)
-def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, instants):
-    """A run is killed and resumed, and killed again; each dwell that was reported is still there, bit by bit, at the end."""
-    path, kept, left, kills = tmp_path / "run", dict[int, str](), list(instants), list[int]()
-    lost = 0
+@pytest.mark.parametrize("wanted", [4, pytest.param(60, marks=pytest.mark.slow)])
+def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, wanted):
+    """A run is killed in a random call, resumed and killed again; each dwell that was written is still there, bit by bit."""
+    path, kept, kills, lost, chance = tmp_path / "run", dict[int, str](), list[int](), 0, random.Random(60)
     while True:
-        killed_at = left.pop(0) if left else None
+        # in a call of the clock's wait while the run moves and reads, or of fsync while it writes
+        killed_at = (chance.choice(("wait", "fsync")), chance.randrange(1, 60)) if len(kills) < wanted else None
         code, out, err = Command(
             simulated_run(protocol, path, "--resume", "--json"), tmp_path, killed_at=killed_at
         ).result()
@@ -78,13 +74,9 @@ def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, instant
             assert json.loads(out)["dwells"] == DWELLS == len(kept)
             assert_true(read_session(path))
             path, kept = path.with_name(f"{path.name}-again"), {}
-            if not left:
+            if killed_at is None:
                 break
-    show(
-        f"of {len(instants)} kills, those that struck; dwells on the disk then, and lost",
-        (len(kills), sum(kills), lost),
-    )
-    assert len(kills) > 0.7 * len(instants)  # the others were due after the end of a run
+    show("kills; dwells on the disk then, and lost", (len(kills), sum(kills), lost))
 
 
 def sha256_of(path):

@@ -57,24 +57,16 @@ class ServoRig(Rig, Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WaveError:
-    """Following error in a step wave."""
+class RigCheck:
+    """Following error of a table in a step wave, with its servo."""
 
+    identity: str
+    servo: ServoReport
     rms: float  # rad, at steady rate
     largest: float  # rad, at steady rate and at rest at the end
     in_run_up: float  # rad, largest during a run-up
     turn_rate: float  # rad/s, mean of the achieved rates in either direction
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigCheck:
-    """Result of a check."""
-
-    identity: str
-    error: WaveError
-    passed: bool
-    servo: ServoReport
-    verdict: Verdict
+    verdict: Verdict  # bad if `largest` is beyond the limit
 
 
 def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = lambda line: None) -> RigCheck:
@@ -84,27 +76,22 @@ def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = 
             raise InputError(
                 f"rig check: {rig.identify()} has no encoder, so it reports no following error. Check a servo table."
             )
-        servo_rig = cast(ServoRig, rig)
         rig.limits.check_turn_rate(settings.turn_rate)
         rig.limits.check_travel(settings.turn_rate * settings.half_period_s)
-        identity, servo = rig.identify(), servo_rig.read_servo()
-        rig.enable(True)
-        rig.set_acceleration(settings.acceleration)
-        error = _step_wave(servo_rig, clock, settings, report)
+        return _run_wave(cast(ServoRig, rig), clock, settings, report)
     finally:
         with uninterrupted():
             rig.close()
-    passed = error.largest <= settings.limit
-    numbers = {"largest_deg": error.largest / RADIAN_PER_DEGREE, "limit_deg": settings.limit / RADIAN_PER_DEGREE}
-    verdict = Verdict.of(*([] if passed else [finding("rig_check.error", "fail", **numbers)]))
-    return RigCheck(identity=identity, error=error, passed=passed, servo=servo, verdict=verdict)
 
 
-def _step_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Report) -> WaveError:
-    """Turn in alternating directions, read the following error continuously and return its statistics."""
+def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Report) -> RigCheck:
+    """Turn in alternating directions, and read the following error continuously."""
     steady: list[float] = []
     in_run_up: list[float] = []
     rates: list[float] = []
+    identity, servo = rig.identify(), rig.read_servo()
+    rig.enable(True)
+    rig.set_acceleration(settings.acceleration)
     turn_rate, ramp_s = settings.turn_rate, settings.turn_rate / settings.acceleration
     end = clock.now() + settings.duration_s
     while (start := clock.now()) < end:
@@ -125,9 +112,14 @@ def _step_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Rep
         turn_rate = -turn_rate
     if not rates:
         raise RigTimeout("rig check: no position was read at steady rate. Check the link and the table.")
-    return WaveError(
+    largest = max(*steady, abs(rig.following_error()))
+    numbers = {"largest_deg": largest / RADIAN_PER_DEGREE, "limit_deg": settings.limit / RADIAN_PER_DEGREE}
+    return RigCheck(
+        identity=identity,
+        servo=servo,
         rms=math.sqrt(float(np.mean(np.square(steady)))),
-        largest=max(*steady, abs(rig.following_error())),
+        largest=largest,
         in_run_up=max(in_run_up, default=math.nan),
         turn_rate=float(np.mean(rates)),
+        verdict=Verdict.of(*([finding("rig_check.error", "fail", **numbers)] if largest > settings.limit else [])),
     )
