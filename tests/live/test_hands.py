@@ -165,7 +165,7 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
     assert record.duration_s > 8.0
     assert record.accel[-1, 0] == pytest.approx(-DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.05)
     assert recorder.timeline.marker.missing == 0
-    with pytest.raises(InputError, match=r"no device 'simulated:\d+'"):
+    with pytest.raises(InputError, match=r"unknown device 'simulated:\d+'"):
         source_at(held.address)
 
 

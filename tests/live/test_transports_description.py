@@ -35,7 +35,7 @@ def test_readings_become_a_record_in_the_units_stated():
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({}, r"rate .*got 0.0"),
+        ({}, r"`rate` must be above 0"),
         ({"rate": 1.0, "clock_speed": 0.0}, r"clock_speed"),
         ({"rate": 1.0, "channels": ("gyro_x", "gyro_y")}, r"gyro .*three axes, got 2"),
         ({"rate": 1.0, "channels": ("temp",)}, r"no channel of gyro"),
