@@ -160,7 +160,7 @@ def test_free_acceleration_is_no_accelerometer():
 @pytest.mark.parametrize(
     ("path", "missing", "words"),
     [
-        (("shimmer_consensys", "read_test_data.csv"), "sensor", "the file holds LN, WR: name one"),
+        (("shimmer_consensys", "read_test_data.csv"), "sensor", "The file contains LN, WR"),
         (("delsys_trigno", "truncated_trigno_sample.csv"), "sensor", "Mini sensor 10, Mini sensor 11"),
         (("apdm_csv", "imuData01.csv"), "sensor", "Static, Upper, Middle, Lower"),
         (("stm_mems_logs", "unico_acc_only_driving.txt"), "sample_rate_hz", "expected the sample rate"),

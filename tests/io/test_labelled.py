@@ -182,7 +182,7 @@ def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path)
     path = put(
         tmp_path, ",".join(["t (s)", *names]) + "\n" + "".join(f"{k},0,0,1,5,5,5,0,1,0,7,7,7\n" for k in range(4))
     )
-    with pytest.raises(InputError, match="the file holds left, right: name one"):
+    with pytest.raises(InputError, match="The file contains left, right"):
         read_record(path)
     right = read_record(path, settings=ReadSettings(sensor="right"))
     assert (right.accel[0].tolist(), right.gyro[0].tolist(), right.device) == (

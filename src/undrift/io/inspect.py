@@ -438,7 +438,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         names = tuple(map(str, body_names))
         reference = read_reference(path, labels=names[:1])
     valid_count = int(reference.valid.sum())
-    remark = f" of each of {len(names)} bodies ({', '.join(names)}). Name one body." if names else ""
+    remark = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
     has_reading = columns is not None or may_hold_poses(name)
     remark += f", {reference.name.removeprefix(path.name).strip()}" if has_reading else ""
     return Description(
