@@ -31,7 +31,7 @@ def process(*words, **more):
         (NotObservable("m_xy: wanted poses, got none; add some"), 2, "undrift: m_xy: wanted poses, got none; add some\n"),
         (RigFault("axis 1: following error; home it"), 3, "undrift: axis 1: following error; home it\n"),
         (LimitError("wanted 90 deg/s or less, got 900"), 3, "undrift: wanted 90 deg/s or less, got 900\n"),
-        (PermissionError(13, "Not you", "a.csv"), 2, "undrift: a.csv: Not you; check the path and its permissions\n"),
+        (PermissionError(13, "Not you", "a.csv"), 2, "undrift: a.csv: Not you. Check the path and its permissions.\n"),
         (KeyboardInterrupt(), 130, "undrift: stopped. No file was left incomplete.\n"),
     ],
 )  # fmt: skip
